@@ -21,14 +21,14 @@ from aomgen.evaluation.evaluate import EvaluationRequest, evaluate, interval_95
 from aomgen.evaluation.lerobot_policy import LAST, TRAINING, WEIGHTS
 from aomgen.evaluation.policies import LEROBOT, NEAREST, ORACLE
 from aomgen.evaluation.suite import open_suite
-from aomgen.evaluation.views import Visuals
+from aomgen.evaluation.views import VISUALS, Visuals
 from aomgen.io.artifact import read_json
 from aomgen.io.atomic import remove_folder, write_json
 from aomgen.io.schema import suggest
-from benchmarks.policy_data import PolicyData, Trials
+from benchmarks.policy_data import PolicyData, Sight, Trials
 
 # Of every training: AdamW's steps, demonstrations a step, and steps between checkpoints, from which a killed one goes on.
-STEPS, BATCH, SAVE_EVERY = 4000, 32, 1000
+STEPS, BATCH, SAVE_EVERY = 5000, 32, 1000
 SEEDS: Final = (0, 1, 2)
 FULL: Final = 150
 SCALES: Final = (0.6, 0.7, 0.8, 0.9)
@@ -42,20 +42,18 @@ SIGNIFICANT: Final = 0.05
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Training:
-    """A policy: the demonstrations of a world that it learns from, none for an untrained one, and its seed.
-
-    It sees pictures, or is told the object's pose.
-    """
+    """A policy: the demonstrations of a world that it learns from, none for an untrained one, what these show, its seed."""
 
     world: str
     demonstrations: int = FULL
     seed: int = 0
-    told: bool = False
+    sees: Sight = "splat"
 
     @property
     def name(self) -> str:
         """For files."""
-        return f"{self.world}-{self.demonstrations}-{self.seed}{'-told' if self.told else ''}"
+        name = f"{self.world}-{self.demonstrations}-{self.seed}"
+        return name if self.sees == "splat" else f"{name}-{self.sees}"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -87,7 +85,7 @@ def _curve(world: str) -> list[Row]:
         )
         for count, seeds in counts.items()
     ]
-    told = Row(label={"policy": "state_policy"}, policies=(Training(world=world, told=True),), test=test)
+    told = Row(label={"policy": "state_policy"}, policies=(Training(world=world, sees="pose"),), test=test)
     return [*learned, *floors.values(), told]
 
 
@@ -122,6 +120,24 @@ TABLES: Final = {
             test=Trials(world="unseen_microwaves"),
         )
         for label, world in (("single", "microwave"), ("mixed", "microwaves"))
+    ],
+    "renderer_table": [
+        Row(
+            label={"trained_on": learned, "tested_on": seen},
+            policies=(Training(world="microwave", sees=learned),),
+            test=Trials(world="microwave"),
+            visuals=seen,
+        )
+        for learned in VISUALS
+        for seen in VISUALS
+    ],
+    "recovery_ablation": [
+        Row(
+            label={"recovery": world != "microwave"},
+            policies=(Training(world=world),),
+            test=Trials(world="microwave"),
+        )
+        for world in ("microwave", "microwave_recovery")
     ],
     "viewpoint_table": [
         Row(
@@ -178,7 +194,7 @@ class PolicyBench:
         rows = [row for table in tables.values() for row in table]
         trainings = dict.fromkeys(p for row in rows for p in row.policies if isinstance(p, Training))
         for training in trainings:
-            self.data.dataset(training.world, told=training.told)
+            self.data.dataset(training.world, training.sees)
         with ThreadPoolExecutor(self.data.workers) as pool:
             list(pool.map(self.train, trainings))
         return {name: table_figures(self.counted(rows)) for name, rows in tables.items()}
@@ -192,7 +208,7 @@ class PolicyBench:
         last = home / LAST
         if (last / WEIGHTS).is_file() and (home / "checkpoints" / "last").resolve().name == f"{steps:06d}":
             return home
-        dataset = self.data.dataset(training.world, told=training.told)
+        dataset = self.data.dataset(training.world, training.sees)
         if (last / TRAINING).is_file():
             words = [f"--config_path={last / TRAINING}", "--resume=true", f"--steps={steps}"]
         else:

@@ -5,7 +5,7 @@ import shutil
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, Literal
 
 import numpy as np
 
@@ -19,8 +19,11 @@ from aomgen.io.episode_folder import list_committed
 from aomgen.pipeline.runner import results_of
 from aomgen.pipeline.stages import PROJECT_FILE, STAGES
 from aomgen.synthetic.world import make_capture
+from benchmarks.policy_visuals import redraw
 
 Tell = Callable[[str], None]
+# What demonstrations show: pictures of the twin or of the simulator, or the object's pose instead.
+Sight = Literal["splat", "simulator", "pose"]
 # Pictures are drawn at twice the size that policies see, [px].
 DRAWN_SIZE: Final = (192, 192)
 SEEN_SIZE: Final = (96, 96)
@@ -56,6 +59,9 @@ WORLDS: Final = {
     "microwave": World(recording="microwave", assets=("microwave:1",)),
     "microwave_sizes": World(recording="microwave", assets=("microwave:1",), ranges=SIZES, like="microwave"),
     "microwave_views": World(recording="microwave", assets=("microwave:1",), ranges=VIEWS, like="microwave"),
+    "microwave_recovery": World(
+        recording="microwave", assets=("microwave:1",), ranges={"push_m": (0.0, 0.02)}, like="microwave"
+    ),
     "microwaves": World(recording="microwave", assets=tuple(f"microwave:{seed}" for seed in range(1, 11))),
     "unseen_microwaves": World(
         recording="microwave", assets=tuple(f"microwave:{seed}" for seed in range(21, 26)), demonstrations=0
@@ -125,15 +131,19 @@ class PolicyData:
         self.run_project(project, until="episodes" if wanted else "replacement", workers=self.workers)
         return home
 
-    def dataset(self, name: str, *, told: bool = False) -> Path:
-        """Folder of a world's demonstrations for LeRobot, with pictures or with the object's pose instead."""
-        home = self.folder / "datasets" / (f"{name}-told" if told else name)
+    def dataset(self, name: str, sees: Sight = "splat") -> Path:
+        """Folder of a world's demonstrations for LeRobot."""
+        label = name if sees == "splat" else f"{name}-{sees}"
+        home = self.folder / "datasets" / label
         if not (home / MARK).is_file():
-            results = open_results(self.run(name))
-            size = "x".join(map(str, SEEN_SIZE))
-            self.tell(f"dataset {home.name}")
-            episodes = list_committed(results.folders["episodes"])
-            export_dataset(episodes, home, "lerobot-v3", media="none" if told else "image", size=size)
+            run = self.run(name)
+            self.tell(f"dataset {label}")
+            if sees == "simulator":
+                episodes = redraw(run, self.folder / "redrawn" / name)
+            else:
+                episodes = list_committed(open_results(run).folders["episodes"])
+            size, media = "x".join(map(str, SEEN_SIZE)), "none" if sees == "pose" else "image"
+            export_dataset(episodes, home, "lerobot-v3", media=media, size=size)
         return home
 
     def suite(self, test: Trials) -> Path:

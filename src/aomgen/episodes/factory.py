@@ -17,8 +17,9 @@ from aomgen.assets.usd_write import write_for_replay
 from aomgen.core.camera import Camera
 from aomgen.core.plan import EpisodePlan, FittedAsset, Rejection, Variation, VerifiedEpisode
 from aomgen.episodes.generate import MAX_SKIPPED
-from aomgen.episodes.grasp_choice import DRAWS, GRASPS_FOLDER, GraspChoice, choose_grasps
+from aomgen.episodes.grasp_choice import DRAWS, GRASPS_FOLDER, GraspChoice, choose_grasp
 from aomgen.episodes.grasp_plan import PlanParams
+from aomgen.episodes.grasps import Grasp
 from aomgen.episodes.ik import IkSolver, ik_solver
 from aomgen.episodes.ledger import Unit, object_folder, write_rejection
 from aomgen.episodes.planning import open_task, plan_episode, working_grasps
@@ -167,11 +168,11 @@ class EpisodeFactory:
         demo = self.results.demonstration
         with self._timed("plan"):
             return plan_episode(
-                fitted, demo, variation, scene, self.solver, self.plan_params, opened.preferred.names
+                fitted, demo, variation, scene, self.solver, self.plan_params, opened.usual_grasp
             )
 
     def grasp_choice(self, number: int) -> GraspChoice:
-        """The grasps that an asset's plans prefer, from its first draws; those of its stage where that has chosen."""
+        """The usual grasp of an asset, from its first draws; that of the stage where it has chosen."""
         chosen = self.folder / GRASPS_FOLDER
         if (chosen / f"{unit_name(number)}.json").is_file():
             return load_artifact(chosen, unit_name(number), GraspChoice)
@@ -179,11 +180,11 @@ class EpisodeFactory:
         passing = (variation for variation, rejection in draws if rejection is None)
         # The paper's method knows one grasp.
         wanted = 0 if self.plan_params.method == "paper" else DRAWS
-        return choose_grasps(
+        return choose_grasp(
             [self._working_grasps(number, variation) for variation in islice(passing, wanted)]
         )
 
-    def _working_grasps(self, number: int, variation: Variation) -> list[str]:
+    def _working_grasps(self, number: int, variation: Variation) -> list[Grasp]:
         fitted, scene = self.asset(number).sized(variation.scale)
         demo = self.results.demonstration
         return working_grasps(open_task(fitted, demo, variation, scene, self.solver, self.plan_params))
@@ -279,9 +280,9 @@ class OpenAsset:
     digests: Mapping[str, str]
 
     @cached_property
-    def preferred(self) -> GraspChoice:
-        """The grasps that plans try first."""
-        return self.factory.grasp_choice(self.number)
+    def usual_grasp(self) -> str:
+        """Name of the grasp that plans keep near to."""
+        return self.factory.grasp_choice(self.number).usual
 
     @cached_property
     def sized(self) -> Callable[[float], tuple[FittedAsset, Scene]]:

@@ -1,13 +1,14 @@
-"""Which grasps the demonstrations of an object use: as few as serve most draws, so that policies can learn from them.
+"""The usual grasp of an object: all demonstrations hold it as nearly so as they can, so that policies can learn from them.
 
 Many grasps work for a draw, and each works for some draws only. The one nearest to the demonstrated differs from draw to
-draw: of a microwave's 150 demonstrations 46 would share the most usual grasp among 26, and a policy learns their mean.
+draw: of a microwave's 150 demonstrations 46 would share the most frequent grasp among 26, and a policy learns their mean.
 """
 
-from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
+
+from aomgen.episodes.grasps import Grasp, difference
 
 # So many draws tell which grasps work.
 DRAWS: Final = 24
@@ -20,28 +21,27 @@ class GraspChoice:
     """Of one object.
 
     Attributes:
-        names: Grasps, the first to be tried first.
-        served: For how many of the draws each works for which those before it do not.
+        usual: Name of the grasp; empty where none works.
+        mean_rad: How much the grasp of a draw differs from it in the mean, see `grasps.difference`.
         draws: How many were looked at.
     """
 
-    names: tuple[str, ...]
-    served: tuple[int, ...]
+    usual: str
+    mean_rad: float
     draws: int
 
 
-def choose_grasps(working: Sequence[Sequence[str]]) -> GraspChoice:
-    """The grasp that works for most draws, then that which works for most of the rest, and so on.
+def choose_grasp(working: Sequence[Sequence[Grasp]]) -> GraspChoice:
+    """The grasp from which the draws' grasps differ least in the mean, when each draw takes the one that is most like it.
 
     Args:
-        working: For every draw the names of the grasps that work, the best first; of grasps that serve as many draws
-            the one is chosen that comes first.
+        working: For every draw the grasps that work; of equals the one is chosen that comes first.
     """
-    left, found = list(working), list[tuple[str, int]]()
-    while counts := Counter(name for names in left for name in names):
-        chosen = max(counts, key=counts.__getitem__)
-        found.append((chosen, counts[chosen]))
-        left = [names for names in left if chosen not in names]
-    return GraspChoice(
-        names=tuple(name for name, _ in found), served=tuple(count for _, count in found), draws=len(working)
-    )
+    served = [grasps for grasps in working if grasps]
+    candidates = {grasp.name: grasp for grasps in served for grasp in grasps}
+    means = {
+        name: sum(min(difference(usual, grasp) for grasp in grasps) for grasps in served) / len(served)
+        for name, usual in candidates.items()
+    }
+    usual = min(means, key=lambda name: round(means[name], 6), default="")
+    return GraspChoice(usual=usual, mean_rad=means.get(usual, 0.0), draws=len(working))

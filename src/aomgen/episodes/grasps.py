@@ -5,7 +5,7 @@ bar lies along x.
 """
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import product
 from typing import Annotated
 
@@ -14,7 +14,7 @@ import numpy as np
 from aomgen.assets.asset_check import held_at_rim, outward_normal
 from aomgen.core.asset import ArticulatedAsset
 from aomgen.core.plan import FittedAsset
-from aomgen.core.transforms import angle_between, invert, matrix_from_rotvec
+from aomgen.core.transforms import angle_between, invert, matrix_from_rotvec, rotvec_from_matrix
 from aomgen.core.values import Array, Vector3, freeze_arrays
 from aomgen.robots.robot import RobotModel
 
@@ -65,8 +65,8 @@ def orientations(
 
     Yields:
         Name and R_asset_ee (3, 3): with the demonstrated approach direction, then with the hand
-        square to the bar, each with every tilt; then leaning along the bar, with the smaller tilts; last the hand
-        turned half round, which swaps the fingers.
+        square to the bar, each with every tilt; then leaning along the bar, with all tilts but the largest; last the
+        hand turned half round, which swaps the fingers.
     """
     bar = R_front_ee[:, 0]
     near = handle_axis if bar @ handle_axis >= 0 else -handle_axis
@@ -82,7 +82,7 @@ def orientations(
     first = bases[0][1]
     for swing in SWINGS_DEG:
         swung = first @ matrix_from_rotvec(np.deg2rad(swing) * np.array([0.0, 1.0, 0.0]))
-        for tilt in tilts_deg[:3]:
+        for tilt in tilts_deg[:5]:
             R = matrix_from_rotvec(np.deg2rad(tilt) * handle_axis) @ swung
             yield f"swing {swing:+.0f}, tilt {tilt:+.0f}", R
     yield "turned", matrix_from_rotvec(np.pi * first[:, 2]) @ first
@@ -108,9 +108,9 @@ def grasps(
     R_front_ee: Array,
     depths: Sequence[float],
     turn_ratio: float,
-    preferred: Sequence[str] = (),
+    usual: str = "",
 ) -> Iterator[Grasp]:
-    """Grasps to try: with the first depth the preferred ones, then in order of likeness to the demonstrated one.
+    """Grasps to try with the first depth, those like the usual one first, or else like the demonstrated one.
 
     Then with the next depth.
 
@@ -118,22 +118,29 @@ def grasps(
         R_front_ee: As for `orientations`.
         depths: See `grasp_depths`, [m].
         turn_ratio: Demonstrated turn of the hand over turn of the part; a revolute part may be followed with less.
-        preferred: Names.
+        usual: Name of a grasp, see `grasp_choice`.
     """
-    places = {name: place for place, name in enumerate(preferred)}
     asset, revolute = fitted.asset, fitted.asset.joint.type == "revolute"
     ratio = float(np.clip(turn_ratio, 0.0, 1.0)) if revolute else 1.0
     ratios = (ratio, LOOSE_RATIO) if revolute and ratio > LOOSE_RATIO + 0.1 else (ratio,)
     plate = np.cross(asset.handle_axis, outward_normal(asset)) if held_at_rim(asset) else None
     ways = [
-        (f"{name}, turn {share:.2f}", R, share)
+        Grasp(name=f"{name}, turn {share:.2f}", R_object_ee=R, held_ee=np.zeros(3), turn_ratio=share)
         for name, R in orientations(R_front_ee, asset.handle_axis, TILTS_DEG)
         for share in ratios
         if plate is None or abs(plate @ R[:, 1]) >= MIN_ACROSS_RIM
     ]
-    ways.sort(key=lambda way: places.get(way[0], len(places)))
-    for depth, (name, R, share) in product(depths, ways):
-        yield Grasp(name=name, R_object_ee=R, held_ee=np.array([0.0, 0.0, depth]), turn_ratio=share)
+    like = next((way for way in ways if way.name == usual), None)
+    if like is not None:
+        ways.sort(key=lambda way: round(difference(way, like), 6))
+    for depth, way in product(depths, ways):
+        yield replace(way, held_ee=np.array([0.0, 0.0, depth]))
+
+
+def difference(a: Grasp, b: Grasp) -> float:
+    """Angle between two hands at the closed part, and what it grows by until the part has turned by a radian, [rad]."""
+    turn = rotvec_from_matrix(a.R_object_ee.T @ b.R_object_ee)
+    return float(np.linalg.norm(turn)) + abs(a.turn_ratio - b.turn_ratio)
 
 
 def _across(R: Array, bar: Array) -> Array:

@@ -1,6 +1,5 @@
 """Plan one episode: place the object, choose a grasp and a way to it; which grasps would do."""
 
-from collections.abc import Sequence
 from dataclasses import replace
 from itertools import islice, product
 
@@ -19,7 +18,7 @@ from aomgen.episodes.grasp_plan import (
     plan_with,
     stall,
 )
-from aomgen.episodes.grasps import grasp_depths, grasps
+from aomgen.episodes.grasps import Grasp, grasp_depths, grasps
 from aomgen.episodes.ik import IkSolver
 from aomgen.episodes.retarget import DETOURS, WAYS, DemonstratedMotion, RetargetedMotion
 from aomgen.episodes.start import choose_start
@@ -50,22 +49,22 @@ def plan_episode(
     scene: Scene,
     solver: IkSolver,
     params: PlanParams,
-    preferred: Sequence[str] = (),
+    usual: str = "",
 ) -> EpisodePlan | Rejection:
-    """Plan one episode, with the first preferred grasp that works, else with the one nearest to the demonstrated.
+    """Plan one episode, with the grasp most like the usual one that works, or else like the demonstrated one.
 
     Args:
         fitted: The object and its planned motion. It faces as the recorded object did, so its
             axes are those in which the demonstrated hand is understood.
         scene: Robot, table and this asset, at any pose.
-        preferred: Names of grasps, see `grasp_choice`.
+        usual: Name of a grasp, see `grasp_choice`.
 
     Returns:
         The plan; or the Rejection of the grasp that came farthest, its metrics with the number of
         `grasps_tried`.
     """
     task = open_task(fitted, demo, variation, scene, solver, params)
-    motions = _motions(task, preferred)
+    motions = _motions(task, usual)
     held, best = _hold(task, motions)
     # Grasps that hold, and among them those that something blocks beside the handle.
     checked, blocked = set[int](), set[int]()
@@ -92,19 +91,20 @@ def plan_episode(
     return replace(best, metrics={**best.metrics, "grasps_tried": float(len(motions))})
 
 
-def working_grasps(task: PlanTask) -> list[str]:
-    """Names of all grasps with which an episode can be planned the first way, that nearest to the demonstrated first."""
+def working_grasps(task: PlanTask) -> list[Grasp]:
+    """All grasps with which an episode can be planned the first way, that nearest to the demonstrated first."""
     motions = _motions(task)
     held, _ = _hold(task, motions)
     style, group = WAYS[0]
     styled = {k: replace(motions[k], **style._asdict()) for k in held}
-    arms, working = follow_sides(task, styled, held), dict[str, None]()
+    arms, working = follow_sides(task, styled, held), dict[str, Grasp]()
     for k in held:
         if check_grip(task, motions[k], held[k]) is not None:
             continue
         if any(isinstance(plan_with(task, styled[k], arms[k], free), EpisodePlan) for free in group):
-            working[motions[k].grasp.name] = None
-    return list(working)
+            grasp = motions[k].grasp
+            working.setdefault(grasp.name, grasp)
+    return list(working.values())
 
 
 def open_task(
@@ -133,13 +133,13 @@ def open_task(
     )
 
 
-def _motions(task: PlanTask, preferred: Sequence[str] = ()) -> list[RetargetedMotion]:
+def _motions(task: PlanTask, usual: str = "") -> list[RetargetedMotion]:
     """Of all grasps, from the arm's first joints."""
     robot, fitted = task.placed.robot, task.fitted
     moved = not np.array_equal(task.start, task.shown.demo.joints[0])
     T_world_start = robot.ee_poses(task.start[None])[0] if moved else None
     T_world_object = task.variation.placed(fitted)
-    return retarget(fitted, task.shown, T_world_object, robot, task.params.method, T_world_start, preferred)
+    return retarget(fitted, task.shown, T_world_object, robot, task.params.method, T_world_start, usual)
 
 
 def _hold(task: PlanTask, motions: list[RetargetedMotion]) -> tuple[dict[int, Array], Rejection]:
@@ -166,15 +166,15 @@ def retarget(
     robot: RobotModel,
     method: Method,
     T_world_start: Array | None = None,
-    preferred: Sequence[str] = (),
+    usual: str = "",
 ) -> list[RetargetedMotion]:
-    """The motions with all grasps that a method tries, the preferred ones first, then those near the demonstrated one.
+    """The motions with all grasps that a method tries, in the order of `grasps`.
 
     The hand begins at a pose (4, 4); where it was demonstrated if None.
     """
     demo, rigid = shown.demo, method == "paper"
     depths = grasp_depths(fitted.asset, float(demo.grasp_ee[2]), robot)
-    found = grasps(fitted, shown.hand_at_closed(fitted), depths, demo.ee_turn_ratio, preferred)
+    found = grasps(fitted, shown.hand_at_closed(fitted), depths, demo.ee_turn_ratio, usual)
     return [
         RetargetedMotion(
             shown=shown,

@@ -1,12 +1,18 @@
-"""Few grasps serve most draws, and plans try them first."""
+"""Demonstrations of an object keep near to one grasp."""
 
+from itertools import chain
+
+import numpy as np
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from aomgen.core.demonstration import Demonstration
 from aomgen.core.plan import EpisodePlan, FittedAsset, Variation
-from aomgen.episodes.grasp_choice import choose_grasps
+from aomgen.core.transforms import matrix_from_rotvec
+from aomgen.episodes.grasp_choice import choose_grasp
 from aomgen.episodes.grasp_plan import PlanParams
+from aomgen.episodes.grasps import Grasp, difference, grasps
 from aomgen.episodes.ik import IkSolver
 from aomgen.episodes.planning import open_task, plan_episode, working_grasps
 from aomgen.robots.robot import RobotModel
@@ -16,39 +22,67 @@ from benchmarks.toy_drawer import SUPPORT
 HERE = Variation(seed=0, index=0, x=0.0, y=0.0, yaw=0.0)
 
 
-def test_the_grasp_that_serves_most_draws_comes_first_then_that_for_most_of_the_rest() -> None:
-    chosen = choose_grasps([["a", "b"], ["b"], ["c", "b"], ["a", "c"], ["c"], []])
-    assert chosen.names == ("b", "c")
-    assert chosen.served == (3, 2)
-    assert chosen.draws == 6
+def turned(deg: float, turn_ratio: float = 1.0) -> Grasp:
+    return Grasp(
+        name=f"{deg:g} {turn_ratio:g}",
+        R_object_ee=matrix_from_rotvec(np.deg2rad([deg, 0.0, 0.0])),
+        held_ee=np.zeros(3),
+        turn_ratio=turn_ratio,
+    )
+
+
+def test_the_usual_grasp_is_in_the_middle_of_what_is_needed() -> None:
+    # Most draws could use 40, but the others would then differ by more than those from 20.
+    chosen = choose_grasp([[turned(40), turned(20)], [turned(40)], [turned(20), turned(0)], [turned(0)], []])
+    assert (chosen.usual, chosen.draws) == ("20 1", 5)
+    assert chosen.mean_rad == pytest.approx(np.deg2rad(10.0))
 
 
 def test_of_equals_the_nearest_to_the_demonstrated_is_chosen() -> None:
-    assert choose_grasps([["near", "far"], ["near", "far"]]).names == ("near",)
-    assert choose_grasps([]).names == ()
+    assert choose_grasp([[turned(0), turned(10)], [turned(0), turned(10)]]).usual == "0 1"
+    assert choose_grasp([[], []]).usual == ""
 
 
-@given(st.lists(st.lists(st.sampled_from("abcdef"), unique=True), max_size=12))
-def test_every_draw_that_can_be_served_is(working: list[list[str]]) -> None:
-    chosen = choose_grasps(working)
-    assert all(set(names) & set(chosen.names) for names in working if names)
-    assert sum(chosen.served) == sum(bool(names) for names in working)
-    assert list(chosen.served) == sorted(chosen.served, reverse=True)
+def test_hands_that_turn_less_with_a_door_differ() -> None:
+    assert difference(turned(30), turned(10, turn_ratio=0.7)) == pytest.approx(np.deg2rad(20) + 0.3)
 
 
-def test_plans_use_the_preferred_grasp_where_it_works(
+@given(st.lists(st.lists(st.sampled_from(range(0, 180, 15)), unique=True), max_size=8))
+def test_no_other_grasp_is_nearer_to_those_of_the_draws(working: list[list[float]]) -> None:
+    chosen = choose_grasp([list(map(turned, angles)) for angles in working])
+    served = [angles for angles in working if angles]
+    means = {
+        turned(usual).name: np.mean([min(abs(usual - angle) for angle in angles) for angles in served])
+        for usual in chain.from_iterable(served)
+    }
+    assert (chosen.usual in means) == bool(served)
+    if served:
+        assert np.rad2deg(chosen.mean_rad) == pytest.approx(min(means.values()))
+
+
+def test_grasps_like_the_usual_one_are_tried_first(fitted: FittedAsset) -> None:
+    tried = list(grasps(fitted, np.eye(3), [0.01], 1.0))
+    usual = tried[7]
+    again = list(grasps(fitted, np.eye(3), [0.01], 1.0, usual.name))
+    assert sorted(grasp.name for grasp in again) == sorted(grasp.name for grasp in tried)
+    ways = [difference(grasp, usual) for grasp in again]
+    assert again[0].name == usual.name
+    assert np.all(np.diff(ways) >= -1e-6)
+
+
+def test_plans_use_the_usual_grasp_where_it_works(
     fitted: FittedAsset, demo: Demonstration, robot: RobotModel, solver: IkSolver
 ) -> None:
     scene = build_scene(robot, fitted.asset, fitted.T_world_asset, SUPPORT)
     task = (fitted, demo, HERE, scene, solver, PlanParams())
     working = working_grasps(open_task(*task))
     assert len(working) > 1
-    plain, preferring = plan_episode(*task), plan_episode(*task, working[-1:])
+    plain, usual = plan_episode(*task), plan_episode(*task, working[-1].name)
     assert isinstance(plain, EpisodePlan)
-    assert isinstance(preferring, EpisodePlan)
-    assert plain.grasp.startswith(working[0])
-    assert preferring.grasp.startswith(working[-1])
-    # One that does not work is passed over.
-    passed_over = plan_episode(*task, ["no such grasp"])
-    assert isinstance(passed_over, EpisodePlan)
-    assert passed_over.grasp == plain.grasp
+    assert isinstance(usual, EpisodePlan)
+    assert plain.grasp.startswith(working[0].name)
+    assert usual.grasp.startswith(working[-1].name)
+    # One that the object does not offer changes nothing.
+    unknown = plan_episode(*task, "no such grasp")
+    assert isinstance(unknown, EpisodePlan)
+    assert unknown.grasp == plain.grasp
