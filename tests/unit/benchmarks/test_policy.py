@@ -8,7 +8,9 @@ import numpy as np
 import pytest
 
 from aomgen.core.camera import Camera
+from aomgen.episodes.factory import GenerationParams
 from aomgen.errors import BackendError, ConfigError
+from aomgen.io.schema import override
 from benchmarks.policy import (
     QUICK_CELLS,
     TABLES,
@@ -69,6 +71,12 @@ def test_tables_are_chosen_by_the_beginning_of_their_names() -> None:
     assert set(chosen_tables([])) == TABLES.keys() - set(QUICK_CELLS)
     with pytest.raises(ConfigError, match=r"'curv\.x' is unknown"):
         chosen_tables(["curv.x"])
+
+
+def test_worlds_ask_for_ranges_that_a_project_understands() -> None:
+    for world in WORLDS.values():
+        found = override(GenerationParams(), {"ranges": dict(world.ranges)}, "episodes").ranges
+        assert (found != GenerationParams().ranges) == bool(world.ranges)
 
 
 def test_every_cell_has_its_worlds() -> None:
