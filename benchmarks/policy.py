@@ -4,10 +4,11 @@ Every table consists of cells: who is tried, and where. A cell's rollouts are ma
 from them, so that they can be printed again without training anything.
 """
 
+import json
 import os
 import subprocess
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -16,152 +17,29 @@ from typing import Any, Final
 from scipy.stats import binomtest
 
 from aomgen.core.progress import silent
-from aomgen.errors import BackendError, ConfigError
+from aomgen.errors import BackendError
 from aomgen.evaluation.evaluate import EvaluationRequest, evaluate, interval_95
-from aomgen.evaluation.lerobot_policy import LAST, TRAINING, WEIGHTS
-from aomgen.evaluation.policies import LEROBOT, NEAREST, ORACLE
+from aomgen.evaluation.lerobot_policy import IMAGES, LAST, STATE, TRAINING, WEIGHTS
+from aomgen.evaluation.policies import LEROBOT
 from aomgen.evaluation.suite import open_suite
-from aomgen.evaluation.views import VISUALS, Visuals
 from aomgen.io.artifact import read_json
 from aomgen.io.atomic import remove_folder, write_json
-from aomgen.io.schema import suggest
-from benchmarks.policy_data import PolicyData, Sight, Trials
+from benchmarks.policy_data import PolicyData, Trials
+from benchmarks.policy_tables import FILMED, TABLES, VIDEO, Kind, Row, Training
+from benchmarks.policy_video import mean_trajectory_error, video_error
 
 # Of every training: AdamW's steps, demonstrations a step, and steps between checkpoints, from which a killed one goes on.
 STEPS, BATCH, SAVE_EVERY = 5000, 32, 1000
-SEEDS: Final = (0, 1, 2)
-FULL: Final = 150
-SCALES: Final = (0.6, 0.7, 0.8, 0.9)
-MOVED_M: Final = (0.0, 0.05, 0.10, 0.20)
-# What is tried where it only matters whether it works.
-QUICK_CELLS: Final = ["quick"]
 QUICK_STEPS: Final = 3
+# LeRobot's own policies would ask its hub for the weights of an encoder.
+ON_GPU: Final = ("--policy.device=cuda", "--policy.pretrained_backbone_weights=null")
+NETWORKS: Final[Mapping[Kind, tuple[str, ...]]] = {
+    "small_act": ("--policy.type=small_act", "--policy.device=cpu"),
+    "act": ("--policy.type=act", *ON_GPU),
+    "diffusion": ("--policy.type=diffusion", *ON_GPU),
+}
 # Two policies that differ by chance less often than this are said to differ.
 SIGNIFICANT: Final = 0.05
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Training:
-    """A policy: the demonstrations of a world that it learns from, none for an untrained one, what these show, its seed."""
-
-    world: str
-    demonstrations: int = FULL
-    seed: int = 0
-    sees: Sight = "splat"
-
-    @property
-    def name(self) -> str:
-        """For files."""
-        name = f"{self.world}-{self.demonstrations}-{self.seed}"
-        return name if self.sees == "splat" else f"{name}-{self.sees}"
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Row:
-    """A line of a table: one kind of policy, maybe trained several times, in the same trials.
-
-    Attributes:
-        label: What sets it apart from the table's other rows.
-        policies: Trained ones; or a name of `evaluation.policies`.
-        test: The trials.
-        visuals: What is seen.
-    """
-
-    label: Mapping[str, Any]
-    policies: tuple[Training | str, ...]
-    test: Trials
-    visuals: Visuals = "splat"
-
-
-def _curve(world: str) -> list[Row]:
-    test = Trials(world=world)
-    floors = {name: Row(label={"policy": name}, policies=(name,), test=test) for name in (NEAREST, ORACLE)}
-    counts = {0: SEEDS[:1], 1: SEEDS[:1], 50: SEEDS[:1], 100: SEEDS[:1], FULL: SEEDS}
-    learned = [
-        Row(
-            label={"demonstrations": count},
-            policies=tuple(Training(world=world, demonstrations=count, seed=seed) for seed in seeds),
-            test=test,
-        )
-        for count, seeds in counts.items()
-    ]
-    told = Row(label={"policy": "state_policy"}, policies=(Training(world=world, sees="pose"),), test=test)
-    return [*learned, *floors.values(), told]
-
-
-def _scales(world: str) -> list[Row]:
-    return [
-        Row(
-            label={"scale": scale, "sizes_in_training": learned != world},
-            policies=(Training(world=learned),),
-            test=Trials(world=world, scale=scale),
-        )
-        for learned in (f"{world}_sizes", world)
-        for scale in SCALES
-    ]
-
-
-TABLES: Final = {
-    "curve.microwave": _curve("microwave"),
-    "curve.drawer": _curve("drawer"),
-    "scale_table.microwave": _scales("microwave"),
-    "scale_table.drawer": _scales("drawer"),
-    "quick": [
-        Row(
-            label={"demonstrations": 2},
-            policies=(Training(world="microwave", demonstrations=2),),
-            test=Trials(world="microwave"),
-        )
-    ],
-    "unseen_table": [
-        Row(
-            label={"training": label},
-            policies=(Training(world=world),),
-            test=Trials(world="unseen_microwaves"),
-        )
-        for label, world in (("single", "microwave"), ("mixed", "microwaves"))
-    ],
-    "renderer_table": [
-        Row(
-            label={"trained_on": learned, "tested_on": seen},
-            policies=(Training(world="microwave", sees=learned),),
-            test=Trials(world="microwave"),
-            visuals=seen,
-        )
-        for learned in VISUALS
-        for seen in VISUALS
-    ],
-    "recovery_ablation": [
-        Row(
-            label={"recovery": world != "microwave"},
-            policies=(Training(world=world),),
-            test=Trials(world="microwave"),
-        )
-        for world in ("microwave", "microwave_recovery")
-    ],
-    "viewpoint_table": [
-        Row(
-            label={"moved_m": moved, "views_in_training": world != "microwave"},
-            policies=(Training(world=world),),
-            test=Trials(world="microwave", moved_m=moved),
-        )
-        for world in ("microwave", "microwave_views")
-        for moved in MOVED_M
-    ],
-}
-
-
-def chosen_tables(names: list[str]) -> dict[str, list[Row]]:
-    """Tables by their names or the beginnings of these; all but the quick one where none is named.
-
-    Raises:
-        ConfigError: There is no such table.
-    """
-    for name in names:
-        if not any(table.startswith(name) for table in TABLES):
-            raise ConfigError("--cells", f"'{name}' is unknown", suggest(name, TABLES))
-    wanted = tuple(names or [table for table in TABLES if table not in QUICK_CELLS])
-    return {table: rows for table, rows in TABLES.items() if table.startswith(wanted)}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -178,7 +56,7 @@ class PolicyBench:
     steps: int = STEPS
     lerobot_train: Path = field(default_factory=lambda: Path(sys.executable).with_name("lerobot-train"))
 
-    def figures(self, tables: Mapping[str, list[Row]]) -> dict[str, Any]:
+    def figures(self, tables: Sequence[str]) -> dict[str, Any]:
         """Figures of the tables, after everything that is missing has been made.
 
         Raises:
@@ -191,13 +69,23 @@ class PolicyBench:
                 "is not beside this python",
                 "make policy-env; .venv-policy/bin/aomgen bench policy ...",
             )
-        rows = [row for table in tables.values() for row in table]
-        trainings = dict.fromkeys(p for row in rows for p in row.policies if isinstance(p, Training))
+        rows = {name: TABLES[name] for name in tables if name != VIDEO}
+        policies = [policy for table in rows.values() for row in table for policy in row.policies]
+        trainings = dict.fromkeys(policy for policy in policies if isinstance(policy, Training))
+        if VIDEO in tables:
+            trainings |= dict.fromkeys(FILMED.values())
         for training in trainings:
             self.data.dataset(training.world, training.sees)
         with ThreadPoolExecutor(self.data.workers) as pool:
             list(pool.map(self.train, trainings))
-        return {name: table_figures(self.counted(rows)) for name, rows in tables.items()}
+        figures: dict[str, Any] = {name: table_figures(self.counted(table)) for name, table in rows.items()}
+        return figures | ({VIDEO: self.video_errors()} if VIDEO in tables else {})
+
+    def video_errors(self) -> dict[str, float]:
+        """How far from the recorded hand it is that policies foresee from the recorded video, [mm]."""
+        suite, results = open_suite(self.data.suite(Trials(world="microwave")))
+        learned = {name: video_error(self._home(item), suite, results) for name, item in FILMED.items()}
+        return learned | {"mean_trajectory": mean_trajectory_error(results)}
 
     def _home(self, training: Training) -> Path:
         return self.data.folder / "trainings" / training.name
@@ -215,13 +103,14 @@ class PolicyBench:
             if home.is_dir():
                 remove_folder(home)
             words = [
-                "--policy.type=small_act", "--policy.device=cpu", "--policy.push_to_hub=false",
+                *NETWORKS[training.kind], "--policy.push_to_hub=false",
                 f"--dataset.repo_id=local/{training.world}", f"--dataset.root={dataset}",
                 # Draws fill their ranges evenly from the first on.
                 f"--dataset.episodes={list(range(max(training.demonstrations, 1)))}",
                 f"--output_dir={home}", f"--seed={training.seed}", f"--steps={steps}",
                 f"--batch_size={BATCH}", "--num_workers=0", f"--save_freq={min(SAVE_EVERY, steps)}",
                 "--wandb.enable=false", "--eval_freq=0",
+                *([f"--policy.input_features={json.dumps(front_features(dataset))}"] if training.fixed_camera else []),
             ]  # fmt: skip
         self.data.tell(f"training {training.name}")
         environment = {**os.environ, "HF_HUB_OFFLINE": "1", "OMP_NUM_THREADS": "1"}
@@ -292,3 +181,14 @@ def beats(mine: Mapping[str, Any], theirs: Mapping[str, Any]) -> bool:
     ]
     won, lost = pairs.count((True, False)), pairs.count((False, True))
     return won > lost and float(binomtest(won, won + lost).pvalue) < SIGNIFICANT
+
+
+def front_features(dataset: Path) -> dict[str, Any]:
+    """What a policy sees that has only the dataset's first camera, as LeRobot's settings say it."""
+    features = read_json(dataset / "meta" / "info.json")["features"]
+    first = next(name for name in features if name.startswith(IMAGES))
+    height, width, channels = features[first]["shape"]
+    return {
+        STATE: {"type": "STATE", "shape": features[STATE]["shape"]},
+        first: {"type": "VISUAL", "shape": [channels, height, width]},
+    }

@@ -28,7 +28,7 @@ for name in "$@"; do
   policy)
     create $venv
     $venv/bin/pip $alone torch==2.13.0 torchvision==0.28.0 lerobot==0.4.4
-    $venv/bin/pip install --quiet -r requirements/policy-py311.txt -e '.[env]'
+    $venv/bin/pip install --quiet -r requirements/policy-py311.txt -e '.[env,reconstruct]'
     $venv/bin/pip $alone -e plugins/lerobot_env_aomgen -e plugins/lerobot_policy_aomgen
     cp requirements/torchvision_operators.py "$(packages $venv)"
     echo "import torchvision_operators" >"$(packages $venv)/torchvision_operators.pth"

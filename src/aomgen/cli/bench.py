@@ -250,8 +250,9 @@ def bench_policy(
 
     Run it from .venv-policy (`make policy-env`). Hours for all tables; figures are told by `docs/policies.md`.
     """
-    from benchmarks.policy import QUICK_CELLS, QUICK_STEPS, STEPS, PolicyBench, chosen_tables
+    from benchmarks.policy import QUICK_STEPS, STEPS, PolicyBench
     from benchmarks.policy_data import PolicyData
+    from benchmarks.policy_tables import QUICK, chosen_tables
 
     data = PolicyData(
         folder=out.resolve(),
@@ -261,7 +262,7 @@ def bench_policy(
         tell=partial(print, file=sys.stderr, flush=True),
         **({"trials": 2, "demonstrations": 2} if quick else {}),
     )
-    tables = chosen_tables(cells or (QUICK_CELLS if quick else []))
+    tables = chosen_tables(cells or ([QUICK] if quick else []))
     _show(PolicyBench(data=data, steps=QUICK_STEPS if quick else STEPS).figures(tables), json_file)
 
 

@@ -99,8 +99,19 @@ class LerobotPolicy:
             self._left.extend(self._ask(observation))
         return self._left.popleft()
 
+    def chunk(self, observation: Mapping[str, Any]) -> Array:
+        """All actions (N, D) that it foresees, also those that it would look again before doing."""
+        with self._torch.no_grad():
+            return self._actions(self._policy.predict_action_chunk(self._batch(observation))[0])
+
     def _ask(self, observation: Mapping[str, Any]) -> Array:
         """Actions (N, D) from now on."""
+        batch = self._batch(observation)
+        with self._torch.no_grad():
+            chosen = [self._policy.select_action(batch) for _ in range(self._steps)]
+            return self._actions(self._torch.cat(chosen))
+
+    def _batch(self, observation: Mapping[str, Any]) -> Any:
         torch = self._torch
         seen: dict[str, Any] = {STATE: torch.from_numpy(observation["agent_pos"]), "task": self._task}
         if self._told is not None:
@@ -108,10 +119,10 @@ class LerobotPolicy:
         for name in self._images:
             picture = torch.from_numpy(observation["pixels"][name.removeprefix(IMAGES)])
             seen[name] = picture.permute(2, 0, 1).float() / 255
-        with torch.no_grad():
-            batch = self._before(seen)
-            actions = torch.cat([self._policy.select_action(batch) for _ in range(self._steps)])
-            return np.asarray(self._after(actions).cpu(), np.float64)
+        return self._before(seen)
+
+    def _actions(self, scaled: Any) -> Array:
+        return np.asarray(self._after(scaled).cpu(), np.float64)
 
 
 def require_fit(config: Any, suite: Suite, place: Path) -> None:

@@ -1,5 +1,6 @@
 """The bench of trained policies counts rightly, and makes what is missing once."""
 
+import json
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -11,17 +12,11 @@ from aomgen.core.camera import Camera
 from aomgen.episodes.factory import GenerationParams
 from aomgen.errors import BackendError, ConfigError
 from aomgen.io.schema import override
-from benchmarks.policy import (
-    QUICK_CELLS,
-    TABLES,
-    PolicyBench,
-    Row,
-    Training,
-    beats,
-    chosen_tables,
-    table_figures,
-)
+from benchmarks import policy_video
+from benchmarks.policy import PolicyBench, beats, front_features, table_figures
 from benchmarks.policy_data import WORLDS, Trials, moved_cameras
+from benchmarks.policy_tables import FILMED, QUICK, TABLES, VIDEO, Row, Training, chosen_tables
+from benchmarks.policy_video import video_error
 
 
 def tried(successes: list[bool]) -> dict[str, Any]:
@@ -67,8 +62,9 @@ def test_seeds_are_counted_together_and_others_only_in_the_same_trials() -> None
 
 
 def test_tables_are_chosen_by_the_beginning_of_their_names() -> None:
-    assert list(chosen_tables(["curve"])) == ["curve.microwave", "curve.drawer"]
-    assert set(chosen_tables([])) == TABLES.keys() - set(QUICK_CELLS)
+    assert chosen_tables(["curve"]) == ["curve.microwave", "curve.drawer"]
+    assert set(chosen_tables([])) == TABLES.keys() - {QUICK, "gpu.act", "gpu.diffusion"} | {VIDEO}
+    assert chosen_tables(["gpu"]) == ["gpu.act", "gpu.diffusion"]
     with pytest.raises(ConfigError, match=r"'curv\.x' is unknown"):
         chosen_tables(["curv.x"])
 
@@ -107,5 +103,102 @@ def test_cameras_move_by_the_asked_way_the_same_way_for_all_lengths() -> None:
 def test_without_lerobot_nothing_is_begun(tmp_path: Path) -> None:
     bench = PolicyBench(data=SimpleNamespace(folder=tmp_path), lerobot_train=tmp_path / "absent")  # type: ignore[arg-type]
     with pytest.raises(BackendError, match="make policy-env"):
-        bench.figures(chosen_tables(QUICK_CELLS))
+        bench.figures(chosen_tables([QUICK]))
     assert list(tmp_path.iterdir()) == []
+
+
+def test_policies_do_not_share_a_folder() -> None:
+    policies = {
+        p for rows in TABLES.values() for row in rows for p in row.policies if isinstance(p, Training)
+    }
+    policies |= set(FILMED.values())
+    assert len({policy.name for policy in policies}) == len(policies)
+
+
+# Stands in for LeRobot: writes down what it was told, and leaves a checkpoint of the last step.
+LEROBOT = """#!/bin/sh
+printf '%s\\n' "$@" >>"$WORDS"
+for word in "$@"; do case "$word" in --output_dir=*) home="${word#*=}";; --steps=*) steps="${word#*=}";; esac; done
+[ -n "$home" ] || exit 3
+mkdir -p "$home/checkpoints/$(printf %06d $steps)/pretrained_model"
+ln -sfn "$(printf %06d $steps)" "$home/checkpoints/last"
+touch "$home/checkpoints/last/pretrained_model/model.safetensors" "$home/checkpoints/last/pretrained_model/train_config.json"
+"""
+
+
+def test_a_training_is_done_once_and_goes_on_where_it_ended(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    command, words = tmp_path / "lerobot-train", tmp_path / "words"
+    command.write_text(LEROBOT)
+    command.chmod(0o755)
+    monkeypatch.setenv("WORDS", str(words))
+    data: Any = SimpleNamespace(
+        folder=tmp_path, dataset=lambda world, sees: tmp_path / "dataset", tell=lambda text: None
+    )
+    policy = Training(world="microwave", demonstrations=3, kind="act", seed=5)
+    PolicyBench(data=data, steps=20, lerobot_train=command).train(policy)
+    told = words.read_text().splitlines()
+    assert {"--steps=20", "--seed=5", "--policy.type=act", "--dataset.episodes=[0, 1, 2]"} <= set(told)
+    PolicyBench(data=data, steps=20, lerobot_train=command).train(policy)
+    assert words.read_text().splitlines() == told
+    # More steps than there are: LeRobot is told to continue, which the stand-in, without a folder, refuses.
+    with pytest.raises(BackendError, match="exit code 3"):
+        PolicyBench(data=data, steps=30, lerobot_train=command).train(policy)
+    assert words.read_text().splitlines()[len(told) + 1 :] == ["--resume=true", "--steps=30"]
+
+
+def test_a_policy_of_the_fixed_camera_sees_only_that(tmp_path: Path) -> None:
+    features = {
+        "observation.state": {"shape": [7]},
+        "observation.images.front": {"shape": [96, 80, 3]},
+        "observation.images.side": {"shape": [96, 80, 3]},
+    }
+    (tmp_path / "meta").mkdir()
+    (tmp_path / "meta" / "info.json").write_text(json.dumps({"features": features}))
+    assert front_features(tmp_path) == {
+        "observation.state": {"type": "STATE", "shape": [7]},
+        "observation.images.front": {"type": "VISUAL", "shape": [3, 96, 80]},
+    }
+
+
+@pytest.mark.parametrize("off_m", [0.0, 0.004])
+def test_foreseen_hands_are_held_against_the_recorded_ones(
+    off_m: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A robot whose hand stands where its three joints say, and a policy that knows the frame from the picture."""
+    frames, ahead = 12, 3
+    path = np.random.default_rng(0).normal(size=(frames, 3))
+    Ts = np.tile(np.eye(4), (frames, 1, 1))
+    Ts[:, :3, 3] = path
+    pictures = np.broadcast_to(np.arange(frames, dtype=np.uint8)[:, None, None, None], (frames, 8, 8, 3))
+    camera = Camera(width=4, height=4, fx=1.0, fy=1.0, cx=2.0, cy=2.0, T_world_cam=np.eye(4))
+
+    def ee_poses(joints: np.ndarray) -> np.ndarray:
+        found = np.tile(np.eye(4), (len(joints), 1, 1))
+        found[:, :3, 3] = joints
+        return found
+
+    class Knows:
+        def __init__(self, trained: Path, suite: Any) -> None:
+            pass
+
+        def chunk(self, seen: dict[str, Any]) -> np.ndarray:
+            frame = int(seen["pixels"]["front"][0, 0, 0])
+            assert seen["pixels"]["front"].shape == (4, 4, 3)
+            np.testing.assert_allclose(seen["agent_pos"], [*path[frame], 0.5], rtol=1e-6)
+            return np.pad(path[frame + 1 : frame + 1 + 2 * ahead] + [off_m, 0, 0], [(0, 0), (0, 1)])
+
+    monkeypatch.setattr(policy_video, "LerobotPolicy", Knows)
+    times = np.arange(frames) / ahead
+    results: Any = SimpleNamespace(
+        demo_camera="front",
+        fps=float(ahead),
+        robot=SimpleNamespace(ee_poses=ee_poses),
+        videos={"front": SimpleNamespace(times_s=times + 0.01, frames_srgb=pictures)},
+        demonstration=SimpleNamespace(
+            times_s=times, joints=path, gripper=np.full(frames, 0.5), Ts_world_ee=Ts
+        ),
+    )
+    suite: Any = SimpleNamespace(cameras={"front": camera})
+    assert video_error(Path(), suite, results) == pytest.approx(1000 * off_m, abs=1e-9)

@@ -1,0 +1,179 @@
+"""Tables of `aomgen bench policy`: which policies learn from what, and where each is tried."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Final, Literal
+
+from aomgen.errors import ConfigError
+from aomgen.evaluation.policies import NEAREST, ORACLE
+from aomgen.evaluation.views import VISUALS, Visuals
+from aomgen.io.schema import suggest
+from benchmarks.policy_data import Sight, Trials
+
+SEEDS: Final = (0, 1, 2)
+FULL: Final = 150
+SCALES: Final = (0.6, 0.7, 0.8, 0.9)
+MOVED_M: Final = (0.0, 0.05, 0.10, 0.20)
+# What is tried where it only matters whether it works.
+QUICK: Final = "quick"
+
+
+# Kinds of policies: the small one of our plug-in, and LeRobot's own, which want a GPU.
+Kind = Literal["small_act", "act", "diffusion"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Training:
+    """A policy.
+
+    Attributes:
+        world: Whose demonstrations it learns from.
+        demonstrations: How many; none for an untrained one.
+        seed: Of the training.
+        sees: What the demonstrations show.
+        kind: Its network.
+        fixed_camera: Whether it has only the camera that the recording was filmed with.
+    """
+
+    world: str
+    demonstrations: int = FULL
+    seed: int = 0
+    sees: Sight = "splat"
+    kind: Kind = "small_act"
+    fixed_camera: bool = False
+
+    @property
+    def name(self) -> str:
+        """For files."""
+        own = [self.sees] * (self.sees != "splat") + [self.kind] * (self.kind != "small_act")
+        words = [self.world, str(self.demonstrations), str(self.seed), *own, *["front"] * self.fixed_camera]
+        return "-".join(words)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Row:
+    """A line of a table: one kind of policy, maybe trained several times, in the same trials.
+
+    Attributes:
+        label: What sets it apart from the table's other rows.
+        policies: Trained ones; or a name of `evaluation.policies`.
+        test: The trials.
+        visuals: What is seen.
+    """
+
+    label: Mapping[str, Any]
+    policies: tuple[Training | str, ...]
+    test: Trials
+    visuals: Visuals = "splat"
+
+
+def _curve(world: str) -> list[Row]:
+    test = Trials(world=world)
+    floors = {name: Row(label={"policy": name}, policies=(name,), test=test) for name in (NEAREST, ORACLE)}
+    counts = {0: SEEDS[:1], 1: SEEDS[:1], 50: SEEDS[:1], 100: SEEDS[:1], FULL: SEEDS}
+    learned = [
+        Row(
+            label={"demonstrations": count},
+            policies=tuple(Training(world=world, demonstrations=count, seed=seed) for seed in seeds),
+            test=test,
+        )
+        for count, seeds in counts.items()
+    ]
+    told = Row(label={"policy": "state_policy"}, policies=(Training(world=world, sees="pose"),), test=test)
+    return [*learned, *floors.values(), told]
+
+
+def _scales(world: str) -> list[Row]:
+    return [
+        Row(
+            label={"scale": scale, "sizes_in_training": learned != world},
+            policies=(Training(world=learned),),
+            test=Trials(world=world, scale=scale),
+        )
+        for learned in (f"{world}_sizes", world)
+        for scale in SCALES
+    ]
+
+
+def _on_gpu(kind: Kind) -> list[Row]:
+    return [
+        Row(
+            label={"demonstrations": count},
+            policies=(Training(world="microwave", demonstrations=count, kind=kind),),
+            test=Trials(world="microwave"),
+        )
+        for count in (50, 100, FULL)
+    ]
+
+
+TABLES: Final = {
+    "curve.microwave": _curve("microwave"),
+    "curve.drawer": _curve("drawer"),
+    "scale_table.microwave": _scales("microwave"),
+    "scale_table.drawer": _scales("drawer"),
+    QUICK: [
+        Row(
+            label={"demonstrations": 2},
+            policies=(Training(world="microwave", demonstrations=2),),
+            test=Trials(world="microwave"),
+        )
+    ],
+    "gpu.act": _on_gpu("act"),
+    "gpu.diffusion": _on_gpu("diffusion"),
+    "unseen_table": [
+        Row(
+            label={"training": label},
+            policies=(Training(world=world),),
+            test=Trials(world="unseen_microwaves"),
+        )
+        for label, world in (("single", "microwave"), ("mixed", "microwaves"))
+    ],
+    "renderer_table": [
+        Row(
+            label={"trained_on": learned, "tested_on": seen},
+            policies=(Training(world="microwave", sees=learned),),
+            test=Trials(world="microwave"),
+            visuals=seen,
+        )
+        for learned in VISUALS
+        for seen in VISUALS
+    ],
+    "recovery_ablation": [
+        Row(
+            label={"recovery": world != "microwave"},
+            policies=(Training(world=world),),
+            test=Trials(world="microwave"),
+        )
+        for world in ("microwave", "microwave_recovery")
+    ],
+    "viewpoint_table": [
+        Row(
+            label={"moved_m": moved, "views_in_training": world != "microwave"},
+            policies=(Training(world=world),),
+            test=Trials(world="microwave", moved_m=moved),
+        )
+        for world in ("microwave", "microwave_views")
+        for moved in MOVED_M
+    ],
+}
+
+
+# Policies that are shown the recorded video, by what they learned from.
+FILMED: Final = {name: Training(world="microwave", sees=name, fixed_camera=True) for name in VISUALS}
+VIDEO: Final = "video_error_mm"
+NOT_BY_DEFAULT: Final = (QUICK, "gpu.")
+
+
+def chosen_tables(names: list[str]) -> list[str]:
+    """Tables by their names or the beginnings of these; where none is named, all that a CPU can make in hours.
+
+    Raises:
+        ConfigError: There is no such table.
+    """
+    tables = [*TABLES, VIDEO]
+    for name in names:
+        if not any(table.startswith(name) for table in tables):
+            raise ConfigError("--cells", f"'{name}' is unknown", suggest(name, tables))
+    if not names:
+        return [table for table in tables if not table.startswith(NOT_BY_DEFAULT)]
+    return [table for table in tables if table.startswith(tuple(names))]
