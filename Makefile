@@ -7,7 +7,7 @@ BIN := $(VENV)/bin
 CONSTRAINTS := constraints/cpu-py311.txt
 export PIP_DISABLE_PIP_VERSION_CHECK = 1
 
-.PHONY: demo test slow-test coverage check format scores build install weights native sanitize neon policy-env datasets-test robots-test clean
+.PHONY: demo test slow-test coverage check format scores build install weights native sanitize neon policy-env policy-gpu datasets-test robots-test clean
 
 demo: install
 	$(BIN)/aomgen demo $(OUT)
@@ -45,7 +45,15 @@ build: $(VENV)/pip.stamp
 install: $(VENV)/demo.stamp weights
 
 # The real LeRobot with our plug-ins, in an environment of its own: `. .venv-policy/bin/activate; lerobot-train ...`
-policy-env: .venv-policy/installed.stamp
+policy-env: .venv-policy/installed.stamp weights
+
+# Tables gpu.* of `aomgen bench policy`: LeRobot's own ACT and diffusion policy. Stopped at any time, the same command
+# continues; its runs and datasets may come from elsewhere.
+POLICIES ?= out-policy
+policy-gpu: policy-env
+	@if .venv-policy/bin/python -c 'import sys, torch; sys.exit(not torch.cuda.is_available())'; then \
+	  .venv-policy/bin/aomgen bench policy $(POLICIES) --cells gpu; \
+	else echo "skipped: PyTorch sees no GPU in .venv-policy"; fi
 
 # The libraries that people train with read a finished run's episodes in every format, each in an environment of its own.
 READERS := policy lerobot-v21 tfds robomimic

@@ -250,9 +250,10 @@ def bench_policy(
 
     Run it from .venv-policy (`make policy-env`). Hours for all tables; figures are told by `docs/policies.md`.
     """
-    from benchmarks.policy import QUICK_STEPS, STEPS, PolicyBench
+    from benchmarks.policy import PolicyBench
     from benchmarks.policy_data import PolicyData
     from benchmarks.policy_tables import QUICK, chosen_tables
+    from benchmarks.policy_training import QUICK_STEPS, STEPS, Trainer
 
     data = PolicyData(
         folder=out.resolve(),
@@ -263,7 +264,8 @@ def bench_policy(
         **({"trials": 2, "demonstrations": 2} if quick else {}),
     )
     tables = chosen_tables(cells or ([QUICK] if quick else []))
-    _show(PolicyBench(data=data, steps=QUICK_STEPS if quick else STEPS).figures(tables), json_file)
+    trainer = Trainer(data=data, steps=QUICK_STEPS if quick else STEPS)
+    _show(PolicyBench(data=data, trainer=trainer).figures(tables), json_file)
 
 
 @bench_app.command("replay")

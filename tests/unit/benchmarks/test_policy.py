@@ -13,10 +13,13 @@ from aomgen.episodes.factory import GenerationParams
 from aomgen.errors import BackendError, ConfigError
 from aomgen.io.schema import override
 from benchmarks import policy_video
-from benchmarks.policy import PolicyBench, beats, front_features, table_figures
+from benchmarks.policy import PolicyBench, beats, folder_digest, table_figures
 from benchmarks.policy_data import WORLDS, Trials, moved_cameras
 from benchmarks.policy_tables import FILMED, QUICK, TABLES, VIDEO, Row, Training, chosen_tables
+from benchmarks.policy_training import Trainer, front_features
 from benchmarks.policy_video import video_error
+
+FROM_EVALUATION = ("suite", "dataset", "versions", "redrawn", "nearest_mm", "nearest_deg", "failures")
 
 
 def tried(successes: list[bool]) -> dict[str, Any]:
@@ -26,7 +29,7 @@ def tried(successes: list[bool]) -> dict[str, Any]:
         "successes": sum(successes),
         "success_rate": sum(successes) / len(successes),
         "rollouts": rollouts,
-        **dict.fromkeys(("suite", "redrawn", "nearest_mm", "nearest_deg", "failures")),
+        **dict.fromkeys(FROM_EVALUATION),
     }
 
 
@@ -101,7 +104,8 @@ def test_cameras_move_by_the_asked_way_the_same_way_for_all_lengths() -> None:
 
 
 def test_without_lerobot_nothing_is_begun(tmp_path: Path) -> None:
-    bench = PolicyBench(data=SimpleNamespace(folder=tmp_path), lerobot_train=tmp_path / "absent")  # type: ignore[arg-type]
+    data: Any = SimpleNamespace(folder=tmp_path)
+    bench = PolicyBench(data=data, trainer=Trainer(data=data, command=tmp_path / "absent"))
     with pytest.raises(BackendError, match="make policy-env"):
         bench.figures(chosen_tables([QUICK]))
     assert list(tmp_path.iterdir()) == []
@@ -137,14 +141,14 @@ def test_a_training_is_done_once_and_goes_on_where_it_ended(
         folder=tmp_path, dataset=lambda world, sees: tmp_path / "dataset", tell=lambda text: None
     )
     policy = Training(world="microwave", demonstrations=3, kind="act", seed=5)
-    PolicyBench(data=data, steps=20, lerobot_train=command).train(policy)
+    Trainer(data=data, steps=20, command=command).train(policy)
     told = words.read_text().splitlines()
     assert {"--steps=20", "--seed=5", "--policy.type=act", "--dataset.episodes=[0, 1, 2]"} <= set(told)
-    PolicyBench(data=data, steps=20, lerobot_train=command).train(policy)
+    Trainer(data=data, steps=20, command=command).train(policy)
     assert words.read_text().splitlines() == told
     # More steps than there are: LeRobot is told to continue, which the stand-in, without a folder, refuses.
     with pytest.raises(BackendError, match="exit code 3"):
-        PolicyBench(data=data, steps=30, lerobot_train=command).train(policy)
+        Trainer(data=data, steps=30, command=command).train(policy)
     assert words.read_text().splitlines()[len(told) + 1 :] == ["--resume=true", "--steps=30"]
 
 
@@ -202,3 +206,26 @@ def test_foreseen_hands_are_held_against_the_recorded_ones(
     )
     suite: Any = SimpleNamespace(cameras={"front": camera})
     assert video_error(Path(), suite, results) == pytest.approx(1000 * off_m, abs=1e-9)
+
+
+def test_kept_rollouts_need_neither_lerobot_nor_data(tmp_path: Path) -> None:
+    for name in ("microwave", "microwaves"):
+        figures = json.dumps(tried([True] * 5 + [False] * 5))
+        kept = tmp_path / "rollouts" / f"{name}-150-0-on-unseen_microwaves-1-0mm-splat.json"
+        kept.parent.mkdir(exist_ok=True)
+        kept.write_text(figures)
+    data: Any = SimpleNamespace(folder=tmp_path, workers=1)
+    bench = PolicyBench(data=data, trainer=Trainer(data=data, command=tmp_path / "absent"))
+    table = bench.figures(["unseen_table"])["unseen_table"]
+    assert [row["success_rate"] for row in table] == [0.5, 0.5]
+
+
+def test_a_dataset_is_known_by_names_and_contents(tmp_path: Path) -> None:
+    (tmp_path / "a").write_text("1")
+    first = folder_digest(tmp_path)
+    (tmp_path / "a").rename(tmp_path / "b")
+    assert folder_digest(tmp_path) != first
+    (tmp_path / "b").rename(tmp_path / "a")
+    assert folder_digest(tmp_path) == first
+    (tmp_path / "a").write_text("2")
+    assert folder_digest(tmp_path) != first

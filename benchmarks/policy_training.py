@@ -1,0 +1,107 @@
+"""Trains policies with LeRobot's own command on the datasets of `aomgen bench policy`, each once."""
+
+import json
+import os
+import subprocess
+import sys
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Final
+
+from aomgen.errors import BackendError
+from aomgen.evaluation.lerobot_policy import IMAGES, LAST, STATE, TRAINING, WEIGHTS
+from aomgen.io.artifact import read_json
+from aomgen.io.atomic import remove_folder
+from benchmarks.policy_data import PolicyData
+from benchmarks.policy_tables import Kind, Training
+
+# Of every training: AdamW's steps, demonstrations a step, and steps between checkpoints, from which a killed one goes on.
+STEPS, BATCH, SAVE_EVERY = 5000, 32, 1000
+QUICK_STEPS: Final = 3
+# LeRobot's own policies would ask its hub for the weights of an encoder.
+ON_GPU: Final = ("--policy.device=cuda", "--policy.pretrained_backbone_weights=null")
+NETWORKS: Final[Mapping[Kind, tuple[str, ...]]] = {
+    "small_act": ("--policy.type=small_act", "--policy.device=cpu"),
+    "act": ("--policy.type=act", *ON_GPU),
+    "diffusion": ("--policy.type=diffusion", *ON_GPU),
+}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Trainer:
+    """Trains.
+
+    Attributes:
+        data: Where datasets are, and policies go.
+        steps: Of each training.
+        command: `lerobot-train`.
+    """
+
+    data: PolicyData
+    steps: int = STEPS
+    command: Path = field(default_factory=lambda: Path(sys.executable).with_name("lerobot-train"))
+
+    def require_lerobot(self) -> None:
+        """Refuse an environment without LeRobot.
+
+        Raises:
+            BackendError: It is not installed here.
+        """
+        if not self.command.is_file():
+            raise BackendError(
+                "lerobot-train",
+                "is not beside this python",
+                "make policy-env; .venv-policy/bin/aomgen bench policy ...",
+            )
+
+    def home(self, training: Training) -> Path:
+        """Folder of a policy."""
+        return self.data.folder / "trainings" / training.name
+
+    def train(self, training: Training) -> Path:
+        """Folder of a policy; LeRobot goes on where it was killed."""
+        home, steps = self.home(training), self.steps if training.demonstrations else 1
+        last = home / LAST
+        if (last / WEIGHTS).is_file() and (home / "checkpoints" / "last").resolve().name == f"{steps:06d}":
+            return home
+        dataset = self.data.dataset(training.world, training.sees)
+        if (last / TRAINING).is_file():
+            words = [f"--config_path={last / TRAINING}", "--resume=true", f"--steps={steps}"]
+        else:
+            if home.is_dir():
+                remove_folder(home)
+            words = [
+                *NETWORKS[training.kind], "--policy.push_to_hub=false",
+                f"--dataset.repo_id=local/{training.world}", f"--dataset.root={dataset}",
+                # Draws fill their ranges evenly from the first on.
+                f"--dataset.episodes={list(range(max(training.demonstrations, 1)))}",
+                f"--output_dir={home}", f"--seed={training.seed}", f"--steps={steps}",
+                f"--batch_size={BATCH}", "--num_workers=0", f"--save_freq={min(SAVE_EVERY, steps)}",
+                "--wandb.enable=false", "--eval_freq=0",
+                *([f"--policy.input_features={json.dumps(front_features(dataset))}"] if training.fixed_camera else []),
+            ]  # fmt: skip
+        self.data.tell(f"training {training.name}")
+        # A third faster than float32, and the loss is the same.
+        precision = {"ACCELERATE_MIXED_PRECISION": "bf16"}
+        environment = {**precision, **os.environ, "HF_HUB_OFFLINE": "1", "OMP_NUM_THREADS": "1"}
+        log = home.with_suffix(".log")
+        log.parent.mkdir(parents=True, exist_ok=True)
+        with log.open("wb") as sink:
+            done = subprocess.run(
+                [self.command, *words], env=environment, stdout=sink, stderr=sink, check=False
+            )
+        if done.returncode:
+            raise BackendError("lerobot-train", f"ended with exit code {done.returncode}", f"see {log}")
+        return home
+
+
+def front_features(dataset: Path) -> dict[str, Any]:
+    """What a policy sees that has only the dataset's first camera, as LeRobot's settings say it."""
+    features = read_json(dataset / "meta" / "info.json")["features"]
+    first = next(name for name in features if name.startswith(IMAGES))
+    height, width, channels = features[first]["shape"]
+    return {
+        STATE: {"type": "STATE", "shape": features[STATE]["shape"]},
+        first: {"type": "VISUAL", "shape": [channels, height, width]},
+    }
