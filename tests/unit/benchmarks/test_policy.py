@@ -17,7 +17,7 @@ from benchmarks.policy import PolicyBench, beats, folder_digest, table_figures
 from benchmarks.policy_data import WORLDS, Trials, moved_cameras
 from benchmarks.policy_tables import FILMED, QUICK, TABLES, VIDEO, Row, Training, chosen_tables
 from benchmarks.policy_training import Trainer, front_features
-from benchmarks.policy_video import video_error
+from benchmarks.policy_video import mean_trajectory_error, video_error
 
 FROM_EVALUATION = ("suite", "dataset", "versions", "redrawn", "nearest_mm", "nearest_deg", "failures")
 
@@ -206,6 +206,32 @@ def test_foreseen_hands_are_held_against_the_recorded_ones(
     )
     suite: Any = SimpleNamespace(cameras={"front": camera})
     assert video_error(Path(), suite, results) == pytest.approx(1000 * off_m, abs=1e-9)
+
+
+def test_the_mean_trajectory_is_of_demonstrations_that_stay_where_they_end(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Two demonstrations go 10 mm to either side of the recorded line; the second one is over after five frames."""
+
+    def path(frames: int, aside_m: float) -> np.ndarray:
+        Ts = np.tile(np.eye(4), (frames, 1, 1))
+        Ts[:, 0, 3], Ts[:, 1, 3] = np.minimum(np.arange(frames), 4) / 100, aside_m
+        return Ts
+
+    episodes = [path(12, 0.01), path(5, -0.01)]
+    monkeypatch.setattr(policy_video, "list_committed", lambda folder: [0, 1])
+    monkeypatch.setattr(
+        policy_video,
+        "read_episode",
+        lambda number: SimpleNamespace(episode=SimpleNamespace(Ts_world_ee=episodes[number])),
+    )
+    recorded = path(10, 0.004)
+    results: Any = SimpleNamespace(
+        fps=3.0,
+        folders={"episodes": Path()},
+        demonstration=SimpleNamespace(times_s=np.arange(10) / 3, Ts_world_ee=recorded),
+    )
+    assert mean_trajectory_error(results) == pytest.approx(4.0)
 
 
 def test_kept_rollouts_need_neither_lerobot_nor_data(tmp_path: Path) -> None:
