@@ -14,6 +14,14 @@ SCRIPT = Path(__file__).with_name("stopped_command.py")
 INTERRUPTED = "interrupted; run the same command again to continue"
 
 
+@pytest.fixture(autouse=True)
+def terminal():
+    """Commands are started as from a terminal, also where these tests themselves run in a script's background."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
+
+
 def start(work: str, folder: Path, output: int) -> subprocess.Popen:
     """Start the stand-in command and wait until its work has begun."""
     environment = {**os.environ, "TMPDIR": str(folder)}
