@@ -42,7 +42,7 @@ for name in "$@"; do
     ;;
   tfds)
     create $venv
-    $venv/bin/pip install --quiet tensorflow-cpu==2.21.0 tensorflow-datasets==4.9.10
+    $venv/bin/pip install --quiet tensorflow-cpu==2.21.0 tensorflow-datasets==4.9.10 pillow
     ;;
   robomimic)
     create $venv .venv

@@ -32,6 +32,7 @@ READERS = {
     "lerobot-v3": (".venv-policy", "lerobot_reader.py"),
     "lerobot-v2.1": (".venv-lerobot-v21", "lerobot_reader.py"),
     "rlds": (".venv-tfds", "tfds_reader.py"),
+    "rlds-array-record": (".venv-tfds", "array_record_reader.py"),
     "hdf5": (".venv-robomimic", "robomimic_reader.py"),
 }
 pytestmark = pytest.mark.slow
@@ -169,6 +170,13 @@ def test_rlds(folders, tmp_path, options):
     ends = np.cumsum([len(item.episode) for item in episodes]) - 1
     assert np.flatnonzero(got.numbers["is_last"]).tolist() == ends.tolist()
     assert np.flatnonzero(got.numbers["reward"]).tolist() == ends.tolist()
+
+
+def test_array_record(folders, tmp_path):
+    got = read(folders, tmp_path, "rlds-array-record", size="64x48")
+    compare_numbers(got.numbers, got.wanted("rlds-array-record"))
+    indices = {name: [item.episode.index for item in items] for name, items in got.selection.splits.items()}
+    assert got.report["splits"] == indices
 
 
 @pytest.mark.parametrize("options", [{}, {"actions": "ee_delta", "size": "64x48", "val": 2}])

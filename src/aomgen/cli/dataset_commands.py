@@ -16,7 +16,7 @@ SHOWN_FAULTS = 10
 def export(
     out: RunFolder,
     folder: Annotated[Path, typer.Argument(help="Dataset to write; replaced if it is one of ours.")],
-    format: Annotated[str, typer.Option(help="lerobot-v3, lerobot-v2.1, rlds or hdf5.")],
+    format: Annotated[str, typer.Option(help="lerobot-v3, lerobot-v2.1, rlds, rlds-array-record or hdf5.")],
     actions: Annotated[
         str,
         typer.Option(help="Space of the actions: joint, ee_absolute or ee_delta; rlds has ee_delta without."),

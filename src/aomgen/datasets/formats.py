@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any, Final, get_args
 
@@ -62,12 +63,14 @@ _LEROBOT: Final = DatasetFormat(
     media=True,
     needs_val=False,
 )
+_RLDS: Final = DatasetFormat(
+    mark=FEATURES_FILE, write=write_rlds, read=read_rlds, columns=openvla_columns, actions="ee_delta"
+)
 FORMATS: Final[dict[str, DatasetFormat]] = {
     "lerobot-v3": _LEROBOT,
     "lerobot-v2.1": replace(_LEROBOT, write=write_lerobot_v21),
-    "rlds": DatasetFormat(
-        mark=FEATURES_FILE, write=write_rlds, read=read_rlds, columns=openvla_columns, actions="ee_delta"
-    ),
+    "rlds": _RLDS,
+    "rlds-array-record": replace(_RLDS, write=partial(write_rlds, kind="array_record")),
     "hdf5": DatasetFormat(mark=FILE, write=write_robomimic, read=read_robomimic, columns=feature_columns),
 }
 

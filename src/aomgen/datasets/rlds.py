@@ -11,7 +11,7 @@ Source: TFDS's documentation "RLDS"; OpenVLA's `prismatic/vla/datasets/rlds/oxe`
 import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +20,7 @@ from aomgen.core.episode import Episode
 from aomgen.core.progress import Progress, silent
 from aomgen.core.transforms import invert
 from aomgen.core.values import Array
+from aomgen.datasets.array_record import require_array_record, write_array_record
 from aomgen.datasets.features import ActionSpace, feature_columns, last_targets
 from aomgen.datasets.pictures import read_pictures
 from aomgen.datasets.selection import Choices, Selection, select_episodes, staged_dataset
@@ -36,7 +37,9 @@ SHARD_EPISODES: Final = 16
 STATE_JOINTS: Final = 7
 # At least 36 dB on rendered pictures, even at 64x48.
 JPEG_QUALITY: Final = 95
-SHARD_NAME: Final = "{name}-{split}.tfrecord-{shard:05d}-of-{shards:05d}"
+# Kinds of shards, as TFDS calls them.
+Shards = Literal["tfrecord", "array_record"]
+SHARD_NAME: Final = "{name}-{split}.{kind}-{shard:05d}-of-{shards:05d}"
 FILE_TEMPLATE: Final = "{DATASET}-{SPLIT}.{FILEFORMAT}-{SHARD_X_OF_Y}"
 STATISTICS_FILE: Final = "dataset_statistics.json"
 TFDS_NAME: Final = re.compile(r"[a-zA-Z]\w*")
@@ -84,11 +87,17 @@ def rpy_from_matrix(R: Array) -> Array:
 
 
 def write_rlds(
-    episode_folders: Sequence[Path], folder: Path, choices: Choices, progress: Progress = silent
+    episode_folders: Sequence[Path],
+    folder: Path,
+    choices: Choices,
+    progress: Progress = silent,
+    *,
+    kind: Shards = "tfrecord",
 ) -> Selection:
     """Build a dataset from committed episodes; arguments, result and errors as `lerobot_v3.write_lerobot_v3`.
 
     Raises:
+        BackendError: The library that writes such shards is not installed.
         ConfigError: The folder's name is none that TFDS takes, or nothing would be left to validate on.
     """
     name = folder.name
@@ -98,6 +107,8 @@ def write_rlds(
         raise ConfigError(
             "--val", "is 0", "without a val split OpenVLA takes 5 % of the training data; choose 1 or more"
         )
+    if kind == "array_record":
+        require_array_record()
     selection = select_episodes(episode_folders, folder, choices)
     splits, done = [], 0
     with staged_dataset(folder, selection) as staging:
@@ -107,8 +118,12 @@ def write_rlds(
             size = 0
             for number, members in enumerate(shards):
                 records = [_record(item, choices.actions) for item in members]
-                file = SHARD_NAME.format(name=name, split=split, shard=number, shards=len(shards))
-                write_bytes(home / file, records_bytes(records))
+                file = home / shard_name(name, split, kind, number, len(shards))
+                if kind == "array_record":
+                    file.parent.mkdir(exist_ok=True)
+                    write_array_record(file, records)
+                else:
+                    write_bytes(file, records_bytes(records))
                 size += sum(map(len, records))
                 done += len(members)
                 progress(done / len(selection.episodes), f"{done} of {len(selection.episodes)}")
@@ -123,9 +138,14 @@ def write_rlds(
             )
         columns = [openvla_columns(item.episode, choices.actions) for item in selection.episodes]
         write_json(home / "features.json", _features(selection.episodes[0], columns[0]))
-        write_json(home / "dataset_info.json", _info(name, splits))
+        write_json(home / "dataset_info.json", _info(name, splits, kind))
         write_json(home / STATISTICS_FILE, {name: openvla_statistics(columns)})
     return selection
+
+
+def shard_name(name: str, split: str, kind: Shards, shard: int, shards: int) -> str:
+    """File of a dataset's shard."""
+    return SHARD_NAME.format(name=name, split=split, kind=kind, shard=shard, shards=shards)
 
 
 def openvla_statistics(columns: Sequence[Mapping[str, NDArray]]) -> dict[str, Any]:
@@ -219,12 +239,12 @@ def _image(width: int, height: int) -> dict[str, Any]:
     return {"pythonClassName": f"{_CLASS}image_feature.Image", "image": image}
 
 
-def _info(name: str, splits: list[dict[str, Any]]) -> dict[str, Any]:
+def _info(name: str, splits: list[dict[str, Any]], kind: Shards) -> dict[str, Any]:
     """Content of dataset_info.json."""
     return {
         "name": name,
         "version": VERSION,
-        "fileFormat": "tfrecord",
+        "fileFormat": kind,
         "moduleName": "aomgen.datasets.rlds",
         "description": "Verified demonstrations of opening articulated objects.",
         "releaseNotes": {},

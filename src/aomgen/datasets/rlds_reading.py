@@ -7,7 +7,8 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from aomgen.datasets.rlds import SHARD_NAME, VERSION
+from aomgen.datasets.array_record import read_array_record
+from aomgen.datasets.rlds import VERSION, Shards, shard_name
 from aomgen.datasets.stored import REMEDY, StoredDataset, StoredEpisode, chosen_space
 from aomgen.datasets.tfrecord import Feature, decode_example, read_records
 from aomgen.errors import MalformedFileError
@@ -16,6 +17,7 @@ from aomgen.io.images import decode_image
 
 FEATURES_FILE: Final = f"{VERSION}/features.json"
 STEPS, ABOUT = "steps/", "episode_metadata/"
+READERS: Final = {"tfrecord": read_records, "array_record": read_array_record}
 # Length of a feature at a step, by its name.
 Widths = dict[str, int]
 
@@ -40,14 +42,16 @@ def read_rlds(folder: Path) -> StoredDataset:
             elif feature.get("tensor", {}).get("shape"):
                 widths[name] = int(feature["tensor"]["shape"]["dimensions"][0])
         info = read_json(where.with_name("dataset_info.json"))
-        name = str(info["name"])
+        name, kind = str(info["name"]), info["fileFormat"]
+        if kind not in READERS:
+            raise ValueError(f"fileFormat '{kind}' is unknown")
         lengths = {split["name"]: list(map(int, split["shardLengths"])) for split in info["splits"]}
     except (KeyError, TypeError, ValueError) as error:
         raise MalformedFileError(where.parent, f"is not described completely ({error!r})", REMEDY) from error
     return StoredDataset(
         actions=chosen_space(widths, where),
         sizes=sizes,
-        episodes=_episodes(where.parent, name, lengths, widths, sizes),
+        episodes=_episodes(where.parent, name, kind, lengths, widths, sizes),
     )
 
 
@@ -64,15 +68,16 @@ def _flatten(described: Any, prefix: str = "") -> dict[str, Any]:
 def _episodes(
     home: Path,
     name: str,
+    kind: Shards,
     lengths: dict[str, list[int]],
     widths: Widths,
     sizes: dict[str, tuple[int, int]],
 ) -> Iterator[StoredEpisode]:
     for split, shards in lengths.items():
         for number, wanted in enumerate(shards):
-            path = home / SHARD_NAME.format(name=name, split=split, shard=number, shards=len(shards))
+            path = home / shard_name(name, split, kind, number, len(shards))
             count = 0
-            for record in read_records(path):
+            for record in READERS[kind](path):
                 yield _episode(decode_example(record, path), path, split, widths, sizes)
                 count += 1
             if count != wanted:

@@ -60,6 +60,7 @@ CHOICES = [
     ("lerobot-v2.1", {"size": "40x30"}),
     ("rlds", {}),
     ("rlds", {"actions": "joint", "size": "40x30", "val": 3}),
+    ("rlds-array-record", {"size": "40x30"}),
     ("hdf5", {}),
     ("hdf5", {"actions": "ee_delta", "size": "40x30", "val": 2}),
 ]
@@ -70,7 +71,7 @@ def test_what_is_written_is_read_back(folders, tmp_path, kind, options):
     selection = export_dataset(folders, tmp_path / "dataset", kind, **options)
     found = audit_dataset(tmp_path / "dataset", folders)
     assert found.faults == []
-    assert found.actions == options.get("actions", "ee_delta" if kind == "rlds" else "joint")
+    assert found.actions == options.get("actions", "ee_delta" if kind.startswith("rlds") else "joint")
     val = options.get("val", 0 if kind in LEROBOT else 1)
     assert (len(selection.train), len(selection.val)) == (4 - val, val)
     assert found.splits == {"train": 4 - val} | ({"val": val} if val else {})
@@ -103,7 +104,7 @@ def test_deltas_add_up_to_the_path(exported, folders, kind):
     dataset = exported[kind]
     for found, length in zip(FORMATS[kind].read(dataset).episodes, LENGTHS, strict=False):
         episode = make_episode(found.source_index, LENGTHS[found.source_index])
-        if kind == "rlds":
+        if kind.startswith("rlds"):
             delta = found.columns["action"]
             roll, pitch, yaw = (matrix_from_rotvec(delta[:, 3 + i : 4 + i] * np.eye(3)[i]) for i in range(3))
             turns = list(
@@ -216,7 +217,7 @@ def test_a_dataset_of_ours_is_replaced_and_a_foreign_folder_is_not(folders, expo
     ("kind", "options", "words"),
     [
         ("lerobot", {}, "did you mean 'lerobot-v3'"),
-        ("zarr", {}, "known: lerobot-v3, lerobot-v2.1, rlds, hdf5"),
+        ("zarr", {}, "known: lerobot-v3, lerobot-v2.1, rlds, rlds-array-record, hdf5"),
         ("rlds", {"media": "image"}, "no meaning for rlds"),
         ("hdf5", {"actions": "ee"}, "'ee' is unknown"),
         ("lerobot-v3", {"media": "gif"}, "'gif' is unknown"),
@@ -283,7 +284,7 @@ def without_feature(dataset: Path, kind: str) -> None:
     if kind == "hdf5":
         with h5py.File(dataset / FILE, "a") as file:
             del file["data/demo_1/annotation/ee_pose"]
-    elif kind == "rlds":
+    elif kind.startswith("rlds"):
         path = dataset / "1.0.0/features.json"
         content = json.loads(path.read_text())
         steps = content["featuresDict"]["features"]["steps"]["sequence"]["feature"]["featuresDict"]
@@ -326,6 +327,7 @@ def test_two_action_spaces_without_a_note_are_ambiguous(exported, folders, tmp_p
         ("lerobot-v2.1", "meta/tasks.jsonl"),
         ("rlds", "1.0.0/*train*"),
         ("rlds", "1.0.0/*val*"),
+        ("rlds-array-record", "1.0.0/*train*"),
         ("rlds", "1.0.0/dataset_info.json"),
         ("hdf5", "*.hdf5"),
     ],
