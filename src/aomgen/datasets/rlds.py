@@ -118,7 +118,8 @@ def write_rlds(
             size = 0
             for number, members in enumerate(shards):
                 records = [_record(item, choices.actions) for item in members]
-                file = home / shard_name(name, split, kind, number, len(shards))
+                words = {"name": name, "split": split, "kind": kind, "shard": number, "shards": len(shards)}
+                file = home / SHARD_NAME.format(**words)
                 if kind == "array_record":
                     file.parent.mkdir(exist_ok=True)
                     write_array_record(file, records)
@@ -141,11 +142,6 @@ def write_rlds(
         write_json(home / "dataset_info.json", _info(name, splits, kind))
         write_json(home / STATISTICS_FILE, {name: openvla_statistics(columns)})
     return selection
-
-
-def shard_name(name: str, split: str, kind: Shards, shard: int, shards: int) -> str:
-    """File of a dataset's shard."""
-    return SHARD_NAME.format(name=name, split=split, kind=kind, shard=shard, shards=shards)
 
 
 def openvla_statistics(columns: Sequence[Mapping[str, NDArray]]) -> dict[str, Any]:

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from aomgen.datasets.array_record import read_array_record
-from aomgen.datasets.rlds import VERSION, Shards, shard_name
+from aomgen.datasets.rlds import SHARD_NAME, VERSION, Shards
 from aomgen.datasets.stored import REMEDY, StoredDataset, StoredEpisode, chosen_space
 from aomgen.datasets.tfrecord import Feature, decode_example, read_records
 from aomgen.errors import MalformedFileError
@@ -75,7 +75,8 @@ def _episodes(
 ) -> Iterator[StoredEpisode]:
     for split, shards in lengths.items():
         for number, wanted in enumerate(shards):
-            path = home / shard_name(name, split, kind, number, len(shards))
+            words = {"name": name, "split": split, "kind": kind, "shard": number, "shards": len(shards)}
+            path = home / SHARD_NAME.format(**words)
             count = 0
             for record in READERS[kind](path):
                 yield _episode(decode_example(record, path), path, split, widths, sizes)
