@@ -65,7 +65,7 @@ def orientations(
 
     Yields:
         Name and R_asset_ee (3, 3): with the demonstrated approach direction, then with the hand
-        square to the bar, each with every tilt; then leaning along the bar, with all tilts but the largest; last the
+        square to the bar, each with every tilt; then leaning along the bar, likewise; last the
         hand turned half round, which swaps the fingers.
     """
     bar = R_front_ee[:, 0]
@@ -82,7 +82,7 @@ def orientations(
     first = bases[0][1]
     for swing in SWINGS_DEG:
         swung = first @ matrix_from_rotvec(np.deg2rad(swing) * np.array([0.0, 1.0, 0.0]))
-        for tilt in tilts_deg[:5]:
+        for tilt in tilts_deg:
             R = matrix_from_rotvec(np.deg2rad(tilt) * handle_axis) @ swung
             yield f"swing {swing:+.0f}, tilt {tilt:+.0f}", R
     yield "turned", matrix_from_rotvec(np.pi * first[:, 2]) @ first
@@ -141,6 +141,17 @@ def difference(a: Grasp, b: Grasp) -> float:
     """Angle between two hands at the closed part, and what it grows by until the part has turned by a radian, [rad]."""
     turn = rotvec_from_matrix(a.R_object_ee.T @ b.R_object_ee)
     return float(np.linalg.norm(turn)) + abs(a.turn_ratio - b.turn_ratio)
+
+
+def between(a: Grasp, b: Grasp, share: float) -> Grasp:
+    """A grasp some share of the way from a to b, at b's depth."""
+    turn = rotvec_from_matrix(a.R_object_ee.T @ b.R_object_ee)
+    return Grasp(
+        name=f"{share:.1%} from {a.name} to {b.name}",
+        R_object_ee=a.R_object_ee @ matrix_from_rotvec(share * turn),
+        held_ee=b.held_ee,
+        turn_ratio=(1 - share) * a.turn_ratio + share * b.turn_ratio,
+    )
 
 
 def _across(R: Array, bar: Array) -> Array:

@@ -1,7 +1,9 @@
 """Plan one episode: place the object, choose a grasp and a way to it; which grasps would do."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 from itertools import islice, product
+from typing import Final, NamedTuple
 
 import numpy as np
 
@@ -18,9 +20,9 @@ from aomgen.episodes.grasp_plan import (
     plan_with,
     stall,
 )
-from aomgen.episodes.grasps import Grasp, grasp_depths, grasps
+from aomgen.episodes.grasps import Grasp, between, difference, grasp_depths, grasps
 from aomgen.episodes.ik import IkSolver
-from aomgen.episodes.retarget import DETOURS, WAYS, DemonstratedMotion, RetargetedMotion
+from aomgen.episodes.retarget import DETOURS, WAYS, DemonstratedMotion, RetargetedMotion, TriedWays
 from aomgen.episodes.start import choose_start
 from aomgen.robots.robot import RobotModel
 from aomgen.simulation.collision_check import self_overlap_mm
@@ -28,6 +30,9 @@ from aomgen.simulation.scene import Scene
 
 # Kept free between the object and the arm before its hand, [m]: a lid that resists lags behind its plan.
 CLEARANCE_M = 0.003
+# To an eighth of the way between two grasps, which are less apart.
+HALVINGS: Final = 3
+MAX_APART_RAD: Final = np.pi / 2
 # Reasons of rejection, from early to late.
 REASONS = (
     "joint_limit",
@@ -65,10 +70,28 @@ def plan_episode(
     """
     task = open_task(fitted, demo, variation, scene, solver, params)
     motions = _motions(task, usual)
+    found = _plan(task, motions, WAYS + DETOURS if params.method == "aomgen" else WAYS[:1])
+    if isinstance(found, Rejection):
+        return found
+    return _nearer(task, motions[0], found).plan if motions[0].grasp.name == usual else found.plan
+
+
+class _Planned(NamedTuple):
+    """A plan, and how it came about."""
+
+    plan: EpisodePlan
+    motion: RetargetedMotion
+    ways: TriedWays
+
+
+def _plan(
+    task: PlanTask, motions: list[RetargetedMotion], all_ways: Sequence[TriedWays]
+) -> _Planned | Rejection:
+    """The first plan, over ways and then motions; or the rejection that came farthest."""
     held, best = _hold(task, motions)
     # Grasps that hold, and among them those that something blocks beside the handle.
     checked, blocked = set[int](), set[int]()
-    for ways in WAYS + DETOURS if params.method == "aomgen" else WAYS[:1]:
+    for ways in all_ways:
         style, group = ways
         tried = sorted(blocked if ways in DETOURS else held)
         styled = {k: replace(motions[k], **style._asdict()) for k in tried}
@@ -81,7 +104,7 @@ def plan_episode(
             if result is None:
                 result = plan_with(task, styled[k], arms[k], free)
             if isinstance(result, EpisodePlan):
-                return result
+                return _Planned(result, motions[k], (style, (free,)))
             best = max(best, result, key=_rank)
             if result.metrics.get("in_contact"):
                 del held[k]
@@ -89,6 +112,26 @@ def plan_episode(
             elif result.reason == "collision":
                 blocked.add(k)
     return replace(best, metrics={**best.metrics, "grasps_tried": float(len(motions))})
+
+
+def _nearer(task: PlanTask, usual: RetargetedMotion, found: _Planned) -> _Planned:
+    """A plan whose grasp lies between the usual and the found one, by bisection, as near to the usual one as works.
+
+    Grasps then change with the object's pose by little steps, which policies learn; the grid's are of 15 degrees and more.
+    """
+    low, high, far = 0.0, 1.0, found.motion
+    # Between a hand and one that is turned half round there is none that holds.
+    if found.ways in DETOURS or not 0 < difference(usual.grasp, far.grasp) < MAX_APART_RAD:
+        return found
+    for _ in range(HALVINGS):
+        share = (low + high) / 2
+        motion = replace(far, grasp=between(usual.grasp, far.grasp, share))
+        nearer = _plan(task, [motion], [found.ways])
+        if isinstance(nearer, Rejection):
+            low = share
+        else:
+            high, found = share, nearer
+    return found
 
 
 def working_grasps(task: PlanTask) -> list[Grasp]:

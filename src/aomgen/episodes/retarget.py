@@ -85,13 +85,15 @@ class Ways(NamedTuple):
     lift: float = 0.0
 
 
-# Ways in the order in which they are tried, and how the free way is made: the demonstrated ones first.
-WAYS: tuple[tuple[Ways, tuple[FreeWay, ...]], ...] = (
+# And how the free way is made.
+TriedWays = tuple[Ways, tuple[FreeWay, ...]]
+# In the order in which they are tried: the demonstrated ones first.
+WAYS: tuple[TriedWays, ...] = (
     (Ways(), ("cartesian", "joints")),
     (Ways("straight", "straight"), ("joints",)),
 )
 # Then, where only a collision beside the handle is in the way: from farther in front, or over what blocks.
-DETOURS: tuple[tuple[Ways, tuple[FreeWay, ...]], ...] = (
+DETOURS: tuple[TriedWays, ...] = (
     (Ways("straight", "straight", stretch=0.25), ("direct",)),
     (Ways(lift=0.25), ("cartesian",)),
 )

@@ -1,5 +1,6 @@
 """Demonstrations of an object keep near to one grasp."""
 
+import re
 from itertools import chain
 
 import numpy as np
@@ -86,3 +87,24 @@ def test_plans_use_the_usual_grasp_where_it_works(
     unknown = plan_episode(*task, "no such grasp")
     assert isinstance(unknown, EpisodePlan)
     assert unknown.grasp == plain.grasp
+
+
+def test_where_the_usual_grasp_does_not_work_plans_come_near_to_it(
+    fitted: FittedAsset, demo: Demonstration, robot: RobotModel, solver: IkSolver
+) -> None:
+    scene = build_scene(robot, fitted.asset, fitted.T_world_asset, SUPPORT)
+    task = (fitted, demo, HERE, scene, solver, PlanParams())
+    working = working_grasps(open_task(*task))
+    names = [grasp.name for grasp in working]
+    offered = list(grasps(fitted, np.eye(3), [0.01], 1.0))
+    shares = []
+    for usual in [grasp for grasp in offered if grasp.name not in names and grasp.name != "turned"][::6]:
+        plan = plan_episode(*task, usual.name)
+        assert isinstance(plan, EpisodePlan)
+        found = re.match(r"([\d.]+)% from (.*) to (.*); ", plan.grasp)
+        if found:
+            shares.append(float(found[1]))
+            assert found[2] == usual.name
+            assert found[3] in names
+    assert shares
+    assert set(shares) <= {12.5 * k for k in range(1, 8)}

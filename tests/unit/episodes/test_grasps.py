@@ -10,7 +10,7 @@ from aomgen.assets.asset_check import held_at_rim, outward_normal
 from aomgen.core.asset import ArticulatedAsset
 from aomgen.core.plan import FittedAsset
 from aomgen.core.transforms import apply, invert, matrix_from_rotvec
-from aomgen.episodes.grasps import RIM_OVERLAPS_M, grasp_depths, grasps
+from aomgen.episodes.grasps import RIM_OVERLAPS_M, between, difference, grasp_depths, grasps
 from aomgen.robots.robot import RobotModel
 from benchmarks.toy_drawer import fitted_drawer
 
@@ -86,3 +86,14 @@ def test_a_hand_may_lean_along_the_bar_and_closes_across_it(robot: RobotModel) -
     )
     leans = {round(float(np.rad2deg(np.arcsin(abs(g.R_object_ee[:, 2] @ axis))))) for g in leaning}
     assert leans == {20, 40}
+
+
+def test_grasps_between_two_lead_evenly_from_one_to_the_other() -> None:
+    fitted = fitted_drawer()
+    first, last = list(grasps(fitted, from_above(fitted.asset, 10.0), [0.004], 1.0))[::9][:2]
+    whole = difference(first, last)
+    assert whole > 0.1
+    for share in (0.0, 0.25, 0.5, 1.0):
+        middle = between(first, last, share)
+        assert difference(first, middle) == pytest.approx(share * whole, abs=1e-6)
+        assert difference(middle, last) == pytest.approx((1 - share) * whole, abs=1e-6)
