@@ -229,13 +229,13 @@ class Results:
         return load_artifact(self.folders["replacement"], "scene", EpisodeScene)
 
     def asset_folder(self, index: int) -> Path:
-        """Where the fit, USD and twin of one of the project's assets lie."""
+        """Where the fit, USD and twin of one of the fitted assets lie."""
         return self.folders["replacement"] / ASSETS_FOLDER / f"{index:02d}"
 
     @cached_property
     def fitted_assets(self) -> list[FittedAsset]:
-        """Fitted assets in the project's order."""
-        count = len(self.project.assets)
+        """Assets that could be fitted, in the project's order."""
+        count = len(list((self.folders["replacement"] / ASSETS_FOLDER).glob("*")))
         return [load_artifact(self.asset_folder(index), FITTED, FittedAsset) for index in range(count)]
 
 

@@ -203,7 +203,7 @@ def twin_digest(results: Results) -> str:
     """
     folder = results.folders["replacement"]
     names = ("twin.json", "twin.npz", "fitted.json", "fitted.npz")
-    homes = [results.asset_folder(number) for number in range(len(results.project.assets))]
+    homes = [results.asset_folder(number) for number in range(len(results.fitted_assets))]
     return files_digest(
         [folder / "scene.json", *(home / name for home in homes for name in names if (home / name).is_file())]
     )

@@ -123,6 +123,7 @@ FIGURES: Final[dict[str, dict[str, Figure]]] = {
     "twin": {"gaussians": Figure(name="Gaussians"), "moving": Figure(name="of them moving")},
     "replacement": {
         "assets": Figure(name="assets"),
+        "rejected": Figure(name="assets left out"),
         "removed": Figure(name="Gaussians removed"),
         "filled": Figure(name="filled in"),
         "obstacles": Figure(name="obstacles"),

@@ -139,7 +139,7 @@ STAGES: tuple[Stage, ...] = (
         title="removing the object, fitting assets",
         needs=("capture", "assets", "structure", "alignment", "motion", "twin"),
         settings=("assets", "adapt", "seed", "image_size"),
-        version=8,
+        version=9,
         weight=10,
         function=_lazily("replacement.stage"),
     ),
