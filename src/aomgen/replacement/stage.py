@@ -8,6 +8,7 @@ import numpy as np
 from aomgen.assets.choice import open_asset
 from aomgen.assets.usd_write import write_for_replay
 from aomgen.conventions import MOVING, STATIC
+from aomgen.core.asset import ArticulatedAsset
 from aomgen.core.demonstration import EpisodeScene, RecordedObject
 from aomgen.core.light import Light
 from aomgen.core.parts import surface_points
@@ -24,7 +25,7 @@ from aomgen.replacement.removal import clear_object
 from aomgen.replacement.viewpoint import episode_cameras
 from aomgen.results import ASSET_USD, ASSETS_FOLDER, FITTED, Results
 from aomgen.robots.reach import longest_reach
-from aomgen.splatting.surfels import surfels_of
+from aomgen.splatting.surfels import Surfels, surfels_of
 from aomgen.twin.binding import with_object
 from aomgen.twin.twin import Twin
 
@@ -104,10 +105,13 @@ def fit_assets(results: Results, contact: RecordedContact) -> tuple[list[FittedA
     return fitted, rejected
 
 
+def asset_surfels(asset: ArticulatedAsset, rng: np.random.Generator) -> tuple[Surfels, Surfels]:
+    """An asset's static and moving link as discs."""
+    static, moving = (surfels_of(link.meshes, SURFELS // 2, rng) for link in (asset.static, asset.moving))
+    return static, moving
+
+
 def asset_twin(background: Twin, fitted: FittedAsset, light: Light, seed: int) -> Twin:
     """The cleared scene with a fitted asset where the recorded object stood."""
-    rng = np.random.default_rng(seed)
-    static, moving = (
-        surfels_of(link.meshes, SURFELS // 2, rng) for link in (fitted.asset.static, fitted.asset.moving)
-    )
+    static, moving = asset_surfels(fitted.asset, np.random.default_rng(seed))
     return with_object(background, static, moving, fitted.asset.joint, light, fitted.T_world_asset)

@@ -1,0 +1,159 @@
+"""How well Gaussians stand for a mesh: drawn without light beside MuJoCo's rasterizer, from all around."""
+
+import time
+from dataclasses import dataclass
+from typing import Any, Final
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import binary_dilation
+
+from aomgen.assets.choice import MAKERS, OTHER_MAKERS, make_asset
+from aomgen.assets.mjcf import VISUAL_GROUP, add_asset
+from aomgen.core.asset import ArticulatedAsset
+from aomgen.core.camera import Camera, look_at
+from aomgen.core.gaussians import Gaussians, concatenate
+from aomgen.core.transforms import apply
+from aomgen.core.values import Array
+from aomgen.replacement.stage import asset_surfels
+from aomgen.robots.model_renderer import ModelRenderer
+from aomgen.splatting.rasterizer import render
+from benchmarks.other_objects import make_object
+
+VIEWS: Final = 20
+SIZES: Final = (256, 512)
+# A pixel of the truth is the mean of so many squared.
+SUPERSAMPLED: Final = 2
+# The object fills at least this share of every picture.
+FILLED: Final = 0.4
+# Focal length over the picture's width, and how far a camera looks up or down, [rad].
+FOCAL, ELEVATIONS = 1.2, (0.0, 1.1)
+# Colors count inside the silhouette and so far around it, [px].
+AROUND_PX: Final = 2
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MeshView:
+    """A camera in the asset's frame, and the joint value that it sees."""
+
+    camera: Camera
+    theta: float
+
+
+class AssetRenderer(ModelRenderer):
+    """Draws an asset's meshes in their own colors."""
+
+    def __init__(self, asset: ArticulatedAsset, size: int) -> None:
+        """Create a context for pictures of up to size x size, [px]."""
+        spec = mujoco.MjSpec()
+        spec.compiler.degree = False
+        self._joint = add_asset(spec, asset, np.eye(4), damping=0.0, frictionloss=0.0, visual=True).joint
+        model = spec.compile()
+        light = model.vis.headlight
+        light.ambient[:], light.diffuse[:], light.specular[:] = 1.0, 0.0, 0.0
+        super().__init__(model, (size, size), VISUAL_GROUP)
+        self._scene.flags[mujoco.mjtRndFlag.mjRND_CULL_FACE] = False
+
+    def draw(self, view: MeshView) -> tuple[Array, Array]:
+        """Color (H, W, 3) and cover (H, W), 0..1; black where nothing is."""
+        fine = view.camera.resized(
+            *(SUPERSAMPLED * np.array([view.camera.width, view.camera.height])).tolist()
+        )
+        colors, buffer = self._render(fine, [view.theta], ids=False)
+        covered = buffer > 0
+        return _pooled(colors / 255.0 * covered[..., None]), _pooled(covered[..., None].astype(np.float64))[
+            ..., 0
+        ]
+
+
+def _pooled(picture: Array) -> Array:
+    height, width, channels = picture.shape
+    step = SUPERSAMPLED
+    return picture.reshape(height // step, step, width // step, step, channels).mean((1, 3))
+
+
+def draw_views(asset: ArticulatedAsset, rng: np.random.Generator) -> list[MeshView]:
+    """Views from all around, near enough that the object fills the picture."""
+    views = []
+    size = SIZES[0]
+    with AssetRenderer(asset, SUPERSAMPLED * size) as renderer:
+        for _ in range(VIEWS):
+            theta = float(rng.uniform(0.0, asset.joint.upper))
+            points = apply(
+                asset.joint.motion(theta), np.concatenate([m.vertices for m in asset.moving.meshes])
+            )
+            points = np.concatenate([points, *(m.vertices for m in asset.static.meshes)])
+            middle = (points.min(0) + points.max(0)) / 2
+            azimuth, up = rng.uniform(-np.pi, np.pi), rng.uniform(*ELEVATIONS)
+            way = np.array([np.cos(azimuth) * np.cos(up), np.sin(azimuth) * np.cos(up), np.sin(up)])
+            distance, filled = 3.0 * float(np.linalg.norm(points - middle, axis=1).max()), 0.0
+            while filled < FILLED:
+                distance *= 0.93
+                camera = Camera(
+                    fx=FOCAL * size, fy=FOCAL * size, cx=size / 2, cy=size / 2, width=size, height=size,
+                    T_world_cam=look_at(middle + distance * way, middle),
+                )  # fmt: skip
+                view = MeshView(camera=camera, theta=theta)
+                filled = float(renderer.draw(view)[1].mean())
+            views.append(view)
+    return views
+
+
+def score_views(
+    asset: ArticulatedAsset, static: Gaussians, moving: Gaussians, views: list[MeshView]
+) -> dict[str, float]:
+    """Medians over the views: PSNR of colors at each size, and IoU of silhouettes at the first."""
+    psnrs: dict[int, list[float]] = {size: [] for size in SIZES}
+    ious = []
+    with AssetRenderer(asset, SUPERSAMPLED * max(SIZES)) as renderer:
+        for view in views:
+            posed = concatenate([static, moving.transformed(asset.joint.motion(view.theta))])
+            for size in SIZES:
+                sized = MeshView(camera=view.camera.resized(size, size), theta=view.theta)
+                true, cover = renderer.draw(sized)
+                drawn = render(posed, sized.camera)
+                near = binary_dilation(cover > 0, iterations=AROUND_PX)
+                psnrs[size].append(_psnr(np.clip(drawn.rgb, 0, 1)[near], true[near]))
+                if size == SIZES[0]:
+                    ious.append(_iou(drawn.alpha > 0.5, cover > 0.5))
+    return {
+        **{f"psnr_{size}": float(np.median(found)) for size, found in psnrs.items()},
+        "iou": float(np.median(ious)),
+    }
+
+
+def _psnr(image: NDArray, true: NDArray) -> float:
+    return float(-10 * np.log10(np.mean((image - true) ** 2)))
+
+
+def _iou(one: NDArray[np.bool_], other: NDArray[np.bool_]) -> float:
+    return float((one & other).sum() / (one | other).sum())
+
+
+def run_meshes(assets: list[ArticulatedAsset], seed: int) -> dict[str, Any]:
+    """Figures of all assets: medians, worst, and a row each."""
+    rows = []
+    for number, asset in enumerate(assets):
+        rng = np.random.default_rng([seed, number])
+        views = draw_views(asset, rng)
+        started = time.perf_counter()
+        static, moving = asset_surfels(asset, rng)
+        seconds = time.perf_counter() - started
+        scores = score_views(asset, static.gaussians, moving.gaussians, views)
+        count = len(static.gaussians) + len(moving.gaussians)
+        rows.append({"asset": asset.name, **scores, "gaussians": count, "seconds": seconds})
+    good = {"gaussians": max, "seconds": max}
+    names = [name for name in rows[0] if name != "asset"]
+    found = {name: [row[name] for row in rows] for name in names}
+    return {
+        **{name: float(np.median(values)) for name, values in found.items()},
+        **{f"{name}_worst": good.get(name, min)(values) for name, values in found.items()},
+        "assets": rows,
+    }
+
+
+def made_assets(seed: int) -> list[ArticulatedAsset]:
+    """Two of each category that can be made, and two of other makers."""
+    made = [make_asset(category, seed + k) for category in (MAKERS | OTHER_MAKERS) for k in range(2)]
+    return [*made, make_object("oven", seed), make_object("cupboard", seed)]
