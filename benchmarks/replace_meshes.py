@@ -4,20 +4,18 @@ import time
 from dataclasses import dataclass
 from typing import Any, Final
 
-import mujoco
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import binary_dilation
 
 from aomgen.assets.choice import MAKERS, OTHER_MAKERS, make_asset
-from aomgen.assets.mjcf import VISUAL_GROUP, add_asset
 from aomgen.core.asset import ArticulatedAsset
 from aomgen.core.camera import Camera, look_at
 from aomgen.core.gaussians import Gaussians, concatenate
 from aomgen.core.transforms import apply
 from aomgen.core.values import Array
-from aomgen.replacement.stage import asset_surfels
-from aomgen.robots.model_renderer import ModelRenderer
+from aomgen.replacement.asset_pictures import AssetRenderer
+from aomgen.replacement.asset_surfels import asset_surfels
 from aomgen.splatting.rasterizer import render
 from benchmarks.other_objects import make_object
 
@@ -41,30 +39,12 @@ class MeshView:
     theta: float
 
 
-class AssetRenderer(ModelRenderer):
-    """Draws an asset's meshes in their own colors."""
-
-    def __init__(self, asset: ArticulatedAsset, size: int) -> None:
-        """Create a context for pictures of up to size x size, [px]."""
-        spec = mujoco.MjSpec()
-        spec.compiler.degree = False
-        self._joint = add_asset(spec, asset, np.eye(4), damping=0.0, frictionloss=0.0, visual=True).joint
-        model = spec.compile()
-        light = model.vis.headlight
-        light.ambient[:], light.diffuse[:], light.specular[:] = 1.0, 0.0, 0.0
-        super().__init__(model, (size, size), VISUAL_GROUP)
-        self._scene.flags[mujoco.mjtRndFlag.mjRND_CULL_FACE] = False
-
-    def draw(self, view: MeshView) -> tuple[Array, Array]:
-        """Color (H, W, 3) and cover (H, W), 0..1; black where nothing is."""
-        fine = view.camera.resized(
-            *(SUPERSAMPLED * np.array([view.camera.width, view.camera.height])).tolist()
-        )
-        colors, buffer = self._render(fine, [view.theta], ids=False)
-        covered = buffer > 0
-        return _pooled(colors / 255.0 * covered[..., None]), _pooled(covered[..., None].astype(np.float64))[
-            ..., 0
-        ]
+def _truth(renderer: AssetRenderer, view: MeshView) -> tuple[Array, Array]:
+    """Color (H, W, 3) and cover (H, W), 0..1; black where nothing is."""
+    camera = view.camera
+    fine = camera.resized(SUPERSAMPLED * camera.width, SUPERSAMPLED * camera.height)
+    drawn = _pooled(renderer.draw(fine, view.theta).astype(np.float64))
+    return drawn[..., :3], drawn[..., 3]
 
 
 def _pooled(picture: Array) -> Array:
@@ -87,15 +67,17 @@ def draw_views(asset: ArticulatedAsset, rng: np.random.Generator) -> list[MeshVi
             middle = (points.min(0) + points.max(0)) / 2
             azimuth, up = rng.uniform(-np.pi, np.pi), rng.uniform(*ELEVATIONS)
             way = np.array([np.cos(azimuth) * np.cos(up), np.sin(azimuth) * np.cos(up), np.sin(up)])
-            distance, filled = 3.0 * float(np.linalg.norm(points - middle, axis=1).max()), 0.0
-            while filled < FILLED:
+            radius = float(np.linalg.norm(points - middle, axis=1).max())
+            distance, filled = 3.0 * radius, 0.0
+            # What is flat never fills so much: then as near as the sphere around it.
+            while filled < FILLED and distance > radius:
                 distance *= 0.93
                 camera = Camera(
                     fx=FOCAL * size, fy=FOCAL * size, cx=size / 2, cy=size / 2, width=size, height=size,
                     T_world_cam=look_at(middle + distance * way, middle),
                 )  # fmt: skip
                 view = MeshView(camera=camera, theta=theta)
-                filled = float(renderer.draw(view)[1].mean())
+                filled = float(_truth(renderer, view)[1].mean())
             views.append(view)
     return views
 
@@ -111,7 +93,7 @@ def score_views(
             posed = concatenate([static, moving.transformed(asset.joint.motion(view.theta))])
             for size in SIZES:
                 sized = MeshView(camera=view.camera.resized(size, size), theta=view.theta)
-                true, cover = renderer.draw(sized)
+                true, cover = _truth(renderer, sized)
                 drawn = render(posed, sized.camera)
                 near = binary_dilation(cover > 0, iterations=AROUND_PX)
                 psnrs[size].append(_psnr(np.clip(drawn.rgb, 0, 1)[near], true[near]))

@@ -14,8 +14,8 @@ LINES = {path: path.read_text("utf-8").splitlines() for path in FILES}
 # Names that every package may have.
 SHARED_NAMES = {"stage", "__init__", "__main__"}
 
-MAX_LINES, MAX_FILES, MAX_FILE_LINES, MAX_PACKAGE_SHARE = 50_560, 305, 350, 0.12
-MAX_NUMBERS, MAX_OPTIONS, MAX_ONE_IMPORTER = 698, 79, 75
+MAX_LINES, MAX_FILES, MAX_FILE_LINES, MAX_PACKAGE_SHARE = 51_000, 308, 350, 0.12
+MAX_NUMBERS, MAX_OPTIONS, MAX_ONE_IMPORTER = 705, 79, 78
 
 
 def module_of(path: Path) -> str:

@@ -286,6 +286,20 @@ def bench_replay(
         _show(run_replay_bench(folder, attempts, seed, partial(print, flush=True)), json_file)
 
 
+@bench_app.command("replace")
+def bench_replace(
+    seed: Annotated[int, typer.Option(help="Of the first made asset and of all views.")] = 100,
+    json_file: JsonFile = None,
+) -> None:
+    """Draw assets as Gaussians beside their meshes, from all around.
+
+    Figures are told by `docs/replacement.md`.
+    """
+    from benchmarks.replace_meshes import made_assets, run_meshes
+
+    _show({"mesh": run_meshes(made_assets(seed), seed)}, json_file)
+
+
 @bench_app.command("faults")
 def bench_faults(
     kills: Annotated[int, typer.Option(min=1, help="Points at which a run is killed.")] = 200,

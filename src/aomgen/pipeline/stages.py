@@ -139,8 +139,8 @@ STAGES: tuple[Stage, ...] = (
         title="removing the object, fitting assets",
         needs=("capture", "assets", "structure", "alignment", "motion", "twin"),
         settings=("assets", "adapt", "seed", "image_size"),
-        version=9,
-        weight=10,
+        version=10,
+        weight=11,
         function=_lazily("replacement.stage"),
     ),
     Stage(

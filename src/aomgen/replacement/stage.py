@@ -8,7 +8,6 @@ import numpy as np
 from aomgen.assets.choice import open_asset
 from aomgen.assets.usd_write import write_for_replay
 from aomgen.conventions import MOVING, STATIC
-from aomgen.core.asset import ArticulatedAsset
 from aomgen.core.demonstration import EpisodeScene, RecordedObject
 from aomgen.core.light import Light
 from aomgen.core.parts import surface_points
@@ -16,6 +15,7 @@ from aomgen.core.plan import FittedAsset, Rejection
 from aomgen.core.progress import Progress
 from aomgen.errors import EstimationError
 from aomgen.io.artifact import save_artifact
+from aomgen.replacement.asset_surfels import asset_surfels
 from aomgen.replacement.correspondence import RecordedContact, recorded_contact
 from aomgen.replacement.fitting import FitParams, fit_asset
 from aomgen.replacement.free_table import support_plane
@@ -25,12 +25,9 @@ from aomgen.replacement.removal import clear_object
 from aomgen.replacement.viewpoint import episode_cameras
 from aomgen.results import ASSET_USD, ASSETS_FOLDER, FITTED, Results
 from aomgen.robots.reach import longest_reach
-from aomgen.splatting.surfels import Surfels, surfels_of
 from aomgen.twin.binding import with_object
 from aomgen.twin.twin import Twin
 
-# Surfels of an asset, half on each link: one every 7 mm on a surface of 1.5 m2.
-SURFELS = 30_000
 # Folder of the twin without its object.
 BACKGROUND_FOLDER = "background"
 
@@ -103,12 +100,6 @@ def fit_assets(results: Results, contact: RecordedContact) -> tuple[list[FittedA
             "assets", f"none fits ({reasons})", "choose assets that move like the recorded object"
         )
     return fitted, rejected
-
-
-def asset_surfels(asset: ArticulatedAsset, rng: np.random.Generator) -> tuple[Surfels, Surfels]:
-    """An asset's static and moving link as discs."""
-    static, moving = (surfels_of(link.meshes, SURFELS // 2, rng) for link in (asset.static, asset.moving))
-    return static, moving
 
 
 def asset_twin(background: Twin, fitted: FittedAsset, light: Light, seed: int) -> Twin:

@@ -159,8 +159,8 @@ def relocate_and_grow(
     min_opacity: float,
     rng: np.random.Generator,
     dropped: NDArray[np.bool_] | None = None,
-) -> Parameters:
-    """Drop faint and unwanted Gaussians and split others, until there are `count`.
+) -> tuple[Parameters, NDArray[np.int64]]:
+    """Drop faint and unwanted Gaussians and split others, until there are `count`; and the row that each comes from.
 
     Parents are drawn with a probability proportional to their share of the error. A lower
     `count` than what is left after dropping adds nothing.
@@ -178,13 +178,14 @@ def relocate_and_grow(
     weights = np.where(alive, shares, 0.0)
     wanted = min(count - int(alive.sum()), int((weights > 0).sum()))
     if wanted <= 0:
-        nothing = torch.zeros(0, dtype=torch.int64)
-        return parameters.rebuilt(torch.tensor(np.flatnonzero(alive)), nothing, _rows(parameters, nothing))
+        nothing, kept = torch.zeros(0, dtype=torch.int64), np.flatnonzero(alive)
+        return parameters.rebuilt(torch.tensor(kept), nothing, _rows(parameters, nothing)), kept
     drawn = rng.choice(len(parameters), wanted, replace=False, p=weights / weights.sum())
     alive[drawn] = False
     parents = torch.tensor(drawn)
-    halves = _halves(_rows(parameters, parents))
-    return parameters.rebuilt(torch.tensor(np.flatnonzero(alive)), parents.repeat(2), halves)
+    halves, kept = _halves(_rows(parameters, parents)), np.flatnonzero(alive)
+    grown = parameters.rebuilt(torch.tensor(kept), parents.repeat(2), halves)
+    return grown, np.concatenate([kept, drawn, drawn])
 
 
 def _rows(parameters: Parameters, rows: Tensor) -> dict[str, Tensor]:

@@ -267,9 +267,9 @@ def _grow(state: TrainingState, views: list[TrainingView], params: TrainingParam
     if _clears(params, state.iteration):
         everywhere = [state.poses.corrected(i, view.camera) for i, view in enumerate(views)]
         dropped = in_free_space(gaussians.means.astype(np.float64), view_depths(gaussians, everywhere))
-    return relocate_and_grow(
-        parameters, shares, min(count, params.max_gaussians), params.min_opacity, state.rng, dropped
-    )
+    count = min(count, params.max_gaussians)
+    grown, _ = relocate_and_grow(parameters, shares, count, params.min_opacity, state.rng, dropped)
+    return grown
 
 
 def choose_error_views(views: int, count: int, turn: int) -> NDArray[np.int64]:

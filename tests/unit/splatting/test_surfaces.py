@@ -89,10 +89,10 @@ def test_a_faint_blob_before_the_wall_is_found_and_dropped():
     parameters = parameters_of(scene, 0)
     shares = np.ones(len(scene))
     rng = np.random.default_rng(0)
-    kept = relocate_and_grow(parameters, shares, len(scene), 0.01, rng, free)
+    kept, _ = relocate_and_grow(parameters, shares, len(scene), 0.01, rng, free)
     assert len(kept) == len(scene)
     assert float(kept.values["means"][:, 2].min()) > 0.9 * WALL_Z
-    without = relocate_and_grow(parameters, shares, len(scene), 0.01, np.random.default_rng(0))
+    without, _ = relocate_and_grow(parameters, shares, len(scene), 0.01, np.random.default_rng(0))
     assert float(without.values["means"][:, 2].min()) == pytest.approx(1.5)
     assert torch.isfinite(kept.values["means"]).all()
 

@@ -187,7 +187,9 @@ def test_far_gaussians_move_as_far_in_the_image() -> None:
     moved = (before - parameters.values["means"]).numpy()
     np.testing.assert_allclose(moved[:20], 0.01, rtol=1e-4)
     np.testing.assert_allclose(moved[20:], 5.0, rtol=1e-4)
-    grown = relocate_and_grow(parameters, np.where(reach > 1, 1.0, 0.0), 45, 0.01, np.random.default_rng(0))
+    grown, _ = relocate_and_grow(
+        parameters, np.where(reach > 1, 1.0, 0.0), 45, 0.01, np.random.default_rng(0)
+    )
     assert (grown.reach == 500).sum() == 25
 
 
@@ -200,7 +202,7 @@ def test_growth_splits_where_the_error_is_and_drops_the_faint() -> None:
     )
     shares = np.zeros(200)
     shares[:60] = 1.0
-    grown = relocate_and_grow(parameters_of(faint, 0), shares, 210, 0.01, np.random.default_rng(0))
+    grown, _ = relocate_and_grow(parameters_of(faint, 0), shares, 210, 0.01, np.random.default_rng(0))
     assert len(grown) == 210
     result = gaussians_of(grown)
     assert result.opacities.min() > 0.5

@@ -1,0 +1,191 @@
+"""An asset's meshes as lit Gaussians, fitted to pictures of the meshes.
+
+Discs on a surface overhang its edges and smear its prints. Fitted to pictures, by the same engine that draws them
+later, they end where the surface ends, and there are more of them where there is more to see.
+"""
+
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+from torch.nn.functional import avg_pool2d
+
+from aomgen.conventions import linear_from_srgb
+from aomgen.core.asset import ArticulatedAsset
+from aomgen.core.camera import Camera, look_at
+from aomgen.core.gaussians import SH_C0, concatenate
+from aomgen.core.transforms import apply
+from aomgen.core.values import Array
+from aomgen.replacement.asset_pictures import AssetRenderer
+from aomgen.splatting.compute import NativeCompute
+from aomgen.splatting.differentiable import CpuRasterizer, GaussianTensors, PartTensors, RasterOptions
+from aomgen.splatting.optimizer import (
+    RATES,
+    Parameters,
+    error_shares,
+    gaussians_of,
+    parameter_rates,
+    parameters_of,
+    relocate_and_grow,
+)
+from aomgen.splatting.surfels import Surfels, surfels_of
+from aomgen.splatting.training import one_torch_thread
+from aomgen.twin.twin import move_bodies
+
+# Discs before the fit, half on each link, and the most there are after it.
+DISCS, MAX_GAUSSIANS = 30_000, 58_000
+# Fitted to so many pictures of this size, [px], each used at full and at half size in turns.
+PICTURES, PICTURE_PX = 40, 512
+ROUNDS: Final = 8
+# Gaussians are added after these rounds, where the error of so many pictures is.
+GROW_AFTER, ERROR_PICTURES = (0, 1, 2), 12
+# Opaque enough to hide what is behind, with a gradient left.
+START_OPACITY: Final = 0.7
+# Fainter ones are used elsewhere.
+MIN_OPACITY: Final = 0.02
+# Gaussians move this much in a step at the start, [px] of a picture.
+STEP_PX: Final = 0.12
+# What is left of all learning rates at the end.
+DECAY: Final = 0.1
+# Cameras look from around, down by these angles, [rad]; the asset's sphere fills their pictures about so much.
+ELEVATIONS, FILLED = (-0.2, 1.2), (0.8, 1.1)
+FOCAL: Final = 1.2
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Picture:
+    """Of the meshes; colors and cover (4, H, W)."""
+
+    camera: Camera
+    theta: float
+    rgba: Tensor
+
+
+def asset_surfels(asset: ArticulatedAsset, rng: np.random.Generator) -> tuple[Surfels, Surfels]:
+    """An asset's static and moving link as Gaussians that look like its meshes from all around.
+
+    Raises:
+        AssetError: A link has no surface.
+        BackendError: No OpenGL driver works, or the splatting engine is missing.
+    """
+    static, moving = (surfels_of(link.meshes, DISCS // 2, rng) for link in (asset.static, asset.moving))
+    links = np.repeat([0, 1], [len(static.gaussians), len(moving.gaussians)])
+    discs = concatenate([static.gaussians, moving.gaussians])
+    discs = replace(discs, opacities=np.full(len(discs), START_OPACITY, np.float32))
+    with one_torch_thread():
+        parameters, sources = _fit(asset, parameters_of(discs, 0), links, _pictures(asset, rng), rng)
+    gaussians, count = gaussians_of(parameters), len(static.gaussians)
+    albedo = linear_from_srgb(np.clip(0.5 + SH_C0 * gaussians.sh[:, 0], 0, 1)).astype(np.float32)
+    fitted = []
+    for link, cover in enumerate((static, moving)):
+        mine = np.flatnonzero(links[sources] == link)
+        of_cover = sources[mine] - count * link
+        fitted.append(
+            Surfels(
+                gaussians=gaussians.select(mine),
+                normals=cover.normals[of_cover],
+                albedo_linear=albedo[mine],
+                transfer=cover.transfer[of_cover],
+            )
+        )
+    return fitted[0], fitted[1]
+
+
+def _pictures(asset: ArticulatedAsset, rng: np.random.Generator) -> list[_Picture]:
+    """From all around, over the joint's whole range."""
+    static, moving = (
+        np.concatenate([m.vertices for m in link.meshes]) for link in (asset.static, asset.moving)
+    )
+    found = []
+    with AssetRenderer(asset, PICTURE_PX) as renderer:
+        for _ in range(PICTURES):
+            theta = float(rng.uniform(0.0, asset.joint.upper))
+            points = np.concatenate([static, apply(asset.joint.motion(theta), moving)])
+            middle = (points.min(0) + points.max(0)) / 2
+            azimuth, up = rng.uniform(-np.pi, np.pi), rng.uniform(*ELEVATIONS)
+            way = np.array([np.cos(azimuth) * np.cos(up), np.sin(azimuth) * np.cos(up), np.sin(up)])
+            radius = float(np.linalg.norm(points - middle, axis=1).max())
+            eye = middle + way * radius * 2 * FOCAL / rng.uniform(*FILLED)
+            f, c = FOCAL * PICTURE_PX, PICTURE_PX / 2
+            camera = Camera(
+                fx=f, fy=f, cx=c, cy=c, width=PICTURE_PX, height=PICTURE_PX, T_world_cam=look_at(eye, middle)
+            )
+            image = renderer.draw(camera, theta).transpose(2, 0, 1)
+            rgba = torch.tensor(np.ascontiguousarray(image))
+            found.append(_Picture(camera=camera, theta=theta, rgba=rgba))
+    return found
+
+
+def _fit(
+    asset: ArticulatedAsset,
+    parameters: Parameters,
+    links: NDArray[np.int64],
+    pictures: list[_Picture],
+    rng: np.random.Generator,
+) -> tuple[Parameters, NDArray[np.int64]]:
+    """Fitted Gaussians of links 0 and 1 in the asset's frame at joint value 0, and the disc that each comes from."""
+    compute, sources = NativeCompute(), np.arange(len(links))
+    distance = float(np.median([np.linalg.norm(item.camera.center) for item in pictures]))
+    step_m = STEP_PX * distance / (FOCAL * PICTURE_PX)
+    steps, added = ROUNDS * len(pictures), MAX_GAUSSIANS - len(parameters)
+    for turn in range(ROUNDS):
+        for place, index in enumerate(rng.permutation(len(pictures))):
+            step = turn * len(pictures) + place
+            picture = pictures[index] if step % 2 else _halved(pictures[index])
+            gradients = _gradients(asset, parameters, links[sources], picture)
+            decay = DECAY ** (step / steps)
+            parameters.step(gradients, parameter_rates(RATES, step_m * decay, decay, 0), compute)
+            parameters.values["sh"].clamp_(-0.5 / SH_C0, 0.5 / SH_C0)
+        if turn in GROW_AFTER:
+            # What no picture shows has had no gradient.
+            unseen = (parameters.squares["sh"].amax((1, 2)) == 0).numpy()
+            shares = _shares(asset, parameters, links[sources], pictures, rng)
+            count = MAX_GAUSSIANS - added * (GROW_AFTER[-1] - turn) // len(GROW_AFTER)
+            parameters, rows = relocate_and_grow(parameters, shares, count, MIN_OPACITY, rng, unseen)
+            sources = sources[rows]
+    return parameters, sources
+
+
+def _halved(picture: _Picture) -> _Picture:
+    half = PICTURE_PX // 2
+    return replace(picture, camera=picture.camera.resized(half, half), rgba=avg_pool2d(picture.rgba, 2))
+
+
+def _gradients(
+    asset: ArticulatedAsset, parameters: Parameters, links: NDArray[np.int64], picture: _Picture
+) -> dict[str, Tensor]:
+    """Gradients of the squared error of a picture's colors and cover, by name."""
+    leaves = parameters.leaves()
+    parts = PartTensors(
+        indices=torch.tensor(links, dtype=torch.int32),
+        Ts_world_part=torch.tensor(_link_poses(asset, picture.theta), dtype=torch.float32),
+    )
+    drawn = CpuRasterizer()(
+        GaussianTensors(**leaves), picture.camera, RasterOptions(sh_degree=0), parts=parts
+    )
+    error = (drawn.rgb - picture.rgba[:3]).square().mean() + (drawn.alpha - picture.rgba[3]).square().mean()
+    error.backward()
+    return {name: leaf.grad for name, leaf in leaves.items() if leaf.grad is not None}
+
+
+def _shares(
+    asset: ArticulatedAsset,
+    parameters: Parameters,
+    links: NDArray[np.int64],
+    pictures: list[_Picture],
+    rng: np.random.Generator,
+) -> Array:
+    """How much of the error of some pictures each Gaussian paints."""
+    gaussians, shares = gaussians_of(parameters), np.zeros(len(links))
+    for index in rng.choice(len(pictures), ERROR_PICTURES, replace=False):
+        picture = _halved(pictures[index])
+        posed = move_bodies(gaussians, links.astype(np.int32), _link_poses(asset, picture.theta))
+        shares += error_shares(posed, [picture.camera], [picture.rgba[:3].numpy()])
+    return shares
+
+
+def _link_poses(asset: ArticulatedAsset, theta: float) -> Array:
+    return np.stack([np.eye(4), asset.joint.motion(theta)])
