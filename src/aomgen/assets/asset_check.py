@@ -1,6 +1,7 @@
 """What an articulated asset must fulfil before it is simulated and drawn."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 
 import mujoco
 import numpy as np
@@ -8,7 +9,7 @@ from numpy.typing import ArrayLike
 
 from aomgen.assets.mjcf import AssetNames, add_asset
 from aomgen.core.asset import ArticulatedAsset, BoxCollider
-from aomgen.core.values import Array
+from aomgen.core.values import Array, Vector3, freeze_arrays
 
 # A finger tip must fit between handle and front, [m]. Half the stroke of the widest supported gripper is left for
 # the fingers themselves.
@@ -139,21 +140,55 @@ def _check_links(asset: ArticulatedAsset) -> list[str]:
 
 def _check_range(asset: ArticulatedAsset) -> list[str]:
     """Pairs of static and moving colliders that overlap somewhere along the joint."""
+    found: dict[tuple[str, str], float] = {}
+    for overlap in find_overlaps(asset):
+        found.setdefault((overlap.static, overlap.moving), overlap.theta)
+    return [
+        f"colliders {a!r} and {b!r} overlap at joint value {theta:.3g}" for (a, b), theta in found.items()
+    ]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Overlap:
+    """Two colliders, by name, that are in each other at a joint value.
+
+    Attributes:
+        depth: How far, [m].
+        normal: Unit direction (3,) in which the static one would have to give way, asset frame.
+    """
+
+    static: str
+    moving: str
+    theta: float
+    depth: float
+    normal: Vector3
+
+    __post_init__ = freeze_arrays
+
+
+def find_overlaps(asset: ArticulatedAsset) -> Iterator[Overlap]:
+    """Every contact of a static and a moving collider that is deeper than touching, at steps along the joint."""
     model, data, names = _simulate_touch(asset)
     # Geoms are numbered body by body.
     boxes = [box.name for link in (asset.static, asset.moving) for box in link.colliders]
-    found: dict[tuple[str, str], float] = {}
-    for theta in np.linspace(0.0, asset.joint.upper, RANGE_SAMPLES):
+    count = len(asset.static.colliders)
+    for theta in np.linspace(0.0, asset.joint.upper, RANGE_SAMPLES).tolist():
         data.joint(names.joint).qpos[0] = theta
         mujoco.mj_kinematics(model, data)
         mujoco.mj_collision(model, data)
         for contact in data.contact:
             if contact.dist < -TOUCH:
-                a, b = sorted(contact.geom.tolist())
-                found.setdefault((boxes[a], boxes[b]), theta)
-    return [
-        f"colliders {a!r} and {b!r} overlap at joint value {theta:.3g}" for (a, b), theta in found.items()
-    ]
+                first, second = contact.geom.tolist()
+                # The normal points from the first geom to the second.
+                sign = -1.0 if first < count else 1.0
+                a, b = sorted((first, second))
+                yield Overlap(
+                    static=boxes[a],
+                    moving=boxes[b],
+                    theta=theta,
+                    depth=-float(contact.dist),
+                    normal=sign * contact.frame[:3],
+                )
 
 
 def _simulate_touch(asset: ArticulatedAsset) -> tuple[mujoco.MjModel, mujoco.MjData, AssetNames]:

@@ -37,7 +37,9 @@ def box_cover(meshes: Sequence[Mesh]) -> list[BoxCollider]:
     """
     boxes: list[BoxCollider] = []
     for mesh in meshes:
-        for triangles in components(mesh):
+        owners = face_components(mesh)
+        for label in np.unique(owners):
+            triangles = mesh.vertices[mesh.faces[owners == label]]
             found = [_bounds(triangles)] if _is_box_like(triangles) else _cells(triangles)
             for lower, upper in found:
                 half = np.maximum((upper - lower) / 2, 5e-4)
@@ -48,8 +50,8 @@ def box_cover(meshes: Sequence[Mesh]) -> list[BoxCollider]:
     return boxes
 
 
-def components(mesh: Mesh) -> list[Array]:
-    """Triangles (F, 3, 3) of every connected component, vertices joined where they coincide."""
+def face_components(mesh: Mesh) -> NDArray[np.int32]:
+    """Number of the connected component of every face (F,), vertices joined where they coincide."""
     keys = np.round(mesh.vertices / 1e-5).astype(np.int64)
     _, merged = np.unique(keys, axis=0, return_inverse=True)
     faces = merged.reshape(-1)[mesh.faces]
@@ -57,8 +59,7 @@ def components(mesh: Mesh) -> list[Array]:
     size = int(faces.max()) + 1
     graph = coo_matrix((np.ones(len(links)), links.T), shape=(size, size))
     _, labels = connected_components(graph, directed=False)
-    owners = labels[faces[:, 0]]
-    return [mesh.vertices[mesh.faces[owners == label]] for label in np.unique(owners)]
+    return labels[faces[:, 0]]
 
 
 def _bounds(triangles: Array) -> tuple[Array, Array]:

@@ -66,34 +66,43 @@ def suggest_category(category: str) -> str:
     return suggest(category, MAKERS | OTHER_MAKERS)
 
 
-def asset_file(spec: str) -> Path | None:
-    """The USD file that an entry of `assets` names, or None when it names a category and a seed."""
-    return Path(spec) if Path(spec).suffix.lower() in SUFFIXES else None
+def asset_file(spec: str) -> tuple[Path, str] | None:
+    """The USD file that an entry of `assets` names, and its joint, or None when it names a category and a seed."""
+    file, _, joint = spec.partition("#")
+    return (Path(file), joint) if Path(file).suffix.lower() in SUFFIXES else None
+
+
+def load_asset(spec: str) -> ArticulatedAsset:
+    """The asset that `category:seed`, a USD file or FILE#JOINT names, whether or not it can be used.
+
+    Raises:
+        ConfigError: None of these, or a category that cannot be made.
+        AssetError, InputError: The asset cannot be read.
+    """
+    file = asset_file(spec)
+    if file is not None:
+        return read_usd(*file)
+    category, _, seed = spec.rpartition(":")
+    if not (seed.isdecimal() and category):
+        problem = f"'{spec}' is neither category:seed nor a USD file"
+        raise ConfigError("assets", problem, "for example microwave:1")
+    if not is_made(category):
+        problem = f"'{spec}': no asset of category '{category}' can be made"
+        raise ConfigError("assets", problem, suggest_category(category))
+    return make_asset(category, int(seed))
 
 
 def open_asset(spec: str) -> ArticulatedAsset:
-    """The asset that a project names: `category:seed`, or a USD file.
+    """The asset that a project names.
 
     Raises:
-        ConfigError: Neither of the two, or a category that cannot be made.
-        AssetError, InputError: The asset cannot be read or used.
+        ConfigError, AssetError, InputError: See `load_asset`; also where it cannot be simulated and held.
     """
-    file = asset_file(spec)
-    category, _, seed = spec.rpartition(":")
-    if file is not None:
-        asset = read_usd(file)
-    elif not (seed.isdecimal() and category):
-        problem = f"'{spec}' is neither category:seed nor a USD file"
-        raise ConfigError("assets", problem, "for example microwave:1")
-    elif not is_made(category):
-        problem = f"'{spec}': no asset of category '{category}' can be made"
-        raise ConfigError("assets", problem, suggest_category(category))
-    else:
-        asset = make_asset(category, int(seed))
+    asset = load_asset(spec)
     problems = check_asset(asset)
     if problems:
         more = f" (and {len(problems) - 1} more)" if len(problems) > 1 else ""
-        raise AssetError(asset.name, problems[0] + more, "correct the asset or choose another one")
+        raise AssetError(asset.name, problems[0] + more, "see `aomgen assets check`, or choose another one")
     return asset
 
 

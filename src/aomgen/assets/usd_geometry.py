@@ -1,7 +1,6 @@
 """Meshes and colliders of a USD stage, sorted into static and moving link."""
 
-from collections import Counter
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +9,7 @@ from numpy.typing import NDArray
 
 from aomgen.assets.box_cover import box_cover
 from aomgen.assets.procedural.shapes import Material
+from aomgen.assets.settle import finish_link
 from aomgen.assets.usd_material import plain_material, read_material
 from aomgen.core.asset import AssetLink, BoxCollider
 from aomgen.core.mesh import Mesh
@@ -19,8 +19,6 @@ from aomgen.errors import AssetError, LimitExceededError, MalformedFileError
 
 # Far above any asset that renders well; more would fill the memory.
 MAX_FACES = 3_000_000
-# Used for a link whose file names no mass, [kg/m^3] of its colliders.
-FALLBACK_DENSITY = 400.0
 
 
 @dataclass(slots=True)
@@ -78,22 +76,19 @@ def read_links(
         link.meshes += meshes if seen else []
         link.collision_meshes += meshes if collides else []
     kilograms = float(UsdPhysics.GetStageKilogramsPerUnit(stage))
-    return _finish(links[False], kilograms, path), _finish(links[True], kilograms, path)
-
-
-def _finish(link: _Collected, kilograms: float, path: Path) -> AssetLink:
-    boxes: list[BoxCollider] = []
-    names = Counter[str]()
-    for item in link.boxes or box_cover(link.collision_meshes or link.meshes):
-        names[item.name] += 1
-        suffix = f"_{names[item.name]}" if names[item.name] > 1 else ""
-        boxes.append(replace(item, name=item.name + suffix))
-    if not link.meshes or not boxes:
-        raise AssetError(path, f"link {link.name!r} has no meshes", "check which prims its joint connects")
-    mass = link.mass * kilograms
-    if not mass > 0:
-        mass = FALLBACK_DENSITY * sum(8 * float(box.half_extents.prod()) for box in boxes)
-    return AssetLink(name=link.name, meshes=tuple(link.meshes), colliders=tuple(boxes), mass=mass)
+    static, moving = (
+        finish_link(
+            AssetLink(
+                name=link.name,
+                meshes=tuple(link.meshes),
+                colliders=tuple(link.boxes or box_cover(link.collision_meshes)),
+                mass=link.mass * kilograms,
+            ),
+            path,
+        )
+        for link in links.values()
+    )
+    return static, moving
 
 
 def _owner(prim: Any, bodies: frozenset[str]) -> str:

@@ -1,6 +1,6 @@
 """Reading articulated USD assets safely: a child process parses, this one only takes arrays.
 
-The child is `python -m aomgen.assets.usd_read FILE FOLDER`: it writes the asset into FOLDER; an error of ours
+The child is `python -m aomgen.assets.usd_read FILE FOLDER JOINT`: it writes the asset into FOLDER; an error of ours
 becomes a JSON line on standard error and exit code REFUSED, anything else is a crash that the parent reports.
 """
 
@@ -28,7 +28,7 @@ ARTIFACT = "asset"
 SUFFIXES = (".usd", ".usda", ".usdc", ".usdz")
 
 
-def read_usd(path: Path, *, timeout_s: float = TIMEOUT_S) -> ArticulatedAsset:
+def read_usd(path: Path, joint: str = "", *, timeout_s: float = TIMEOUT_S) -> ArticulatedAsset:
     """Read an articulated asset in a child process, so that a parser crash stays a typed error.
 
     Any metersPerUnit and upAxis, instances, face subsets, UsdPreviewSurface or MDL materials
@@ -40,7 +40,7 @@ def read_usd(path: Path, *, timeout_s: float = TIMEOUT_S) -> ArticulatedAsset:
         MalformedFileError: Not USD, damaged, or the parser crashed or ran out of time.
         LimitExceededError: Larger than what is read without asking.
         UnsafePathError: A layer or texture lies outside the file's folder.
-        AssetError: Not exactly one revolute or prismatic joint, or no usable geometry.
+        AssetError: Several revolute or prismatic joints and none named, or no usable geometry.
     """
     if not path.is_file():
         raise MissingFileError(path, "is missing", "check the path of the asset")
@@ -49,14 +49,14 @@ def read_usd(path: Path, *, timeout_s: float = TIMEOUT_S) -> ArticulatedAsset:
     if not path.stat().st_size <= MAX_BYTES:
         raise LimitExceededError(path, f"has {path.stat().st_size} bytes, limit {MAX_BYTES}")
     with tempfile.TemporaryDirectory(prefix="aomgen-usd-") as folder:
-        _run_child(path.resolve(), folder, timeout_s)
+        _run_child([str(path.resolve()), folder, joint], path, timeout_s)
         return load_artifact(Path(folder), ARTIFACT, ArticulatedAsset)
 
 
-def _run_child(path: Path, folder: str, timeout_s: float) -> None:
+def _run_child(arguments: list[str], path: Path, timeout_s: float) -> None:
     package_parent = str(Path(aomgen.__file__).resolve().parent.parent)
     search = os.pathsep.join(filter(None, [package_parent, os.environ.get("PYTHONPATH", "")]))
-    command = [sys.executable, "-m", "aomgen.assets.usd_read", str(path), folder]
+    command = [sys.executable, "-m", "aomgen.assets.usd_read", *arguments]
     env = {**os.environ, "PYTHONPATH": search}
     try:
         done = subprocess.run(command, env=env, capture_output=True, text=True, timeout=timeout_s)
@@ -82,13 +82,13 @@ def _error_of(message: str, path: Path) -> AomgenError:
 
 
 def parse_as_child(arguments: list[str]) -> int:
-    """Parse `arguments[0]` into `arguments[1]`; returns the exit code."""
+    """Parse the joint `arguments[2]` of file `arguments[0]` into folder `arguments[1]`; returns the exit code."""
     from aomgen.assets.usd_parse import parse_usd
 
     resource.setrlimit(resource.RLIMIT_AS, (MAX_MEMORY_BYTES, MAX_MEMORY_BYTES))
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     try:
-        save_artifact(Path(arguments[1]), ARTIFACT, parse_usd(Path(arguments[0])))
+        save_artifact(Path(arguments[1]), ARTIFACT, parse_usd(Path(arguments[0]), arguments[2]))
     except AomgenError as error:
         answer = {"error": type(error).__name__, "where": error.where, "problem": error.problem}
         sys.stderr.write(json.dumps({**answer, "remedy": error.remedy}) + "\n")

@@ -39,8 +39,8 @@ def write_usd(asset: ArticulatedAsset, path: Path) -> None:
     """Write an asset as one USD file and a folder of textures beside it.
 
     It stands at joint value 0. Metres, Z up, joint limits in degrees (revolute) or metres, colors linear,
-    texture paths relative: `<stem>_textures/<link>_<mesh>.png`. Handle point, handle axis and category are
-    custom attributes `aomgen:handle_point`, `aomgen:handle_axis`, `aomgen:category` of the root.
+    texture paths relative: `<stem>_textures/<link>_<mesh>.png`. Handle point, handle axis, category
+    and credit are custom attributes `aomgen:handle_point` ... `aomgen:credit` of the root.
     The joint has the nominal resistance of `mjcf.RESISTANCES`; all that verification tries are in
     `aomgen:verified_damping` and `aomgen:verified_frictionloss`. The path ends in .usda (text) or .usdc.
 
@@ -64,6 +64,7 @@ def write_usd(asset: ArticulatedAsset, path: Path) -> None:
     writer.joint(asset, static, moving)
     for name, kind, value in (
         ("category", Sdf.ValueTypeNames.String, asset.category),
+        ("credit", Sdf.ValueTypeNames.String, asset.credit),
         ("handle_point", Sdf.ValueTypeNames.Double3, _vector(asset.handle_point)),
         ("handle_axis", Sdf.ValueTypeNames.Double3, _vector(asset.handle_axis)),
     ):

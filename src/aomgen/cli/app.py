@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from aomgen import __version__
+from aomgen.cli.asset_commands import assets_app
 from aomgen.cli.bench import bench_app
 from aomgen.cli.dataset_commands import RunFolder, audit, export
 from aomgen.cli.evaluate_commands import evaluate_app
@@ -22,7 +23,6 @@ app = typer.Typer(
     rich_markup_mode=None,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
-assets_app = typer.Typer(no_args_is_help=True, help="Make and check articulated assets (USD).")
 app.add_typer(assets_app, name="assets")
 app.add_typer(bench_app, name="bench")
 app.add_typer(evaluate_app, name="evaluate")
@@ -264,20 +264,6 @@ def doctor() -> None:
         problems += bool(state)
     if problems:
         sys.exit(4)
-
-
-@assets_app.command("make")
-def assets_make(
-    category: Annotated[str, typer.Argument(help="cabinet, drawer, laptop, microwave or toolbox.")],
-    path: Annotated[Path, typer.Argument(help="USD file to write, for example microwave.usda.")],
-    seed: Annotated[int, typer.Option(min=0, help="Same seed, same asset.")] = 0,
-) -> None:
-    """Make a textured, hollow, articulated asset with colliders and a joint, as USD."""
-    from aomgen.assets.choice import make_asset
-    from aomgen.assets.usd_write import write_usd
-
-    write_usd(make_asset(category, seed), path)
-    print(path)
 
 
 @app.command()

@@ -49,6 +49,18 @@ class AssetLink:
         corners = np.concatenate([box.corners for box in self.colliders])
         return corners.min(0), corners.max(0)
 
+    def transformed(self, S: ArrayLike) -> "AssetLink":
+        """Moved and scaled by a similarity (4, 4); the mass follows the volume."""
+        scale, R, _ = similarity_parts(S)
+        colliders = tuple(
+            replace(
+                box, T_asset_box=_moved_pose(S, R, box.T_asset_box), half_extents=box.half_extents * scale
+            )
+            for box in self.colliders
+        )
+        meshes = tuple(mesh.transformed(S) for mesh in self.meshes)
+        return replace(self, meshes=meshes, colliders=colliders, mass=self.mass * scale**3)
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ArticulatedAsset:
@@ -66,6 +78,7 @@ class ArticulatedAsset:
         joint: Axis positive in the opening direction, asset frame.
         handle_point: Where a gripper holds, (3,): the grasped middle of the handle.
         handle_axis: Unit direction (3,) along the handle's bar.
+        credit: Who made it and under which licence, where that must be said.
     """
 
     name: str
@@ -75,6 +88,7 @@ class ArticulatedAsset:
     joint: Joint
     handle_point: Vector3
     handle_axis: Vector3
+    credit: str = ""
 
     __post_init__ = freeze_arrays
 
@@ -90,24 +104,11 @@ class ArticulatedAsset:
 
     def transformed(self, S: ArrayLike) -> "ArticulatedAsset":
         """Moved and scaled by a similarity (4, 4); masses follow the volume."""
-        scale, R, _ = similarity_parts(S)
-
-        def link(source: AssetLink) -> AssetLink:
-            colliders = tuple(
-                replace(
-                    box,
-                    T_asset_box=_moved_pose(S, R, box.T_asset_box),
-                    half_extents=box.half_extents * scale,
-                )
-                for box in source.colliders
-            )
-            meshes = tuple(mesh.transformed(S) for mesh in source.meshes)
-            return replace(source, meshes=meshes, colliders=colliders, mass=source.mass * scale**3)
-
+        _, R, _ = similarity_parts(S)
         return replace(
             self,
-            static=link(self.static),
-            moving=link(self.moving),
+            static=self.static.transformed(S),
+            moving=self.moving.transformed(S),
             joint=self.joint.moved(S),
             handle_point=apply(S, self.handle_point),
             handle_axis=R @ self.handle_axis,

@@ -227,4 +227,5 @@ def capture_digest(capture: Capture) -> str:
 
 def assets_digest(specs: Sequence[str]) -> str:
     """Digest of the USD files among the assets of a project, not of what they refer to."""
-    return files_digest([file for file in map(asset_file, specs) if file is not None and file.is_file()])
+    found = [named[0] for named in map(asset_file, specs) if named is not None]
+    return files_digest([file for file in found if file.is_file()])

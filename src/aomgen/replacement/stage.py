@@ -6,9 +6,11 @@ from typing import Any
 import numpy as np
 
 from aomgen.assets.choice import open_asset
+from aomgen.assets.doctor import Finding
 from aomgen.assets.usd_write import write_for_replay
 from aomgen.conventions import MOVING, STATIC
-from aomgen.core.demonstration import EpisodeScene, RecordedObject
+from aomgen.core.asset import ArticulatedAsset
+from aomgen.core.demonstration import EpisodeScene, RecordedObject, SupportPlane
 from aomgen.core.light import Light
 from aomgen.core.parts import surface_points
 from aomgen.core.plan import FittedAsset, Rejection
@@ -34,7 +36,7 @@ BACKGROUND_FOLDER = "background"
 
 def run(results: Results, folder: Path, progress: Progress) -> dict[str, Any]:
     """Take the object away, fit the project's assets, and choose the cameras of the episodes."""
-    project, demo = results.project, results.demonstration
+    project = results.project
     progress(0.0, "removing the object")
     cleared = clear_object(results.twin, results.robot, np.random.default_rng(project.seed))
     (folder / BACKGROUND_FOLDER).mkdir()
@@ -45,11 +47,7 @@ def run(results: Results, folder: Path, progress: Progress) -> dict[str, Any]:
     obstacles = find_obstacles(
         cleared.surroundings, cleared.support, longest_reach(results.robot), results.configuration
     )
-    moving, static = (
-        surface_points(results.scene, results.parts.labels, label) for label in (MOVING, STATIC)
-    )
-    recorded = RecordedObject(moving_points_world=moving, static_points_world=static, support=support)
-    contact = recorded_contact(demo, recorded, results.motion.direction)
+    contact = contact_of(results, support)
     fitted, rejected = fit_assets(results, contact)
     for number, asset in enumerate(fitted):
         progress(0.4 + 0.5 * number / len(fitted), f"asset {asset.asset.name}")
@@ -80,6 +78,15 @@ def run(results: Results, folder: Path, progress: Progress) -> dict[str, Any]:
     }
 
 
+def contact_of(results: Results, support: SupportPlane) -> RecordedContact:
+    """How a run's recorded object was held and moved, above a support plane."""
+    moving, static = (
+        surface_points(results.scene, results.parts.labels, label) for label in (MOVING, STATIC)
+    )
+    recorded = RecordedObject(moving_points_world=moving, static_points_world=static, support=support)
+    return recorded_contact(results.demonstration, recorded, results.motion.direction)
+
+
 def fit_assets(results: Results, contact: RecordedContact) -> tuple[list[FittedAsset], dict[str, Rejection]]:
     """The project's assets that the recorded motion fits, in the project's order, and why the others do not.
 
@@ -100,6 +107,18 @@ def fit_assets(results: Results, contact: RecordedContact) -> tuple[list[FittedA
             "assets", f"none fits ({reasons})", "choose assets that move like the recorded object"
         )
     return fitted, rejected
+
+
+def examine_fit(results: Results, asset: ArticulatedAsset) -> Finding:
+    """Whether an asset can take a run's recorded object's place, for `aomgen assets check`."""
+    contact = contact_of(results, results.episode_scene.support)
+    params = results.params("replacement", FitParams())
+    joint_type = results.demonstration.joint.type
+    found = fit_asset(asset, contact, joint_type, results.project.adapt, params)
+    name = f"fit to {results.out.name}"
+    if isinstance(found, Rejection):
+        return Finding(name=name, state="", problem=f"{found.reason}: {found.detail}")
+    return Finding(name=name, state=f"size x {found.scale:.2f}, {found.residual_mm:.1f} mm from the motion")
 
 
 def asset_twin(background: Twin, fitted: FittedAsset, light: Light, seed: int) -> Twin:

@@ -40,8 +40,8 @@ def read_finished_spec(files: RobotFiles, *, turned: bool) -> mujoco.MjSpec:
     Raises:
         MalformedFileError: MuJoCo cannot read a file, or it states angles in degrees.
     """
-    spec = _parsed(files.arm)
-    parts = [spec] if files.gripper is None else [spec, _parsed(files.gripper)]
+    spec = parse_spec(files.arm)
+    parts = [spec] if files.gripper is None else [spec, parse_spec(files.gripper)]
     for part in parts:
         if part.compiler.degree:
             raise MalformedFileError(
@@ -79,9 +79,9 @@ def read_robot_spec(files: RobotFiles, *, turned: bool) -> tuple[mujoco.MjSpec, 
     Raises:
         MalformedFileError: MuJoCo cannot read the file, or it holds no hinge or slide joint.
     """
-    arm, source = files.arm, _parsed(files.arm)
+    arm, source = files.arm, parse_spec(files.arm)
     if files.gripper is not None:
-        _attach(source, _parsed(files.gripper), files)
+        _attach(source, parse_spec(files.gripper), files)
     actuated = _actuated_joints(source, arm)
     for kind in ("keys", "lights", "cameras", "sensors", "actuators", "tendons", "pairs"):
         for item in list(getattr(source, kind)):
@@ -113,7 +113,12 @@ def read_robot_spec(files: RobotFiles, *, turned: bool) -> tuple[mujoco.MjSpec, 
     return spec, actuated
 
 
-def _parsed(xml: RobotXml) -> mujoco.MjSpec:
+def parse_spec(xml: RobotXml) -> mujoco.MjSpec:
+    """The editable model of a file as it stands.
+
+    Raises:
+        MalformedFileError: MuJoCo cannot read it.
+    """
     try:
         if xml.kind == "mjcf":
             return mujoco.MjSpec.from_file(str(xml.path))

@@ -1,0 +1,136 @@
+"""What is to be said of an asset before it is used: joint, size, handle, room for a finger, colliders, mass, textures."""
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from aomgen.assets.asset_check import FINGER_BALL, check_asset, held_at_rim, outward_normal
+from aomgen.core.asset import ArticulatedAsset, AssetLink, BoxCollider
+from aomgen.core.mesh import sample_surface
+from aomgen.core.values import Array
+
+# Points on the surface of a link, and how far apart a finger's way behind the handle is looked at, [m].
+SAMPLES, WAY_STEP_M = 60_000, 5e-4
+# No handle stands off farther, [m].
+LONGEST_WAY_M = 0.08
+# Colliders should follow what is seen to within this, [m], but for a twentieth of the surface.
+NEAR_M, MOST = 0.003, 95.0
+# Lighter and heavier than any household thing of its volume, [kg/m^3].
+DENSITIES: Final = (20.0, 4000.0)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Finding:
+    """One line of the doctor.
+
+    Attributes:
+        name: What was looked at.
+        state: What was found.
+        problem: Why the asset cannot be used, or empty.
+        warning: What is worse than it should be, or empty.
+    """
+
+    name: str
+    state: str
+    problem: str = ""
+    warning: str = ""
+
+
+def examine(asset: ArticulatedAsset) -> list[Finding]:
+    """Everything that can be said without a recording."""
+    problems = check_asset(asset)
+    joint = asset.joint
+    opening = f"{np.degrees(joint.upper):.0f} deg" if joint.type == "revolute" else f"{joint.upper:.3f} m"
+    points = [_surface(link) for link in (asset.static, asset.moving)]
+    low, high = np.concatenate(points).min(0), np.concatenate(points).max(0)
+    found = [Finding(name="use", state="", problem=sentence) for sentence in problems] or [
+        Finding(name="use", state="can be simulated and held")
+    ]
+    found += [
+        Finding(name="joint", state=f"{joint.type}, opens by {opening}"),
+        Finding(name="size", state=" x ".join(f"{side:.3f}" for side in high - low) + " m"),
+        _finger(asset, np.concatenate(points)),
+        *(
+            _colliders(link, surface)
+            for link, surface in zip((asset.static, asset.moving), points, strict=True)
+        ),
+        *(_mass(link) for link in (asset.static, asset.moving)),
+        _textures(asset),
+    ]
+    if asset.credit:
+        found.append(Finding(name="credit", state=asset.credit))
+    return found
+
+
+def _surface(link: AssetLink) -> Array:
+    """Points (N, 3) all over the visible surface."""
+    rng, share = np.random.default_rng(0), max(SAMPLES // len(link.meshes), 100)
+    return np.concatenate([sample_surface(m.vertices, m.faces, share, rng)[0] for m in link.meshes])
+
+
+def _finger(asset: ArticulatedAsset, surface: Array) -> Finding:
+    """The largest ball behind the handle, or on the narrower side of a rim, between the meshes themselves."""
+    rim = held_at_rim(asset)
+    outward = outward_normal(asset)
+    across: Array = np.cross(asset.handle_axis, outward).astype(np.float64)
+    tree = cKDTree(surface)
+    room = min(_room(tree, asset.handle_point, way) for way in ((across, -across) if rim else (-outward,)))
+    state = (
+        f"{'rim' if rim else 'bar'} at {np.round(asset.handle_point, 3).tolist()}, {1000 * room:.0f} mm free"
+    )
+    short = room < FINGER_BALL
+    return Finding(
+        name="handle",
+        state=state,
+        warning=f"its meshes leave no room for a ball of {1000 * FINGER_BALL:.0f} mm" if short else "",
+    )
+
+
+def _room(tree: cKDTree, start: Array, way: Array) -> float:
+    """Diameter of the largest ball in the first gap on a way that begins inside something, [m]."""
+    steps = np.arange(0.0, LONGEST_WAY_M, WAY_STEP_M)
+    distances, _ = tree.query(start + steps[:, None] * way)
+    behind = int(np.argmin(distances[: max(len(steps) // 2, 1)]))
+    rising = distances[behind:]
+    falls = np.flatnonzero(np.diff(rising) < -WAY_STEP_M / 2)
+    return 2 * float(rising[: falls[0] + 1].max() if len(falls) else rising.max())
+
+
+def _colliders(link: AssetLink, surface: Array) -> Finding:
+    """How far what is seen lies outside what is touched."""
+    off = 1000 * float(np.percentile(_off_boxes(surface, link.colliders), MOST))
+    far = off > 1000 * NEAR_M
+    return Finding(
+        name=f"colliders of {link.name}",
+        state=f"{len(link.colliders)} boxes, the surface up to {off:.1f} mm outside",
+        warning=f"farther than {1000 * NEAR_M:.0f} mm: author boxes that follow the surface" if far else "",
+    )
+
+
+def _off_boxes(points: Array, boxes: tuple[BoxCollider, ...]) -> Array:
+    """Distance of points (N, 3) to the nearest box, 0 inside."""
+    nearest = np.full(len(points), np.inf)
+    for box in boxes:
+        T = box.T_asset_box
+        local = np.abs((points - T[:3, 3]) @ T[:3, :3]) - box.half_extents
+        nearest = np.minimum(nearest, np.linalg.norm(np.maximum(local, 0.0), axis=1))
+    return nearest
+
+
+def _mass(link: AssetLink) -> Finding:
+    volume = sum(8 * float(box.half_extents.prod()) for box in link.colliders)
+    density = link.mass / volume
+    odd = not DENSITIES[0] <= density <= DENSITIES[1]
+    return Finding(
+        name=f"mass of {link.name}",
+        state=f"{link.mass:.2f} kg, {density:.0f} kg/m^3 of its colliders",
+        warning="unlike any household thing: check its unit" if odd else "",
+    )
+
+
+def _textures(asset: ArticulatedAsset) -> Finding:
+    meshes = [mesh for link in (asset.static, asset.moving) for mesh in link.meshes]
+    textured = [mesh for mesh in meshes if mesh.texture_srgb.size]
+    return Finding(name="textures", state=f"{len(textured)} of {len(meshes)} meshes")

@@ -1,0 +1,65 @@
+"""Articulated models from other formats as assets: URDF, MJCF, OBJ with a joint file, USD with several joints."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from aomgen.assets import mjcf_model, usd_read
+from aomgen.assets.mjcf_model import read_mjcf_model
+from aomgen.assets.obj_model import read_obj_model
+from aomgen.assets.settle import cleared, closed, finish_link, guess_handle, settled
+from aomgen.assets.usd_read import read_usd
+from aomgen.core.asset import ArticulatedAsset
+from aomgen.errors import ConfigError, MalformedFileError
+
+OBJ = ".obj"
+# Where the joints of an OBJ file are described, unless said otherwise: beside it or in a folder above.
+JOINTS_FILE = "articulation.json"
+
+
+def import_model(
+    path: Path, *, joint: str = "", joints_file: Path | None = None, scale: float = 1.0, category: str = ""
+) -> ArticulatedAsset:
+    """A model closed, in the asset frame, with boxes that collide and a handle.
+
+    Args:
+        path: URDF, MJCF, OBJ or USD.
+        joint: Which of several joints moves; the others are fixed as they are drawn.
+        joints_file: Of an OBJ; without one, `articulation.json` beside it or above.
+        scale: Makes a toy as large as the real thing.
+        category: What it is, where the file does not say so.
+
+    Raises:
+        InputError: A file cannot be used; of the kind that fits.
+        AssetError: What it holds is no asset.
+    """
+    suffix = path.suffix.lower()
+    if suffix in usd_read.SUFFIXES:
+        asset = read_usd(path, joint)
+        asset = asset if scale == 1.0 else asset.transformed(np.diag([scale] * 3 + [1.0]))
+        return replace(asset, category=category or asset.category)
+    if suffix == OBJ:
+        drawn = read_obj_model(path, joints_file or _joints_file(path), joint)
+    elif suffix in mjcf_model.SUFFIXES:
+        drawn = read_mjcf_model(path, joint)
+    else:
+        known = ", ".join([*mjcf_model.SUFFIXES, OBJ, *usd_read.SUFFIXES])
+        raise MalformedFileError(path, f"has suffix {suffix!r}", f"want one of {known}")
+    asset = closed(drawn.transformed(np.diag([scale] * 3 + [1.0])))
+    asset = replace(
+        asset,
+        category=category or asset.category,
+        static=finish_link(asset.static, path),
+        moving=finish_link(asset.moving, path),
+    )
+    point, axis = guess_handle(asset.moving, asset.joint)
+    return settled(cleared(replace(asset, handle_point=point, handle_axis=axis)))
+
+
+def _joints_file(path: Path) -> Path:
+    folders = path.resolve().parents
+    found = next((folder / JOINTS_FILE for folder in folders if (folder / JOINTS_FILE).is_file()), None)
+    if found is None:
+        raise ConfigError("--joints", f"is needed: {path.name} says nothing of joints", "see docs/assets.md")
+    return found

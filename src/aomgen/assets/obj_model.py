@@ -1,0 +1,192 @@
+"""Articulated objects in OBJ, with a JSON file beside them that says which groups move, and how."""
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import numpy as np
+import trimesh
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
+
+from aomgen.assets.box_cover import face_components
+from aomgen.assets.procedural.shapes import NO_TEXTURE
+from aomgen.assets.settle import choose_joint
+from aomgen.core.asset import ArticulatedAsset, AssetLink
+from aomgen.core.joint import Joint
+from aomgen.core.mesh import Mesh
+from aomgen.errors import AssetError, LimitExceededError, MalformedFileError, MissingFileError
+from aomgen.io.artifact import read_json
+from aomgen.io.paths import find_inside
+from aomgen.io.schema import complaint
+
+# Largest OBJ read, [bytes]: some 3 million triangles.
+MAX_BYTES = 256 << 20
+# Selects the connected components of a group on one side of a plane: GROUP#component:min_x<-140
+COMPONENT = "#component:min_"
+# Rotation that turns Y up into Z up, with the front, +z, towards -y.
+_Z_UP = np.array([[1.0, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1]])
+Three = Annotated[tuple[FiniteFloat, ...], Field(min_length=3, max_length=3)]
+
+
+class JointEntry(BaseModel):
+    """A joint in the coordinates of the OBJ file; the drawn pose is value 0."""
+
+    model_config = ConfigDict(extra="ignore", frozen=True)
+    name: str
+    type: Literal["revolute", "prismatic"]
+    groups: tuple[str, ...]
+    axis: Three
+    origin: Three = (0.0, 0.0, 0.0)
+    lower: FiniteFloat | None = None
+    upper: FiniteFloat | None = None
+    lower_deg: FiniteFloat | None = None
+    upper_deg: FiniteFloat | None = None
+
+    def limits(self) -> tuple[float, float] | None:
+        """In radians, or in units of the file; None where they are not given."""
+        if self.type == "revolute" and self.lower_deg is not None and self.upper_deg is not None:
+            return float(np.radians(self.lower_deg)), float(np.radians(self.upper_deg))
+        if self.type == "prismatic" and self.lower is not None and self.upper is not None:
+            return self.lower, self.upper
+        return None
+
+
+class ModelEntry(BaseModel):
+    """A model: Y up, its front towards +z."""
+
+    model_config = ConfigDict(extra="ignore", frozen=True)
+    category: str = "object"
+    creator: str = ""
+    license: str = ""
+    unit_to_m: FiniteFloat = 1.0
+    joints: tuple[JointEntry, ...]
+
+
+def read_obj_model(path: Path, joints_file: Path, joint_name: str) -> ArticulatedAsset:
+    """The object of a file as it is drawn, Z up, in metres: neither closed nor with a handle or colliders.
+
+    Raises:
+        MissingFileError, MalformedFileError, LimitExceededError, UnsafePathError: A file cannot be used.
+        AssetError: No joint, or several and none named; groups that are not there.
+    """
+    entry = _entry(path, joints_file)
+    item = choose_joint({joint.name: joint for joint in entry.joints}, joint_name, joints_file)
+    limits = item.limits()
+    if limits is None:
+        want = "lower_deg and upper_deg" if item.type == "revolute" else "lower and upper"
+        raise AssetError(joints_file, f"gives joint '{item.name}' no limits", f"give it {want}")
+    static, moving = _sorted_meshes(_read_meshes(path), item.groups)
+    if not moving or not static:
+        missing = "moves" if static else "stands still"
+        raise AssetError(joints_file, f"has groups of which nothing {missing} in {path.name}", "correct them")
+    axis = np.array(item.axis) / np.linalg.norm(item.axis)
+    drawn = ArticulatedAsset(
+        name=path.stem if len(entry.joints) == 1 else f"{path.stem}-{item.name}",
+        category=entry.category,
+        static=AssetLink(name="static", meshes=tuple(static), colliders=(), mass=0.0),
+        moving=AssetLink(name="moving", meshes=tuple(moving), colliders=(), mass=0.0),
+        joint=Joint(
+            type=item.type, axis=axis, origin=np.array(item.origin), lower=limits[0], upper=limits[1]
+        ),
+        handle_point=np.zeros(3),
+        handle_axis=np.array([0.0, 0.0, 1.0]),
+        credit=", ".join(filter(None, [entry.creator, entry.license])),
+    )
+    return drawn.transformed(_Z_UP @ np.diag([entry.unit_to_m] * 3 + [1.0]))
+
+
+def _entry(path: Path, joints_file: Path) -> ModelEntry:
+    """What the file says of a model: the entry of `models` that ends with its folder, or all of it."""
+    data: Any = read_json(joints_file)
+    if isinstance(data, dict) and "models" in data:
+        models = data["models"]
+        folder = path.resolve().parent
+        names = [n for n in models if (joints_file.resolve().parent / n) in (folder, path.resolve())]
+        if not names:
+            raise AssetError(joints_file, f"says nothing of {path.name}", f"it knows {', '.join(models)}")
+        data = models[names[0]]
+    try:
+        return ModelEntry.model_validate(data)
+    except ValidationError as error:
+        raise MalformedFileError(joints_file, *complaint(error, ModelEntry)) from error
+
+
+def _read_meshes(path: Path) -> list[Mesh]:
+    """One mesh for every material of every group, in the file's coordinates."""
+    if not path.is_file():
+        raise MissingFileError(path, "is missing", "check the path of the asset")
+    if not path.stat().st_size <= MAX_BYTES:
+        raise LimitExceededError(path, f"is larger than {MAX_BYTES} bytes")
+    _check_files(path)
+    try:
+        scene = trimesh.load_scene(path, split_objects=True, split_groups=True, process=False)
+    except (ValueError, IndexError, KeyError, NotImplementedError) as error:
+        raise MalformedFileError(path, f"is not an OBJ file ({error})", "export it again") from error
+    meshes = [_mesh(name, item) for name, item in scene.geometry.items() if isinstance(item, trimesh.Trimesh)]
+    if not meshes:
+        raise MalformedFileError(path, "has no triangles", "export it again")
+    return meshes
+
+
+def _check_files(path: Path) -> None:
+    """Refuse materials and textures that are missing or lie outside; trimesh would go on without them."""
+    folder = path.parent
+    for library in _named(path, "mtllib"):
+        file = find_inside(folder, [folder], [library], named_by=path)
+        for texture in _named(file, "map_"):
+            find_inside(folder, [folder], [texture, texture.split()[-1]], named_by=file)
+
+
+def _named(path: Path, keyword: str) -> list[str]:
+    """What follows a keyword, or those that begin so, at the beginning of a line."""
+    lines = path.read_text("utf-8", errors="replace").splitlines()
+    return [
+        line.split(None, 1)[1].strip() for line in lines if line.startswith(keyword) and len(line.split()) > 1
+    ]
+
+
+def _sorted_meshes(meshes: list[Mesh], groups: tuple[str, ...]) -> tuple[list[Mesh], list[Mesh]]:
+    """Meshes that stand still and that move: those of groups that begin with one of the names."""
+    static, moving = [], []
+    for mesh in meshes:
+        whole = [group for group in groups if COMPONENT not in group and mesh.name.startswith(group)]
+        parts = [
+            group for group in groups if COMPONENT in group and mesh.name.startswith(group.split("#")[0])
+        ]
+        if whole or not parts:
+            (moving if whole else static).append(mesh)
+            continue
+        condition = parts[0].split(COMPONENT)[1]
+        axis, limit = "xyz".index(condition[0]), float(condition[2:])
+        owners, lowest = face_components(mesh), mesh.vertices[mesh.faces][..., axis].min(1)
+        lows = np.full(owners.max() + 1, np.inf)
+        np.minimum.at(lows, owners, lowest)
+        lows = lows[owners]
+        for part, chosen in ((static, lows >= limit), (moving, lows < limit)):
+            if chosen.any():
+                part.append(_with_faces(mesh, chosen))
+    return static, moving
+
+
+def _with_faces(mesh: Mesh, chosen: NDArray[np.bool_]) -> Mesh:
+    used, faces = np.unique(mesh.faces[chosen], return_inverse=True)
+    uvs = mesh.uvs[chosen] if len(mesh.uvs) else mesh.uvs
+    return replace(mesh, vertices=mesh.vertices[used], faces=faces.reshape(-1, 3), uvs=uvs)
+
+
+def _mesh(name: str, item: trimesh.Trimesh) -> Mesh:
+    used, faces = np.unique(item.faces, return_inverse=True)
+    material, uv = getattr(item.visual, "material", None), getattr(item.visual, "uv", None)
+    image = getattr(material, "image", None)
+    textured = image is not None and uv is not None
+    texture = np.asarray(image.convert("RGB")) if image is not None and textured else NO_TEXTURE
+    color = np.array(getattr(material, "diffuse", (128, 128, 128, 255)), np.float64)[:3] / 255
+    return Mesh(
+        name=name,
+        vertices=np.asarray(item.vertices, np.float64)[used],
+        faces=faces.reshape(-1, 3),
+        uvs=np.asarray(uv, np.float64)[item.faces] if textured else np.zeros((0, 3, 2)),
+        texture_srgb=texture,
+        color_srgb=texture.mean((0, 1)) / 255 if textured else color,
+    )
