@@ -16,9 +16,9 @@ from aomgen.core.mesh import Mesh
 from aomgen.core.transforms import apply, matrix_from_quat, transform
 from aomgen.core.values import Array
 from aomgen.errors import AssetError
+from aomgen.io.geom_surface import find_visible_geoms, geom_surface
+from aomgen.io.mujoco_model import LEAST_INERTIA, LEAST_MASS, compile_model, parse_spec
 from aomgen.io.robot_xml import read_robot_xml
-from aomgen.robots.geom_meshes import find_visible_geoms, geom_surface
-from aomgen.robots.reading import LEAST_INERTIA, LEAST_MASS, compile_model, parse_spec
 
 SUFFIXES = (".urdf", ".xml", ".mjcf")
 _OPENING = (mujoco.mjtJoint.mjJNT_HINGE.value, mujoco.mjtJoint.mjJNT_SLIDE.value)

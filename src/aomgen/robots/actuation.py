@@ -15,9 +15,10 @@ from numpy.typing import NDArray
 
 from aomgen.assets.mjcf import COLLIDER_GROUP, VISUAL_GROUP
 from aomgen.core.values import Array
+from aomgen.io.geom_surface import find_visible_geoms
+from aomgen.io.mujoco_model import compile_model
 from aomgen.robots.description import ActuatorSection, GripperSection, PadSection
-from aomgen.robots.geom_meshes import find_visible_geoms
-from aomgen.robots.reading import ArmChain, compile_model
+from aomgen.robots.reading import ArmChain
 
 # An arm gives way by 1 cm under 50 N at its end effector, in each joint; the UR5e's model does too, [N/m].
 # Joints whose axes pass near the end effector hold like a lever of the second number, [m].

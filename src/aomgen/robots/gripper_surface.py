@@ -14,7 +14,7 @@ from scipy.stats import qmc
 from aomgen.core.mesh import face_normals_areas
 from aomgen.core.transforms import apply, invert, transform
 from aomgen.core.values import Array, freeze_arrays
-from aomgen.robots.geom_meshes import find_visible_geoms, geom_surface
+from aomgen.io.geom_surface import find_visible_geoms, geom_surface
 from aomgen.robots.gripper import MIN_TRAVEL_M
 from aomgen.robots.reading import ArmChain, ancestors
 from aomgen.robots.robot import RobotModel, body_poses

@@ -17,6 +17,7 @@ from aomgen.core.transforms import apply, matrix_from_quat, transform
 from aomgen.errors import ConfigError, MalformedFileError
 from aomgen.io.artifact import load_artifact, save_artifact
 from aomgen.io.atomic import write_bytes, write_text
+from aomgen.io.mujoco_model import compile_model
 from aomgen.io.paths import resolve_inside
 from aomgen.robots.actuation import add_actuation, drop_visual
 from aomgen.robots.description import (
@@ -36,7 +37,7 @@ from aomgen.robots.description import (
 from aomgen.robots.geom_meshes import visual_meshes
 from aomgen.robots.gripper import MIN_TRAVEL_M, GripperTable, no_fingers, settle_fingers
 from aomgen.robots.propose import propose_description
-from aomgen.robots.reading import ancestors, arm_chain, compile_model, read_finished_spec, read_robot_spec
+from aomgen.robots.reading import ancestors, arm_chain, read_finished_spec, read_robot_spec
 from aomgen.robots.robot import FingerPad, HandDrive, RobotCamera, RobotModel, body_poses, site_poses
 
 HEADER = "robot"

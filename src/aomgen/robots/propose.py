@@ -13,6 +13,7 @@ import numpy as np
 from aomgen.core.transforms import apply, invert, quat_from_matrix, transform
 from aomgen.core.values import Array
 from aomgen.errors import MalformedFileError
+from aomgen.io.mujoco_model import compile_model
 from aomgen.io.robot_xml import read_robot_xml
 from aomgen.robots.description import (
     EndEffectorSection,
@@ -30,7 +31,7 @@ from aomgen.robots.gripper_surface import (
     find_travel,
     sample_hand,
 )
-from aomgen.robots.reading import ArmChain, ancestors, arm_chain, compile_model, read_robot_spec
+from aomgen.robots.reading import ArmChain, ancestors, arm_chain, read_robot_spec
 from aomgen.robots.robot import RobotModel, body_poses
 
 # Sites that makers of arms without gripper put at the end, best first.

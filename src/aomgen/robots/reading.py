@@ -8,13 +8,12 @@ import mujoco
 import numpy as np
 
 from aomgen.errors import MalformedFileError
+from aomgen.io.mujoco_model import LEAST_INERTIA, LEAST_MASS, compile_model, parse_spec
 from aomgen.io.robot_xml import RobotXml
 from aomgen.robots.description import RobotFiles
 
 # Every name of the file carries this while it is taken over, then loses it again.
 TAKEOVER = "file/"
-# What links without mass get: less than any real link, enough for the solver, [kg] and [kg m^2].
-LEAST_MASS, LEAST_INERTIA = 1e-3, 1e-6
 # The file's scene may have set others.
 TIMESTEP_S, GRAVITY = 0.002, (0.0, 0.0, -9.81)
 SCENE_SIZES = ("nuser_actuator", "nuser_body", "nuser_cam", "nuser_geom", "nuser_jnt", "nuser_sensor",
@@ -111,33 +110,6 @@ def read_robot_spec(files: RobotFiles, *, turned: bool) -> tuple[mujoco.MjSpec, 
     set_options(spec)
     spec.option.timestep, spec.option.gravity = TIMESTEP_S, GRAVITY
     return spec, actuated
-
-
-def parse_spec(xml: RobotXml) -> mujoco.MjSpec:
-    """The editable model of a file as it stands.
-
-    Raises:
-        MalformedFileError: MuJoCo cannot read it.
-    """
-    try:
-        if xml.kind == "mjcf":
-            return mujoco.MjSpec.from_file(str(xml.path))
-        meshes = {name: file.read_bytes() for name, file in xml.meshes.items()}
-        return mujoco.MjSpec.from_string(xml.text, assets=meshes)
-    except (ValueError, RuntimeError) as error:
-        raise MalformedFileError(xml.path, f"cannot be read by MuJoCo ({error})", "correct it") from error
-
-
-def compile_model(spec: mujoco.MjSpec, path: Path) -> mujoco.MjModel:
-    """The compiled model.
-
-    Raises:
-        MalformedFileError: MuJoCo refuses it.
-    """
-    try:
-        return spec.compile()
-    except (ValueError, RuntimeError) as error:
-        raise MalformedFileError(path, f"cannot be used by MuJoCo ({error})", "correct it") from error
 
 
 def _actuated_joints(spec: mujoco.MjSpec, xml: RobotXml) -> tuple[str, ...]:

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from aomgen.core.mesh import face_normals_areas
-from aomgen.robots.geom_meshes import geom_surface
+from aomgen.io.geom_surface import geom_surface
 
 VOLUMES = {
     'type="box" size="0.1 0.2 0.3"': 8 * 0.1 * 0.2 * 0.3,

@@ -1,0 +1,84 @@
+"""Which shapes of a MuJoCo model are seen, and their triangles, whatever kind of shape it is."""
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import ConvexHull
+
+from aomgen.core.transforms import matrix_from_quat
+from aomgen.core.values import Array
+
+# Round shapes are drawn with this many corners about their axis: 0.5 % of the radius inside the circle.
+SIDES = 32
+# MuJoCo shows these groups by default; makers put collision shapes into the others.
+SHOWN_GROUPS = 3
+
+
+def find_visible_geoms(model: mujoco.MjModel) -> NDArray[np.bool_]:
+    """Which geoms (G,) are seen: those without contacts in a shown group; for a body without any,
+    its colliding ones in a shown group, unless collision shapes have a group of their own.
+    """
+    ours = (model.geom_bodyid > 0) & (model.geom_rgba[:, 3] > 0)
+    colliding = (model.geom_contype != 0) | (model.geom_conaffinity != 0)
+    shown = ours & (model.geom_group < SHOWN_GROUPS)
+    visual = shown & ~colliding
+    # One group for all that collides and another for all that is seen: then nothing else is meant.
+    apart = visual.any() and not set(model.geom_group[visual]) & set(model.geom_group[ours & colliding])
+    if apart:
+        return visual
+    bare = ~np.isin(model.geom_bodyid, model.geom_bodyid[visual])
+    return visual | (shown & colliding & bare)
+
+
+def geom_surface(model: mujoco.MjModel, geom: int) -> tuple[Array, NDArray[np.int64]] | None:
+    """Vertices (V, 3) in the frame of the geom's body and faces (F, 3); None for planes and height fields.
+
+    Faces turn counter-clockwise seen from outside.
+    """
+    if int(model.geom_type[geom]) == mujoco.mjtGeom.mjGEOM_MESH:
+        vertices, faces = _mesh(model, int(model.geom_dataid[geom]))
+    else:
+        points = _outer_points(int(model.geom_type[geom]), model.geom_size[geom])
+        if points is None:
+            return None
+        vertices, faces = _hull(points)
+    R = matrix_from_quat(model.geom_quat[geom])
+    return vertices @ R.T + model.geom_pos[geom], faces
+
+
+def _mesh(model: mujoco.MjModel, mesh: int) -> tuple[Array, NDArray[np.int64]]:
+    start, count = model.mesh_vertadr[mesh], model.mesh_vertnum[mesh]
+    first, faces = model.mesh_faceadr[mesh], model.mesh_facenum[mesh]
+    vertices, index = np.unique(model.mesh_vert[start : start + count], axis=0, return_inverse=True)
+    return vertices, index.reshape(-1)[model.mesh_face[first : first + faces]].astype(np.int64)
+
+
+def _outer_points(kind: int, size: Array) -> Array | None:
+    """Points (N, 3) of which a primitive shape is the hull."""
+    G = mujoco.mjtGeom
+    angles = np.arange(SIDES) * 2 * np.pi / SIDES
+    ring = np.stack([np.cos(angles), np.sin(angles), np.zeros(SIDES)], 1)
+    heights = np.linspace(-np.pi / 2, np.pi / 2, SIDES // 2)[:, None, None]
+    up = np.array([0.0, 0.0, 1.0])
+    ball = (ring * np.cos(heights) + up * np.sin(heights)).reshape(-1, 3)
+    if kind == G.mjGEOM_BOX:
+        return np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]) * size
+    if kind == G.mjGEOM_SPHERE:
+        return ball * size[0]
+    if kind == G.mjGEOM_ELLIPSOID:
+        return ball * size
+    if kind == G.mjGEOM_CAPSULE:
+        return np.concatenate([ball * size[0] + up * size[1], ball * size[0] - up * size[1]])
+    if kind == G.mjGEOM_CYLINDER:
+        return np.concatenate([ring * size[0] + up * size[1], ring * size[0] - up * size[1]])
+    return None
+
+
+def _hull(points: Array) -> tuple[Array, NDArray[np.int64]]:
+    hull = ConvexHull(points)
+    corners = points[hull.simplices]
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    inward = np.einsum("fi,fi->f", normals, hull.equations[:, :3]) < 0
+    faces = np.where(inward[:, None], hull.simplices[:, ::-1], hull.simplices)
+    used, kept = np.unique(faces, return_inverse=True)
+    return points[used], kept.reshape(-1, 3).astype(np.int64)
