@@ -288,6 +288,9 @@ def bench_replay(
 
 @bench_app.command("replace")
 def bench_replace(
+    assets: Annotated[
+        list[str] | None, typer.Option("--asset", help="Also a USD file, or FILE#JOINT; repeatable.")
+    ] = None,
     seed: Annotated[int, typer.Option(help="Of the first made asset and of all views.")] = 100,
     json_file: JsonFile = None,
 ) -> None:
@@ -295,9 +298,11 @@ def bench_replace(
 
     Figures are told by `docs/replacement.md`.
     """
+    from aomgen.assets.choice import load_asset
     from benchmarks.replace_meshes import made_assets, run_meshes
 
-    _show({"mesh": run_meshes(made_assets(seed), seed)}, json_file)
+    chosen = [*made_assets(seed), *map(load_asset, assets or [])]
+    _show({"mesh": run_meshes(chosen, seed)}, json_file)
 
 
 @bench_app.command("faults")

@@ -1,5 +1,8 @@
 """Which shapes of a MuJoCo model are seen, and their triangles, whatever kind of shape it is."""
 
+# MuJoCo ships no type stubs: its classes are unknown to the checker.
+# pyright: reportUnknownParameterType=false
+
 import mujoco
 import numpy as np
 from numpy.typing import NDArray

@@ -1,5 +1,8 @@
 """URDF and MJCF files as MuJoCo models."""
 
+# MuJoCo ships no type stubs: its classes are unknown to the checker.
+# pyright: reportUnknownParameterType=false
+
 from pathlib import Path
 
 import mujoco
