@@ -10,6 +10,7 @@ import typer
 from aomgen import __version__
 from aomgen.cli.asset_commands import assets_app
 from aomgen.cli.bench import bench_app
+from aomgen.cli.bench_generated import generated_app
 from aomgen.cli.dataset_commands import RunFolder, audit, export
 from aomgen.cli.evaluate_commands import evaluate_app
 from aomgen.cli.robot_draft import robot_app
@@ -24,6 +25,7 @@ app = typer.Typer(
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 app.add_typer(assets_app, name="assets")
+bench_app.add_typer(generated_app)
 app.add_typer(bench_app, name="bench")
 app.add_typer(evaluate_app, name="evaluate")
 app.add_typer(robot_app, name="robot")

@@ -1,15 +1,13 @@
-"""`aomgen bench`: every number in README and docs comes from here."""
+"""`aomgen bench`: every number in README and docs comes from here; below, benches of the engine and the twin."""
 
 import json
 import sys
-import tempfile
-from functools import partial
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from aomgen.cli.run import run_project, sample_capture
+from aomgen.cli.run import run_project
 from aomgen.errors import ConfigError
 
 JsonFile = Annotated[Path | None, typer.Option("--json", help="Write the figures here.")]
@@ -80,7 +78,7 @@ def bench_accuracy(
     else:
         results = run_accuracy(capture, out, run_project, saga=saga, paper=paper)
         table = accuracy_table(results)
-    _show(results, json_file)
+    show(results, json_file)
     print(table)
     if paper:
         print(f"\n{methods_table(results)}\n\n{motion_methods_table(results)}")
@@ -116,7 +114,7 @@ def bench_training(
     """Train a capture's scene and print PSNR of the held-out views over the seconds of training."""
     from benchmarks.training import run_training
 
-    _show(run_training(capture, out, run_project, iterations=iterations), json_file)
+    show(run_training(capture, out, run_project, iterations=iterations), json_file)
 
 
 @bench_app.command("alignment")
@@ -137,7 +135,7 @@ def bench_alignment(
         print("  ".join(f"{value:.3g}" if isinstance(value, float) else str(value) for value in row.values()))
 
     figures = run_alignment_bench(paths, starts, seed, run_project, tell)
-    _show({name: value for name, value in figures.items() if name != "rows"}, None)
+    show({name: value for name, value in figures.items() if name != "rows"}, None)
     _write(figures, json_file)
 
 
@@ -174,153 +172,6 @@ def bench_splatting(
     _write(figures, json_file)
 
 
-@bench_app.command("replay-exported")
-def bench_replay_exported(
-    outs: Annotated[list[Path], typer.Argument(help="Folders of finished runs.")],
-    json_file: JsonFile = None,
-) -> None:
-    """Replay exported actions in a scene made of the exported USD alone, by category.
-
-    Also with the object 8 cm farther along the gripper's approach, where the same actions must fail.
-    """
-    from benchmarks.replay_exported import run_replay
-
-    _show(run_replay(outs), json_file)
-
-
-@bench_app.command("generate")
-def bench_generate(
-    out: Annotated[Path, typer.Option(help="Run folder; its twin and fitted assets are kept.")] = Path(
-        "out-bench"
-    ),
-    episodes: Annotated[int, typer.Option(min=2, help="Committed in the end, over two assets.")] = 60,
-    workers: Annotated[int, typer.Option(min=0, help="Processes; 0 for one a processor.")] = 0,
-    json_file: JsonFile = None,
-) -> None:
-    """Make verified, rendered and exported demonstrations of the bundled recording: how many a minute, and why no more.
-
-    Two cameras of 256 x 256, the paper's ranges, full length and rate, rejects included; wall clock from the first
-    worker's start to the finished dataset. `core_seconds` and `share` are by part, a committed episode.
-    """
-    from benchmarks.generate import run_generate
-
-    def tell(share: float, text: str) -> None:
-        print(f"{share:4.0%} {text}", flush=True)
-
-    machine = {"workers": workers} if workers else {}
-    _show(run_generate(out, sample_capture(), episodes, run_project, tell, **machine), json_file)
-
-
-@bench_app.command("environment")
-def bench_environment(
-    run: Annotated[Path, typer.Argument(help="Folder of a run that has committed episodes.")],
-    trials: Annotated[int, typer.Option(min=1, help="Of each action space.")] = 100,
-    workers: Annotated[int, typer.Option(min=1, help="Processes.")] = 2,
-    json_file: JsonFile = None,
-    out: Annotated[
-        Path | None, typer.Option(help="Keeps suite and rollouts; continued when it exists.")
-    ] = None,
-) -> None:
-    """Replay plans in closed loop in every action space, compare pictures with episodes', time steps and resets."""
-    from benchmarks.environment import run_environment
-
-    with tempfile.TemporaryDirectory() as scratch:
-        folder = (out or Path(scratch)).resolve()
-        _show(run_environment(run, folder, trials, workers, partial(print, file=sys.stderr)), json_file)
-
-
-@bench_app.command("policy")
-def bench_policy(
-    out: Annotated[
-        Path, typer.Argument(help="Keeps runs, datasets, trainings and rollouts; continued when it exists.")
-    ],
-    cells: Annotated[
-        list[str] | None,
-        typer.Option(help="Only tables whose name begins so, for example curve.microwave; repeatable."),
-    ] = None,
-    quick: Annotated[
-        bool, typer.Option("--quick", help="A few demonstrations, steps and trials: whether all of it works.")
-    ] = False,
-    workers: Annotated[
-        int, typer.Option(min=1, help="Trainings, episodes and rollouts at the same time.")
-    ] = 2,
-    json_file: JsonFile = None,
-) -> None:
-    """Train policies on generated demonstrations with LeRobot and count how often they open what they have not seen.
-
-    Run it from .venv-policy (`make policy-env`). Hours for all tables; figures are told by `docs/policies.md`.
-    """
-    from benchmarks.policy import PolicyBench
-    from benchmarks.policy_data import PolicyData
-    from benchmarks.policy_tables import QUICK, chosen_tables
-    from benchmarks.policy_training import QUICK_STEPS, STEPS, Trainer
-
-    data = PolicyData(
-        folder=out.resolve(),
-        capture=sample_capture(),
-        run_project=run_project,
-        workers=workers,
-        tell=partial(print, file=sys.stderr, flush=True),
-        **({"trials": 2, "demonstrations": 2} if quick else {}),
-    )
-    tables = chosen_tables(cells or ([QUICK] if quick else []))
-    trainer = Trainer(data=data, steps=QUICK_STEPS if quick else STEPS)
-    _show(PolicyBench(data=data, trainer=trainer).figures(tables), json_file)
-
-
-@bench_app.command("replay")
-def bench_replay(
-    attempts: Annotated[int, typer.Option(help="Plans of each category; a tenth of it beyond.")] = 200,
-    seed: Annotated[int, typer.Option(help="Of the first motion world and of all draws.")] = 7000,
-    json_file: JsonFile = None,
-    out: Annotated[Path | None, typer.Option(help="Keeps what was done; continued when it exists.")] = None,
-) -> None:
-    """Plan for made objects from recovered demonstrations, and replay what is exported (the paper's Table 1).
-
-    Figures are told by `docs/dataset.md`.
-    """
-    from benchmarks.replay_runs import run_replay_bench
-
-    with tempfile.TemporaryDirectory() as scratch:
-        folder = (out or Path(scratch)).resolve()
-        _show(run_replay_bench(folder, attempts, seed, partial(print, flush=True)), json_file)
-
-
-@bench_app.command("replace")
-def bench_replace(
-    assets: Annotated[
-        list[str] | None, typer.Option("--asset", help="Also a USD file, or FILE#JOINT; repeatable.")
-    ] = None,
-    seed: Annotated[int, typer.Option(help="Of the first made asset and of all views.")] = 100,
-    json_file: JsonFile = None,
-) -> None:
-    """Draw assets as Gaussians beside their meshes, from all around.
-
-    Figures are told by `docs/replacement.md`.
-    """
-    from aomgen.assets.choice import load_asset
-    from benchmarks.replace_meshes import made_assets, run_meshes
-
-    chosen = [*made_assets(seed), *map(load_asset, assets or [])]
-    _show({"mesh": run_meshes(chosen, seed)}, json_file)
-
-
-@bench_app.command("faults")
-def bench_faults(
-    kills: Annotated[int, typer.Option(min=1, help="Points at which a run is killed.")] = 200,
-    json_file: JsonFile = None,
-) -> None:
-    """Kill runs that make episodes, fill their disk, kill workers, here and on a Ray cluster; then let them continue.
-
-    Episodes are real but small. Figures are told by `docs/dataset.md`.
-    """
-    from benchmarks.faults import run_faults
-
-    with tempfile.TemporaryDirectory() as scratch:
-        figures = run_faults(Path(scratch), kills, partial(print, file=sys.stderr, flush=True))
-    _show(figures, json_file)
-
-
 def _bench_motion(count: int, seed: int | None, out: Path | None, json_file: Path | None) -> None:
     from benchmarks.motion_accuracy import FIRST_SEED, cases, run_motion
     from benchmarks.motion_table import fractions_of, motion_table, summaries_of, told, unsolvable_of
@@ -341,7 +192,7 @@ def _bench_motion(count: int, seed: int | None, out: Path | None, json_file: Pat
     _write(figures, json_file)
 
 
-def _show(figures: dict, json_file: Path | None) -> None:
+def show(figures: dict, json_file: Path | None) -> None:
     print(json.dumps(figures, indent=1))
     _write(figures, json_file)
 
