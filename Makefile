@@ -7,7 +7,7 @@ BIN := $(VENV)/bin
 CONSTRAINTS := constraints/cpu-py311.txt
 export PIP_DISABLE_PIP_VERSION_CHECK = 1
 
-.PHONY: demo test slow-test coverage check format scores build install weights native sanitize neon policy-env policy-gpu datasets-test robots-test clean
+.PHONY: demo test slow-test coverage check format scores build install weights native sanitize neon blender-env policy-env policy-gpu datasets-test robots-test clean
 
 demo: install
 	$(BIN)/aomgen demo $(OUT)
@@ -46,6 +46,9 @@ install: $(VENV)/demo.stamp weights
 
 # The real LeRobot with our plug-ins, in an environment of its own: `. .venv-policy/bin/activate; lerobot-train ...`
 policy-env: .venv-policy/installed.stamp weights
+
+# Blender for the path-traced rooms of `aomgen bench replace FOLDER`.
+blender-env: .venv-blender/installed.stamp
 
 # Tables gpu.* of `aomgen bench policy`: LeRobot's own ACT and diffusion policy. Stopped at any time, the same command
 # continues; its runs and datasets may come from elsewhere.
@@ -121,4 +124,4 @@ weights: $(VENV)/demo.stamp
 	@touch $@
 
 clean:
-	rm -rf build $(VENV) $(READERS:%=.venv-%)
+	rm -rf build $(VENV) .venv-blender $(READERS:%=.venv-%)

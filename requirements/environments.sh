@@ -1,10 +1,11 @@
 #!/bin/sh
-# Environments with the libraries that people train with, each apart from our own: they cap versions that we use newer,
-# and ask for hundreds of packages that they do not need here.
+# Environments with the libraries that people train with, and Blender, each apart from our own: they cap versions that we
+# use newer, and ask for hundreds of packages that they do not need here.
 #   .venv-policy        lerobot 0.4.4 with our package and plug-ins; unchanged `lerobot-train` and `lerobot-eval`
 #   .venv-lerobot-v21   lerobot 0.3.3, which reads format v2.1; torch and the rest are those of .venv-policy
 #   .venv-tfds          TensorFlow Datasets, as OpenVLA reads with
 #   .venv-robomimic     robomimic; torch and h5py are those of .venv
+#   .venv-blender       Blender as a Python package, run as a program of its own: traces the rooms of `aomgen bench replace`
 set -eu
 cd "$(dirname "$0")/.."
 python="${PYTHON:-python3}"
@@ -47,6 +48,10 @@ for name in "$@"; do
   robomimic)
     create $venv .venv
     $venv/bin/pip $alone robomimic==0.3.0 termcolor tqdm
+    ;;
+  blender)
+    create $venv
+    $venv/bin/pip install --quiet bpy==4.2.0
     ;;
   *)
     echo "unknown environment $name" >&2

@@ -160,6 +160,7 @@ def add_visual_mesh(spec: mujoco.MjSpec, body: mujoco.MjsBody, mesh: Mesh, name:
     material = spec.add_material(name=name, rgba=[1, 1, 1, 1] if textured else [*mesh.color_srgb, 1.0])
     material.specular = float(0.15 + 0.35 * mesh.metallic)
     material.shininess = float(1.0 - mesh.roughness) * 0.6
+    material.metallic, material.roughness = mesh.metallic, mesh.roughness
     if textured:
         height, width, channels = mesh.texture_srgb.shape
         kind = mujoco.mjtTexture.mjTEXTURE_2D

@@ -128,21 +128,32 @@ def bench_replay(
 
 @generated_app.command("replace")
 def bench_replace(
+    out: Annotated[
+        Path | None, typer.Argument(help="Also path-traced rooms; keeps them and what is made of them.")
+    ] = None,
+    rooms: Annotated[list[str] | None, typer.Option("--room", help="Only this room; repeatable.")] = None,
     assets: Annotated[
         list[str] | None, typer.Option("--asset", help="Also a USD file, or FILE#JOINT; repeatable.")
     ] = None,
+    meshes: Annotated[bool, typer.Option(help="Draw assets as Gaussians beside their meshes.")] = True,
     seed: Annotated[int, typer.Option(help="Of the first made asset and of all views.")] = 100,
     json_file: JsonFile = None,
 ) -> None:
-    """Draw assets as Gaussians beside their meshes, from all around.
+    """Draw assets as Gaussians beside their meshes, and replaced objects beside path-traced pictures of them.
 
-    Figures are told by `docs/replacement.md`.
+    Rooms want Blender (`make blender-env`) and half an hour each. Figures are told by `docs/replacement.md`.
     """
     from aomgen.assets.choice import load_asset
     from benchmarks.replace_meshes import made_assets, run_meshes
+    from benchmarks.replace_scores import ROOMS, run_rooms
 
-    chosen = [*made_assets(seed), *map(load_asset, assets or [])]
-    show({"mesh": run_meshes(chosen, seed)}, json_file)
+    figures: dict = {}
+    if meshes:
+        figures["mesh"] = run_meshes([*made_assets(seed), *map(load_asset, assets or [])], seed)
+    if out is not None:
+        tell = partial(print, file=sys.stderr, flush=True)
+        figures |= run_rooms(out.resolve(), rooms or list(ROOMS), run_project, tell)
+    show(figures, json_file)
 
 
 @generated_app.command("faults")

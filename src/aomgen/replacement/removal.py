@@ -3,6 +3,7 @@
 Unknown places of that get smooth color from their border and texture from patches.
 """
 
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Final, NamedTuple
 
@@ -17,6 +18,7 @@ from aomgen.conventions import BACKGROUND, MOVING, STATIC
 from aomgen.core.gaussians import SH_C0, Gaussians, gaussians_of
 from aomgen.core.transforms import apply, quat_from_matrix
 from aomgen.core.values import Array
+from aomgen.replacement.mosaic import Photograph, photograph_surface
 from aomgen.robots.robot import RobotModel
 from aomgen.twin.support import SURFACE, Support, find_support, on_surface, seen_from_above
 from aomgen.twin.twin import Twin, posed
@@ -25,6 +27,8 @@ from aomgen.twin.twin import Twin, posed
 HALO: Final = 0.025
 # The surface is made new this far beyond the object's footprint, and reaches as far again under the old one, [m].
 MARGIN: Final = 0.03
+# So near to the footprint photographs show the object's foot, [m].
+FOOT: Final = 0.012
 # Texture and shadow are judged on a ring this wide, [m].
 RING: Final = 0.28
 # Cell of the image from above and of the new surface, one Gaussian each, [m].
@@ -69,8 +73,16 @@ class Cleared(NamedTuple):
         return twin.gaussians.select((twin.labels == BACKGROUND) & (twin.bodies == 0))
 
 
-def clear_object(twin: Twin, robot: RobotModel, rng: np.random.Generator) -> Cleared:
-    """Remove the recorded object from a bound scan; `rng` chooses texture patches.
+def clear_object(
+    twin: Twin, robot: RobotModel, views: Sequence[Photograph], rng: np.random.Generator
+) -> Cleared:
+    """Remove the recorded object from a bound scan.
+
+    Args:
+        twin: Bound scan.
+        robot: Its robot.
+        views: Photographs of the scan: what they saw of the surface is put back, the rest is invented.
+        rng: Chooses texture patches.
 
     Raises:
         ReconstructionError: No supporting plane was scanned.
@@ -88,10 +100,12 @@ def clear_object(twin: Twin, robot: RobotModel, rng: np.random.Generator) -> Cle
     )
     low, high = support.low - RING, support.high + RING
     _, extent = seen_from_above(world.select(scene), support, low, high, CELL)
-    picture, alpha = seen_from_above(remaining.gaussians.select(table), support, low, high, CELL)
-    xy = _cell_centres(low, picture.shape)
+    _, alpha = seen_from_above(remaining.gaussians.select(table), support, low, high, CELL)
+    xy = _cell_centres(low, alpha.shape)
     outside = support.outside(xy)
-    covered = (alpha > MIN_ALPHA) & (outside > MARGIN)
+    photographed = photograph_surface(world, scene, views, support.T_world_plane, xy)
+    picture = photographed.colors_srgb
+    covered = photographed.seen & (outside > FOOT)
     known = _same_material(picture, covered)
     # What lies close to the footprint and is not the table is the object's: its foot, its mirror image.
     rest = _in_cells(remaining.gaussians, support, low, covered & ~known & (outside < 1.5 * MARGIN)) & table
@@ -102,7 +116,7 @@ def clear_object(twin: Twin, robot: RobotModel, rng: np.random.Generator) -> Cle
     # Where nothing was scanned before either, the table ends; gaps within it are closed too.
     thin = (alpha < MIN_ALPHA) & (outside <= 0.7 * RING)
     where = (outside <= 0) | (((outside <= 2 * MARGIN) | thin) & _hull(extent > 0.5))
-    fill = _surface(texture, xy, where, support, lightened.select(table))
+    fill = _surface(texture, xy, where, support, photographed.gloss_sh)
     cleared = replace(remaining, gaussians=lightened).extended(fill, 0, BACKGROUND)
     return Cleared(cleared, support, removed=int(leftover.sum() + rest.sum()), filled=len(fill))
 
@@ -212,16 +226,13 @@ def _lightened(
 
 
 def _surface(
-    texture: Array, xy: Array, where: NDArray[np.bool_], support: Support, table: Gaussians
+    texture: Array, xy: Array, where: NDArray[np.bool_], support: Support, gloss_sh: Array
 ) -> Gaussians:
-    """Flat Gaussians, one for each cell, with the table's mean dependence on the view."""
+    """Flat Gaussians, one for each cell, with the surface's gloss (K, 3)."""
     places = np.column_stack([xy[where], np.full(int(where.sum()), -BELOW)])
     count = len(places)
-    sh = np.zeros((count, table.sh.shape[1], 3))
-    sh[:, 0] = (texture[where] - 0.5) / SH_C0
-    if table.sh.shape[1] > 1 and len(table):
-        weights = table.opacities * table.scales.max(1) ** 2
-        sh[:, 1:] = np.average(table.sh[:, 1:], axis=0, weights=weights)
+    sh = np.tile(gloss_sh, (count, 1, 1))
+    sh[:, 0] += (texture[where] - 0.5) / SH_C0
     quat = quat_from_matrix(support.T_world_plane[:3, :3])
     return gaussians_of(
         means=apply(support.T_world_plane, places),

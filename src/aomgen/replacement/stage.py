@@ -17,11 +17,13 @@ from aomgen.core.plan import FittedAsset, Rejection
 from aomgen.core.progress import Progress
 from aomgen.errors import EstimationError
 from aomgen.io.artifact import save_artifact
+from aomgen.io.images import read_image
 from aomgen.replacement.asset_surfels import asset_surfels
 from aomgen.replacement.correspondence import RecordedContact, recorded_contact
 from aomgen.replacement.fitting import FitParams, fit_asset
 from aomgen.replacement.free_table import support_plane
 from aomgen.replacement.light_estimation import estimate_light
+from aomgen.replacement.mosaic import Photograph
 from aomgen.replacement.obstacles import find_obstacles
 from aomgen.replacement.removal import clear_object
 from aomgen.replacement.viewpoint import episode_cameras
@@ -38,7 +40,11 @@ def run(results: Results, folder: Path, progress: Progress) -> dict[str, Any]:
     """Take the object away, fit the project's assets, and choose the cameras of the episodes."""
     project = results.project
     progress(0.0, "removing the object")
-    cleared = clear_object(results.twin, results.robot, np.random.default_rng(project.seed))
+    views = [
+        Photograph(camera=camera, image_srgb=read_image(results.scan_images[name]))
+        for name, camera in results.scan_cameras.items()
+    ]
+    cleared = clear_object(results.twin, results.robot, views, np.random.default_rng(project.seed))
     (folder / BACKGROUND_FOLDER).mkdir()
     save_artifact(folder / BACKGROUND_FOLDER, "twin", cleared.twin)
     progress(0.3, "light")

@@ -1,5 +1,6 @@
 """A performance as it is recorded: stills of the scene, the fixed camera's video, a joint log with its own clock."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -106,13 +107,15 @@ def record(
     conditions: Conditions,
     rng: np.random.Generator,
     *,
+    renderer: Callable[[Scene, tuple[int, int]], "SceneRenderer"],
     progress: Progress = silent,
 ) -> Recording:
-    """Record a performance: stills of the scene at rest, then the video."""
+    """Record a performance: stills of the scene at rest, then the video, as a renderer draws them."""
     demonstration, layout = performance.demonstration, performance.layout
     schedule = draw_schedule(robot, performance, conditions, rng)
     cameras = scan_cameras(layout, conditions, rng)
-    with SceneRenderer(build_world(robot, layout, visual=True), conditions.size) as painter:
+    world = build_world(robot, layout, visual=True)
+    with renderer(world, conditions.size) as painter:
         candidates = demo_candidates(layout, conditions, rng)
         camera = choose_camera(painter, candidates, demonstration, schedule)
         images, labels = [], []

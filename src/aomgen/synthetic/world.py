@@ -1,5 +1,6 @@
 """Synthetic captures: complete capture folders with `truth/`, from a category and a seed (see docs/capture.md)."""
 
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -25,9 +26,10 @@ from aomgen.io.robot_xml import read_robot_xml
 from aomgen.io.video import encode_video
 from aomgen.robots.description import robot_references
 from aomgen.robots.loading import copy_robot_files, load_robot
+from aomgen.simulation.scene import Scene
 from aomgen.synthetic.demonstration_search import find_demonstration
 from aomgen.synthetic.grasp_selection import list_grasp_types
-from aomgen.synthetic.scene_recording import Conditions, Recording, record
+from aomgen.synthetic.scene_recording import Conditions, Recording, SceneRenderer, record
 from aomgen.synthetic.style import MOVED, DemonstrationStyle, GraspType, draw_style
 
 DEFAULT_ROBOT = "ur5e_2f85"
@@ -48,6 +50,7 @@ def make_capture(
     conditions: Conditions | None = None,
     robot_file: Path | None = None,
     style: DemonstrationStyle | None = None,
+    renderer: Callable[[Scene, tuple[int, int]], SceneRenderer] = SceneRenderer,
     progress: Progress = silent,
 ) -> None:
     """Write a complete capture with `truth/`: a robot moves a made asset in a made room.
@@ -62,6 +65,7 @@ def make_capture(
         conditions: Cameras and their flaws; those of `Conditions` when None.
         robot_file: URDF or MJCF of another robot, copied into the capture with all it refers to.
         style: How the robot demonstrates; a random pinch that opens the object when None.
+        renderer: Draws the pictures of a compiled scene up to a size.
         progress: Told about pictures.
 
     Raises:
@@ -70,13 +74,15 @@ def make_capture(
         BackendError: No OpenGL driver works.
         StorageError: The disk refuses.
     """
-    rng = np.random.default_rng([seed, *category.encode(), 1])
+    rng = capture_rng(category, seed)
     file = None if robot_file is None else robot_file.resolve()
     root = None if file is None else file.parents[min(PACKAGE_DEPTH, len(file.parents)) - 1]
     robot = load_robot(file or DEFAULT_ROBOT, root=root)
     performance = find_demonstration(robot, draw_object(category, seed), rng, style)
     progress(0.05, "demonstration simulated")
-    recording = record(robot, performance, conditions or Conditions(), rng, progress=progress)
+    recording = record(
+        robot, performance, conditions or Conditions(), rng, renderer=renderer, progress=progress
+    )
     with staged_folder(folder) as staging:
         source = f'model = "{DEFAULT_ROBOT}"'
         if file is not None and root is not None:
@@ -84,6 +90,11 @@ def make_capture(
             source = f'{read_robot_xml(file, root).kind} = "{copied.relative_to(staging).as_posix()}"'
         _write_recording(staging, recording, source)
         _write_truth(staging / "truth", recording)
+
+
+def capture_rng(category: str, seed: int) -> np.random.Generator:
+    """What chooses everything of a capture but its object, the layout first."""
+    return np.random.default_rng([seed, *category.encode(), 1])
 
 
 def draw_object(category: str, seed: int) -> ArticulatedAsset:

@@ -8,6 +8,7 @@ from aomgen.core.camera import Camera, look_at
 from aomgen.core.light import hemisphere_light
 from aomgen.errors import ReconstructionError
 from aomgen.replacement.light_estimation import LIMITS, estimate_light, fit_light
+from aomgen.replacement.mosaic import Photograph
 from aomgen.replacement.removal import clear_object, inpaint, shadow_gain
 from aomgen.twin.twin import render_state
 
@@ -15,8 +16,20 @@ TABLE_SRGB = (0.6, 0.45, 0.3)
 
 
 @pytest.fixture(scope="module")
-def cleared(toy_scene):
-    return clear_object(toy_scene.twin, toy_scene.robot, np.random.default_rng(0))
+def photographs(toy_scene):
+    views = []
+    for angle in np.linspace(-2.8, 2.2, 10):
+        eye = (0.6 + 1.1 * np.cos(angle), -0.05 + 1.1 * np.sin(angle), 0.9)
+        pose = look_at(eye, (0.6, -0.05, 0))
+        camera = Camera(fx=150, fy=150, cx=80, cy=60, width=160, height=120, T_world_cam=pose)
+        drawn = render_state(toy_scene.twin, toy_scene.robot, toy_scene.twin.scan_state, camera)
+        views.append(Photograph(camera=camera, image_srgb=(255 * np.clip(drawn.rgb, 0, 1)).astype(np.uint8)))
+    return views
+
+
+@pytest.fixture(scope="module")
+def cleared(toy_scene, photographs):
+    return clear_object(toy_scene.twin, toy_scene.robot, photographs, np.random.default_rng(0))
 
 
 def test_the_plane_is_found_under_the_object(cleared):
@@ -49,17 +62,17 @@ def test_labels_and_robot_after_removal(toy_scene, cleared):
     assert (cleared.twin.labels == ROBOT).sum() == (toy_scene.labels == ROBOT).sum()
 
 
-def test_removal_is_the_same_each_time(toy_scene, cleared):
-    again = clear_object(toy_scene.twin, toy_scene.robot, np.random.default_rng(0))
+def test_removal_is_the_same_each_time(toy_scene, photographs, cleared):
+    again = clear_object(toy_scene.twin, toy_scene.robot, photographs, np.random.default_rng(0))
     np.testing.assert_array_equal(again.twin.gaussians.sh, cleared.twin.gaussians.sh)
 
 
-def test_an_object_in_the_air_has_no_support(toy_scene):
+def test_an_object_in_the_air_has_no_support(toy_scene, photographs):
     floating = toy_scene.twin.select(
         (toy_scene.labels != BACKGROUND) | (toy_scene.gaussians.means[:, 2] > 0.05)
     )
     with pytest.raises(ReconstructionError, match="lie flat"):
-        clear_object(floating, toy_scene.robot, np.random.default_rng(0))
+        clear_object(floating, toy_scene.robot, photographs, np.random.default_rng(0))
 
 
 def test_inpainting_continues_color_and_texture():
@@ -132,7 +145,7 @@ def test_light_is_fitted_in_spite_of_glare(toy_scene):
     assert np.median(np.abs(predicted.mean(1) / seen.mean(1) - 1)) < 0.05
 
 
-def test_the_scan_itself_is_not_changed(toy_scene):
+def test_the_scan_itself_is_not_changed(toy_scene, photographs):
     before = toy_scene.twin.gaussians.sh.copy()
-    clear_object(replace(toy_scene.twin), toy_scene.robot, np.random.default_rng(3))
+    clear_object(replace(toy_scene.twin), toy_scene.robot, photographs, np.random.default_rng(3))
     np.testing.assert_array_equal(toy_scene.twin.gaussians.sh, before)

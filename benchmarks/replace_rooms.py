@@ -1,0 +1,127 @@
+"""Rooms whose recording is path traced: what estimators get, and what a camera would see of the replaced object."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from aomgen.core.asset import ArticulatedAsset
+from aomgen.core.camera import Camera
+from aomgen.core.progress import Progress
+from aomgen.core.values import Array
+from aomgen.io.artifact import read_json
+from aomgen.robots.loading import load_robot
+from aomgen.robots.robot import RobotModel
+from aomgen.simulation.scene import Scene
+from aomgen.synthetic.demonstration_search import find_demonstration
+from aomgen.synthetic.layout import SceneLayout, build_world
+from aomgen.synthetic.scene_recording import Conditions
+from aomgen.synthetic.world import DEFAULT_ROBOT, capture_rng, draw_object, make_capture
+from benchmarks.path_tracer import PathTracedRenderer, RoomLight
+
+CONDITIONS: Final = Conditions(scan_views=48)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TestRoom:
+    """A recording and the object that takes the recorded one's place.
+
+    Attributes:
+        category: What is recorded, see `synthetic.world.make_capture`.
+        seed: Of the capture.
+        light: Of the room.
+        asset: As a project names it.
+    """
+
+    category: str
+    seed: int
+    light: RoomLight
+    asset: str
+
+
+# Lights of other kinds, and other tone curves: a lamp from the left, a window, an even sky.
+ROOMS: Final[Mapping[str, TestRoom]] = {
+    "lamp": TestRoom(
+        category="microwave",
+        seed=9200,
+        light=RoomLight(environment="interior.exr", lamp_w=60.0, lamp_from=(-1.2, 0.3, 1.6)),
+        asset="microwave:41",
+    ),
+    "window": TestRoom(
+        category="cabinet",
+        seed=9201,
+        light=RoomLight(
+            environment="courtyard.exr", strength=0.6, turn=1.0, lamp_w=120.0, lamp_m=1.2,
+            lamp_color=(0.8, 0.9, 1.0), lamp_from=(1.6, 0.4, 1.2), view_transform="Filmic",
+        ),
+        asset="cabinet:41",
+    ),
+    "sky": TestRoom(
+        category="drawer",
+        seed=9202,
+        light=RoomLight(environment="forest.exr", strength=0.8, turn=2.0, view_transform="Standard"),
+        asset="drawer:41",
+    ),
+}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class RoomTruth:
+    """What was recorded in a room, and pictures of it with another object.
+
+    Attributes:
+        room: Which.
+        folder: Holds `capture`, and `traced` pictures, so that none is drawn twice.
+    """
+
+    room: TestRoom
+    folder: Path
+
+    @property
+    def capture(self) -> Path:
+        """The recording."""
+        return self.folder / "capture"
+
+    @cached_property
+    def robot(self) -> RobotModel:
+        """As it was recorded."""
+        return load_robot(DEFAULT_ROBOT)
+
+    @cached_property
+    def answers(self) -> dict[str, Any]:
+        """The recording's `truth.json`."""
+        return read_json(self.capture / "truth" / "truth.json")
+
+    @cached_property
+    def layout(self) -> SceneLayout:
+        """Where everything stood, the recorded object among it."""
+        category, seed = self.room.category, self.room.seed
+        return find_demonstration(self.robot, draw_object(category, seed), capture_rng(category, seed)).layout
+
+    def record(self, progress: Progress) -> None:
+        """Write the capture, unless it is there."""
+        if not self.capture.is_dir():
+            make_capture(
+                self.capture, category=self.room.category, seed=self.room.seed, conditions=CONDITIONS,
+                renderer=self._painter, progress=progress,
+            )  # fmt: skip
+
+    def painter(self, asset: ArticulatedAsset, T_world_asset: Array) -> PathTracedRenderer:
+        """Draws the room with an asset instead of the recorded object; to be closed."""
+        placed = replace(self.layout, asset=asset, T_world_object=T_world_asset)
+        return self._painter(build_world(self.robot, placed, visual=True), CONDITIONS.size)
+
+    def camera(self, name: str) -> Camera:
+        """A scan image's camera by its file name, or a fixed one."""
+        answers, (width, height) = self.answers, CONDITIONS.size
+        poses = answers["scan"] | answers["demo_cameras"]
+        fx, fy, cx, cy = answers["intrinsics"]["scan" if name in answers["scan"] else name]
+        return Camera(
+            fx=fx, fy=fy, cx=cx, cy=cy, width=width, height=height, T_world_cam=np.array(poses[name])
+        )
+
+    def _painter(self, scene: Scene, size: tuple[int, int]) -> PathTracedRenderer:
+        return PathTracedRenderer(scene, size, self.folder / "traced", self.room.light)

@@ -1,0 +1,103 @@
+"""The surface that the object stood on, put together from all photographs that show it."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Annotated, Final
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import map_coordinates
+
+from aomgen.core.camera import Camera
+from aomgen.core.gaussians import Gaussians
+from aomgen.core.robust import masked_median
+from aomgen.core.sh import sh_basis
+from aomgen.core.transforms import apply, invert
+from aomgen.core.values import Array, freeze_arrays
+from aomgen.splatting.rasterizer import render
+
+# What a view sees within this height of the plane is the plane, [m]: trained surfaces are as thick.
+ON_PLANE: Final = 0.012
+# A pixel is of the surface alone where things before it take less than this share.
+BEFORE: Final = 0.05
+# Sine of the angle below which a view looks along the surface and smears it.
+GRAZING: Final = 0.2
+# One photograph may show a reflection or a hand.
+MIN_VIEWS: Final = 2
+# Degree of the harmonics of the surface's gloss; every so many cells are asked; ridge, in observations.
+GLOSS_DEGREE, GLOSS_EVERY, GLOSS_PULL = 2, 13, 20.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Photograph:
+    """A photograph (H, W, 3) of the scan and its camera, world frame."""
+
+    camera: Camera
+    image_srgb: NDArray[np.uint8]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Mosaic:
+    """A surface as it was photographed.
+
+    Attributes:
+        colors_srgb: Median over the views, 0..1; 0 where no two views see a cell.
+        seen: Whether they do.
+        gloss_sh: Harmonics (K, 3) that add to the color by the view, the same everywhere on the surface, world frame.
+    """
+
+    colors_srgb: Annotated[Array, "H W 3"]
+    seen: Annotated[NDArray[np.bool_], "H W"]
+    gloss_sh: Annotated[Array, "_ 3"]
+
+    __post_init__ = freeze_arrays
+
+
+def photograph_surface(
+    world: Gaussians, scene: NDArray[np.bool_], views: Sequence[Photograph], T_world_plane: Array, xy: Array
+) -> Mosaic:
+    """Colors of cells of a plane, from every view that sees them.
+
+    Args:
+        world: All that stood there, world frame.
+        scene: Which Gaussians (N,) are neither robot nor object.
+        views: Photographs of it.
+        T_world_plane: The plane, z = 0 on it.
+        xy: Middles of the cells (H, W, 2), plane frame.
+    """
+    points = apply(T_world_plane, np.concatenate([xy, np.zeros_like(xy[..., :1])], -1))
+    colors = np.zeros((len(views), *points.shape), np.float32)
+    visible = np.zeros((len(views), *points.shape[:2]), bool)
+    plain, share = world.with_sh_degree(0), scene.astype(np.float32)[:, None]
+    for k, view in enumerate(views):
+        camera = view.camera
+        drawn = render(plain, camera, features=share, with_ids=True)
+        depth = np.asarray(drawn.median_depth, np.float64)[..., None]
+        heights = apply(invert(T_world_plane), camera.center + camera.directions() * depth)[..., 2]
+        clear = (np.abs(heights) < ON_PLANE) & (np.asarray(drawn.features)[..., 0] > 1 - BEFORE)
+        pixels, distance = camera.project(points)
+        places = np.nan_to_num(np.moveaxis(pixels[..., ::-1], -1, 0) - 0.5, nan=-1.0)
+        ways = camera.center - points
+        steep = ways @ T_world_plane[:3, 2] > GRAZING * np.linalg.norm(ways, axis=-1)
+        inside = map_coordinates(clear.astype(np.float32), places, order=0) > 0
+        visible[k] = inside & steep & (distance > 0)
+        for channel in range(3):
+            colors[k, ..., channel] = map_coordinates(view.image_srgb[..., channel] / 255, places, order=1)
+    median, _ = masked_median(colors, visible)
+    seen = visible.sum(0) >= MIN_VIEWS
+    median = np.where(seen[..., None], median, 0.0).astype(np.float64)
+    eyes = np.stack([view.camera.center for view in views])
+    return Mosaic(
+        colors_srgb=median, seen=seen, gloss_sh=_gloss(colors - median, visible & seen, points, eyes)
+    )
+
+
+def _gloss(difference: Array, visible: NDArray[np.bool_], points: Array, eyes: Array) -> Array:
+    """Harmonics (K, 3) that best explain differences (V, H, W, 3) by the direction from eyes (V, 3) to points (H, W, 3)."""
+    view, row, column = (index[::GLOSS_EVERY] for index in np.nonzero(visible))
+    ways = points[row, column] - eyes[view]
+    basis = sh_basis(ways / np.linalg.norm(ways, axis=1, keepdims=True), GLOSS_DEGREE)
+    pull = GLOSS_PULL * np.eye(basis.shape[1])
+    # All eyes look down: over them the other harmonics have means, which the constant takes away again.
+    pull[0, 0] = 1e-3
+    return np.linalg.solve(basis.T @ basis + pull, basis.T @ difference[view, row, column])

@@ -1,0 +1,76 @@
+import numpy as np
+import pytest
+
+from aomgen.core.camera import Camera, look_at
+from aomgen.core.gaussians import SH_C0, gaussians_of
+from aomgen.core.sh import sh_basis
+from aomgen.replacement.mosaic import Photograph, photograph_surface
+from aomgen.splatting.rasterizer import render
+
+LEVEL = np.eye(4)
+GLOSS = np.array([[0.0, 0, 0], [0.1, 0.05, 0], [0, 0, 0], [0, -0.05, 0.1]])
+
+
+def flat(low, high, z, color, gloss):
+    xy = np.stack(np.meshgrid(np.arange(low, high, 0.01), np.arange(low, high, 0.01)), -1).reshape(-1, 2)
+    sh = np.tile(gloss, (len(xy), 1, 1))
+    sh[:, 0] += (np.asarray(color) - 0.5) / SH_C0
+    return gaussians_of(
+        means=np.column_stack([xy, np.full(len(xy), z)]),
+        quats=np.tile([1.0, 0, 0, 0], (len(xy), 1)),
+        scales=np.tile([0.008, 0.008, 0.001], (len(xy), 1)),
+        opacities=np.full(len(xy), 0.98),
+        sh=sh,
+    )
+
+
+def photographs(world):
+    views = []
+    for angle in np.linspace(0, 2 * np.pi, 12, endpoint=False):
+        eye = (0.9 * np.cos(angle), 0.9 * np.sin(angle), 0.8)
+        camera = Camera(
+            fx=150, fy=150, cx=80, cy=60, width=160, height=120, T_world_cam=look_at(eye, (0, 0, 0))
+        )
+        image = np.rint(255 * np.clip(render(world, camera).rgb, 0, 1)).astype(np.uint8)
+        views.append(Photograph(camera=camera, image_srgb=image))
+    return views
+
+
+@pytest.fixture(scope="module")
+def table():
+    return flat(-0.6, 0.6, 0.0, (0.5, 0.4, 0.3), GLOSS)
+
+
+def cells(reach=0.1):
+    places = np.arange(-reach, reach, 0.01)
+    return np.stack(np.meshgrid(places, places), -1)
+
+
+def test_color_and_gloss_of_a_surface_are_what_its_photographs_show(table):
+    views = photographs(table)
+    found = photograph_surface(table, np.ones(len(table), bool), views, LEVEL, cells())
+    assert found.seen.all()
+    for view in views:
+        ways = np.concatenate([cells(), np.zeros((*cells().shape[:2], 1))], -1) - view.camera.center
+        ways /= np.linalg.norm(ways, axis=-1, keepdims=True)
+        color = (0.5, 0.4, 0.3) + np.einsum("hwk,kc->hwc", sh_basis(ways, 1), GLOSS)
+        gloss = np.einsum("hwk,kc->hwc", sh_basis(ways, 2), found.gloss_sh)
+        assert np.abs(found.colors_srgb + gloss - color).max() < 0.015
+
+
+def test_what_stands_on_the_surface_is_not_taken_for_it(table):
+    lid = flat(-0.05, 0.05, 0.03, (1.0, 0.0, 0.0), np.zeros((4, 3)))
+    world = gaussians_of(
+        **{name: np.concatenate([getattr(table, name), getattr(lid, name)]) for name in ("means", "quats", "scales", "opacities", "sh")}
+    )  # fmt: skip
+    scene = np.arange(len(world)) < len(table)
+    found = photograph_surface(world, scene, photographs(world), LEVEL, cells(0.15))
+    middle = np.abs(cells(0.15)).max(-1) < 0.01
+    assert not found.seen[middle].any()
+    assert found.seen.mean() > 0.5
+    assert (found.colors_srgb[found.seen][:, 0] < 0.65).all()
+
+
+def test_one_view_is_not_enough(table):
+    found = photograph_surface(table, np.ones(len(table), bool), photographs(table)[:1], LEVEL, cells())
+    assert not found.seen.any()
