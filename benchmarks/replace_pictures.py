@@ -14,13 +14,13 @@ from aomgen.core.episode import NEW_CAMERA
 from aomgen.core.plan import FittedAsset
 from aomgen.core.transforms import transform
 from aomgen.core.values import Array
-from aomgen.episodes.render import Trajectory, render_episode
+from aomgen.episodes.render import Trajectory, render_episode, static_layers
 from aomgen.io.artifact import load_artifact
 from aomgen.replacement.stage import BACKGROUND_FOLDER
 from aomgen.results import Results
 from aomgen.synthetic.layout import build_world
 from aomgen.synthetic.scene_recording import SceneRenderer
-from aomgen.twin.twin import Twin, static_layers
+from aomgen.twin.twin import Twin
 from benchmarks.replace_rooms import CONDITIONS, RoomTruth
 
 # Places in the walk, as shares of its length: left, front and right, low and high.

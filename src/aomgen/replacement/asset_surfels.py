@@ -10,6 +10,7 @@ from typing import Final
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 from torch import Tensor
 from torch.nn.functional import avg_pool2d
 
@@ -53,6 +54,8 @@ STEP_PX: Final = 0.12
 DECAY: Final = 0.1
 # Cameras look from around, down by these angles, [rad]; the asset's sphere fills their pictures about so much.
 ELEVATIONS, FILLED = (-0.2, 1.2), (0.8, 1.1)
+# Occlusion is a mean over so many discs, among which another direction counts as so much distance, [m].
+NEAR, ALIKE_M = 16, 0.2
 # Focal length over the width of a picture: that of a usual camera.
 FOCAL: Final = 1.2
 
@@ -85,15 +88,28 @@ def asset_surfels(asset: ArticulatedAsset, rng: np.random.Generator) -> tuple[Su
     for link, cover in enumerate((static, moving)):
         mine = np.flatnonzero(links[sources] == link)
         of_cover = sources[mine] - count * link
+        normals = cover.normals[of_cover]
         fitted.append(
             Surfels(
                 gaussians=gaussians.select(mine),
-                normals=cover.normals[of_cover],
+                normals=normals,
                 albedo_linear=albedo[mine],
-                transfer=cover.transfer[of_cover],
+                transfer=_transfer_at(gaussians.means[mine], normals, cover),
+                roughness=cover.roughness[of_cover],
+                metallic=cover.metallic[of_cover],
             )
         )
     return fitted[0], fitted[1]
+
+
+def _transfer_at(points: NDArray, normals: NDArray, cover: Surfels) -> NDArray[np.float32]:
+    """Transfer (N, 9) at points (N, 3): the mean of discs near by that look the same way.
+
+    A single disc's is as rough as the cells in which its occlusion was found, and Gaussians have left their discs.
+    """
+    places = np.column_stack([cover.gaussians.means, ALIKE_M * cover.normals])
+    _, near = cKDTree(places).query(np.column_stack([points, ALIKE_M * normals]), k=min(NEAR, len(places)))
+    return cover.transfer[near].mean(1)
 
 
 def _pictures(asset: ArticulatedAsset, rng: np.random.Generator) -> list[_Picture]:

@@ -1,62 +1,113 @@
-"""The scene's light, found on the robot: a surface whose shape and colors are known.
+"""The light where a new object is put: what the scan shows around that place, and what the robot tells of the rest.
 
-Each Gaussian of the robot shows the light that its surface direction receives, divided by the
-color of the robot's model. Where too little of the robot was seen, the light falls from above
-with the brightness of the scene.
+Walls, table and things are seen, and so is what they send to the object. Lamps and windows mostly are not: a scan looks
+down. The robot is a surface whose shape and colors are known; what it receives beyond what is seen from it comes from
+there. Where too little of the robot was seen, the light falls from above with the brightness of the scene.
 """
 
-from typing import Final, NamedTuple
+from dataclasses import dataclass
+from typing import Annotated, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import least_squares
 from scipy.spatial import cKDTree
 
-from aomgen.conventions import BACKGROUND, ROBOT, linear_from_srgb
+from aomgen.conventions import BACKGROUND, ROBOT, linear_from_srgb, srgb_from_linear
 from aomgen.core.gaussians import SH_C0, Gaussians
-from aomgen.core.light import COSINE_BANDS, Light, hemisphere_light
+from aomgen.core.light import Light, hemisphere_light
 from aomgen.core.mesh import face_normals_areas, sample_surface
 from aomgen.core.sh import sh_basis
 from aomgen.core.transforms import apply
-from aomgen.core.values import Array
+from aomgen.core.values import Array, freeze_arrays
+from aomgen.replacement.probe import Probe, cosine_answer, probe_light
 from aomgen.robots.robot import RobotModel
 from aomgen.splatting.surfaces import sphere_directions
 from aomgen.twin.twin import Twin, body_poses, posed
 
-# Robot surfaces darker than this say nothing about the light, linear.
-MIN_ALBEDO: Final = 0.12
-# Fewer Gaussians on the robot do not constrain the nine coefficients of the light.
-MIN_SAMPLES: Final = 200
+# Fewer Gaussians on the robot do not constrain the light; more than the second number tell no more.
+MIN_SAMPLES, MAX_SAMPLES = 200, 3000
 # A Gaussian farther than this from the posed meshes is not on their surface, [m].
 MAX_DISTANCE: Final = 0.008
 # Points drawn on each body of the robot.
 POINTS_PER_BODY: Final = 3000
-# Pull of bands 1 and 2 towards the light from above; band 0 is free.
-PRIOR: Final = (0.02, 0.15)
+# A surface is seen by eyes above this sine of its plane; so many of all eyes must see it.
+FACING, MIN_EYES = 0.2, 0.15
+# Share of the light that paint and plastic reflect beside their own color: normal incidence, refractive index 1.5.
+REFLECTED: Final = 0.04
+# Errors of colors beyond this are outliers: glints, wrong links, sRGB.
+OUTLIER: Final = 0.05
+# Standard deviations of bands 1 and 2 of what is not seen, shares of its mean, and of the loss of saturation; errors
+# of that many colors weigh as one of them.
+BAND_SD, LOSS_SD, PRIOR_COLORS = (0.6, 0.4), 0.3, 1e-4
+# The camera's loss of saturation stays within these limits.
+LOSSES: Final = (0.0, 0.8)
 # Mean albedo of things, to judge the brightness of light when the robot cannot.
 MEAN_ALBEDO: Final = 0.4
 # Brightness of a white, level surface stays within these limits, linear, 1 = image white.
 LIMITS: Final = (0.3, 1.6)
 
 
-class LightEstimate(NamedTuple):
-    """A light, and where it comes from: "robot", or "scene" when too little of the robot was seen."""
+class SceneLight(NamedTuple):
+    """What a new object is lit by, and how the scene's pictures show colors.
+
+    Attributes:
+        light: Where the object stands, in the colors in which pictures show it on a grey surface.
+        color_loss: Share of a color's distance from grey that the camera's tone curve takes, 0..1.
+        source: "robot", or "scene" when too little of the robot was seen.
+    """
 
     light: Light
+    color_loss: float
     source: str
 
 
-def estimate_light(twin: Twin, robot: RobotModel, rng: np.random.Generator) -> LightEstimate:
-    """Find the light that the scan was taken under; `rng` chooses points on the robot.
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LitSamples:
+    """N places of the robot's surface: unit normals, colors of the model and colors seen, linear."""
+
+    normals: Annotated[Array, "N 3"]
+    albedo: Annotated[Array, "N 3"]
+    seen: Annotated[Array, "N 3"]
+
+    __post_init__ = freeze_arrays
+
+    def select(self, which: NDArray) -> "LitSamples":
+        """Some of them."""
+        return LitSamples(normals=self.normals[which], albedo=self.albedo[which], seen=self.seen[which])
+
+
+def lose_color(colors_linear: Array, loss: float) -> Array:
+    """Colors (..., 3) drawn to their grey by a share; a negative share takes them away from it."""
+    grey = colors_linear.mean(-1, keepdims=True)
+    return grey + (1 - loss) * (colors_linear - grey)
+
+
+def estimate_light(
+    twin: Twin, robot: RobotModel, empty: Gaussians, place: Array, eyes_world: Array, rng: np.random.Generator
+) -> SceneLight:
+    """Find the light that the scan was taken under.
+
+    Args:
+        twin: Recorded scene.
+        robot: Its robot.
+        empty: What stands still without the object, world frame.
+        place: Where the light is wanted (3,), world frame.
+        eyes_world: Where the scan's cameras were (K, 3).
+        rng: Chooses points on the robot.
 
     Not checked: the real robot may be painted otherwise than its model; a uniform difference
     enters the light's brightness, which is limited to `LIMITS`.
     """
     world = posed(twin, robot, twin.scan_state)
-    fallback = scene_light(world, twin.labels)
-    normals, albedo, seen = _robot_samples(twin, world, robot, rng)
-    if not len(normals) >= MIN_SAMPLES:
-        return LightEstimate(fallback, "scene")
-    return LightEstimate(limit_light(fit_light(normals, albedo, seen, fallback)), "robot")
+    of_robot = (twin.labels == ROBOT) & (twin.bodies > 0)
+    samples = _robot_samples(twin, world, robot, eyes_world, rng)
+    if not len(samples.normals) >= MIN_SAMPLES:
+        return SceneLight(scene_light(world, twin.labels), 0.0, "scene")
+    middle = np.median(world.means[of_robot], 0).astype(np.float64)
+    unseen, loss = fit_unseen(samples, probe_light(world.select(twin.labels != ROBOT), middle))
+    radiance = radiance_around(probe_light(empty, place), unseen, loss)
+    return SceneLight(limit_light(_positive(lose_color(radiance, loss))), loss, "robot")
 
 
 def scene_light(world: Gaussians, labels: NDArray[np.uint8]) -> Light:
@@ -70,32 +121,38 @@ def scene_light(world: Gaussians, labels: NDArray[np.uint8]) -> Light:
     return hemisphere_light(np.full(3, level), np.full(3, 0.4 * level))
 
 
-def fit_light(normals: Array, albedo: Array, seen: Array, prior: Light) -> Light:
-    """Least squares of `seen = albedo * irradiance(normal) / pi` over nine coefficients.
+def fit_unseen(samples: LitSamples, around: Probe) -> tuple[Array, float]:
+    """What comes to the robot from where the scan shows nothing, as harmonics (9, 3), and the camera's loss of color.
 
-    Linear colors (N, 3); bands 1 and 2 are pulled to those of a prior at the brightness found. No surface direction
-    of the result is darker than a tenth of the mean.
+    Args:
+        samples: On the robot.
+        around: What is seen from its middle.
     """
-    basis = sh_basis(normals, 2) * (COSINE_BANDS / np.pi)
-    brightness = float(
-        np.median(seen.mean(1) / albedo.mean(1)) / max(np.median(prior.irradiance(normals)), 1e-6)
-    )
-    target = prior.radiance_sh * brightness
-    pull = np.repeat([0.0, *PRIOR], [1, 3, 5])
-    weights = np.ones(len(normals))
-    coefficients = target
-    for _ in range(5):
-        columns = []
-        for channel in range(3):
-            A = basis * (albedo[:, channel] * np.sqrt(weights))[:, None]
-            b = seen[:, channel] * np.sqrt(weights)
-            ridge = np.diag(pull) * (A**2).sum() / 9
-            columns.append(np.linalg.solve(A.T @ A + ridge, A.T @ b + ridge @ target[:, channel]))
-        coefficients = np.stack(columns, 1)
-        error = np.abs((albedo * (basis @ coefficients) - seen).mean(1))
-        # Specular reflections and wrong links are outliers: Cauchy weights.
-        weights = 1 / (1 + (error / max(2 * float(np.median(error)), 1e-6)) ** 2)
-    return _positive(coefficients)
+    answer, wanted = cosine_answer(samples.normals), srgb_from_linear(np.clip(samples.seen, 0, 1))
+    reflecting = samples.albedo + REFLECTED
+    spreads = np.repeat(BAND_SD, [3, 5])[:, None]
+    weight = np.sqrt(PRIOR_COLORS * len(wanted))
+
+    def residuals(unknown: Array) -> Array:
+        unseen, loss = unknown[:27].reshape(9, 3), unknown[27]
+        irradiance = np.maximum(answer @ radiance_around(around, unseen, loss), 0)
+        shown = srgb_from_linear(np.maximum(lose_color(reflecting * irradiance, loss), 1e-6))
+        level = max(float(np.abs(unseen[0]).mean()), 1e-3)
+        prior = np.append((unseen[1:] / (level * spreads)).ravel(), loss / LOSS_SD)
+        return np.append((shown - wanted).ravel(), weight * prior)
+
+    start = np.append(np.ones(3), np.zeros(25))
+    low, high = np.full(28, -np.inf), np.full(28, np.inf)
+    low[27], high[27] = LOSSES
+    found = least_squares(residuals, start, bounds=(low - 1e-9, high), loss="soft_l1", f_scale=OUTLIER).x
+    return found[:27].reshape(9, 3), float(found[27])
+
+
+def radiance_around(around: Probe, unseen: Array, loss: float) -> Array:
+    """Harmonics (9, 3) of all that arrives at a probe: what it sees, in the colors before the camera, and the rest."""
+    shown = np.maximum(lose_color(around.radiance_linear, -loss / (1 - loss)), 0)
+    rest = np.maximum(sh_basis(around.directions, 2) @ unseen, 0)
+    return around.project(around.seen[:, None] * shown + (1 - around.seen[:, None]) * rest)
 
 
 def limit_light(light: Light) -> Light:
@@ -106,26 +163,33 @@ def limit_light(light: Light) -> Light:
 
 def _positive(coefficients: Array) -> Light:
     """Bands 1 and 2 shrunk until no surface direction is darker than a tenth of the mean."""
-    weighted = sh_basis(sphere_directions(200), 2) * COSINE_BANDS
+    weighted = cosine_answer(sphere_directions(200))
     mean, rest = weighted[:, :1] @ coefficients[:1], weighted[:, 1:] @ coefficients[1:]
     share = min(1.0, float((0.9 * mean / np.maximum(-rest, 1e-9)).min()))
     return Light(radiance_sh=np.concatenate([coefficients[:1], coefficients[1:] * max(share, 0.0)]))
 
 
 def _robot_samples(
-    twin: Twin, world: Gaussians, robot: RobotModel, rng: np.random.Generator
-) -> tuple[Array, Array, Array]:
-    """Normals, model colors and seen colors of the robot's Gaussians that lie on its meshes."""
+    twin: Twin, world: Gaussians, robot: RobotModel, eyes_world: Array, rng: np.random.Generator
+) -> LitSamples:
+    """The robot's Gaussians that lie on its meshes and were seen from several sides."""
     Ts = body_poses(twin, robot, twin.scan_state)
     points, normals, colors = _surface_points(robot, Ts[1 : 1 + len(robot.body_names)], rng)
     mine = np.flatnonzero((twin.labels == ROBOT) & (world.opacities > 0.3) & (twin.bodies > 0))
     if not len(points):
-        return points, normals, colors
+        return LitSamples(normals=points, albedo=colors, seen=colors)
     distances, nearest = cKDTree(points).query(world.means[mine])
-    close = (distances < MAX_DISTANCE) & (colors[nearest].mean(1) > MIN_ALBEDO)
+    close = distances < MAX_DISTANCE
     mine, nearest = mine[close], nearest[close]
+    if len(mine) > MAX_SAMPLES:
+        chosen = rng.choice(len(mine), MAX_SAMPLES, replace=False)
+        mine, nearest = mine[chosen], nearest[chosen]
+    ways = eyes_world - points[nearest][:, None]
+    ways /= np.linalg.norm(ways, axis=-1, keepdims=True)
+    facing = np.einsum("nki,ni->nk", ways, normals[nearest]) > FACING
     seen = linear_from_srgb(np.clip(0.5 + SH_C0 * world.sh[mine, 0], 0, 1))
-    return normals[nearest], colors[nearest], np.asarray(seen, np.float64)
+    found = LitSamples(normals=normals[nearest], albedo=colors[nearest], seen=np.asarray(seen, np.float64))
+    return found.select(facing.mean(1) > MIN_EYES)
 
 
 def _surface_points(

@@ -100,4 +100,6 @@ def _gloss(difference: Array, visible: NDArray[np.bool_], points: Array, eyes: A
     pull = GLOSS_PULL * np.eye(basis.shape[1])
     # All eyes look down: over them the other harmonics have means, which the constant takes away again.
     pull[0, 0] = 1e-3
-    return np.linalg.solve(basis.T @ basis + pull, basis.T @ difference[view, row, column])
+    return np.asarray(
+        np.linalg.solve(basis.T @ basis + pull, basis.T @ difference[view, row, column]), np.float64
+    )

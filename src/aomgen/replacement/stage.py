@@ -11,10 +11,10 @@ from aomgen.assets.usd_write import write_for_replay
 from aomgen.conventions import MOVING, STATIC
 from aomgen.core.asset import ArticulatedAsset
 from aomgen.core.demonstration import EpisodeScene, RecordedObject, SupportPlane
-from aomgen.core.light import Light
 from aomgen.core.parts import surface_points
 from aomgen.core.plan import FittedAsset, Rejection
 from aomgen.core.progress import Progress
+from aomgen.core.transforms import apply
 from aomgen.errors import EstimationError
 from aomgen.io.artifact import save_artifact
 from aomgen.io.images import read_image
@@ -22,10 +22,11 @@ from aomgen.replacement.asset_surfels import asset_surfels
 from aomgen.replacement.correspondence import RecordedContact, recorded_contact
 from aomgen.replacement.fitting import FitParams, fit_asset
 from aomgen.replacement.free_table import support_plane
-from aomgen.replacement.light_estimation import estimate_light
+from aomgen.replacement.light_estimation import SceneLight, estimate_light
 from aomgen.replacement.mosaic import Photograph
 from aomgen.replacement.obstacles import find_obstacles
-from aomgen.replacement.removal import clear_object
+from aomgen.replacement.reflection import show_in_light
+from aomgen.replacement.removal import Cleared, clear_object
 from aomgen.replacement.viewpoint import episode_cameras
 from aomgen.results import ASSET_USD, ASSETS_FOLDER, FITTED, Results
 from aomgen.robots.reach import longest_reach
@@ -48,8 +49,8 @@ def run(results: Results, folder: Path, progress: Progress) -> dict[str, Any]:
     (folder / BACKGROUND_FOLDER).mkdir()
     save_artifact(folder / BACKGROUND_FOLDER, "twin", cleared.twin)
     progress(0.3, "light")
-    light = estimate_light(results.twin, results.robot, np.random.default_rng(project.seed))
     support = support_plane(cleared)
+    light = _light_at_object(results, cleared)
     obstacles = find_obstacles(
         cleared.surroundings, cleared.support, longest_reach(results.robot), results.configuration
     )
@@ -61,7 +62,7 @@ def run(results: Results, folder: Path, progress: Progress) -> dict[str, Any]:
         target.mkdir(parents=True)
         save_artifact(target, FITTED, asset)
         write_for_replay(asset.asset, target / ASSET_USD)
-        save_artifact(target, "twin", asset_twin(cleared.twin, asset, light.light, project.seed + number))
+        save_artifact(target, "twin", asset_twin(cleared.twin, asset, light, project.seed + number))
     progress(0.9, "new viewpoint")
     scene = EpisodeScene(
         support=support,
@@ -82,6 +83,21 @@ def run(results: Results, folder: Path, progress: Progress) -> dict[str, Any]:
         "fit_residual_mm": max((item.residual_mm for item in fitted), default=0.0),
         "warnings": [f"asset {spec} is left out: {found.detail}" for spec, found in rejected.items()],
     }
+
+
+def _light_at_object(results: Results, cleared: Cleared) -> SceneLight:
+    """The light in the middle of where the recorded object stood."""
+    support = cleared.support
+    middle = np.append((support.low + support.high) / 2, support.top / 2)
+    eyes = np.stack([camera.center for camera in results.scan_cameras.values()])
+    return estimate_light(
+        results.twin,
+        results.robot,
+        cleared.surroundings,
+        apply(support.T_world_plane, middle),
+        eyes,
+        np.random.default_rng(results.project.seed),
+    )
 
 
 def contact_of(results: Results, support: SupportPlane) -> RecordedContact:
@@ -127,7 +143,11 @@ def examine_fit(results: Results, asset: ArticulatedAsset) -> Finding:
     return Finding(name=name, state=f"size x {found.scale:.2f}, {found.residual_mm:.1f} mm from the motion")
 
 
-def asset_twin(background: Twin, fitted: FittedAsset, light: Light, seed: int) -> Twin:
+def asset_twin(background: Twin, fitted: FittedAsset, light: SceneLight, seed: int) -> Twin:
     """The cleared scene with a fitted asset where the recorded object stood."""
-    static, moving = asset_surfels(fitted.asset, np.random.default_rng(seed))
-    return with_object(background, static, moving, fitted.asset.joint, light, fitted.T_world_asset)
+    T = fitted.T_world_asset
+    static, moving = (
+        show_in_light(link, light, T[:3, :3])
+        for link in asset_surfels(fitted.asset, np.random.default_rng(seed))
+    )
+    return with_object(background, static, moving, fitted.asset.joint, light.light, T)

@@ -52,12 +52,15 @@ class Surfels:
         normals: Unit, outward.
         albedo_linear: 0..1.
         transfer: See `core.light`.
+        roughness, metallic: Of the meshes, 0..1.
     """
 
     gaussians: Annotated[Gaussians, "N"]
     normals: Annotated[NDArray[np.float32], "N 3"]
     albedo_linear: Annotated[NDArray[np.float32], "N 3"]
     transfer: Annotated[NDArray[np.float32], "N 9"]
+    roughness: Annotated[NDArray[np.float32], "N"]
+    metallic: Annotated[NDArray[np.float32], "N"]
 
     __post_init__ = freeze_arrays
 
@@ -71,6 +74,8 @@ class _Candidates:
     crease_distances: Array
     crease_directions: Array
     colors_srgb: Array
+    roughness: Array
+    metallic: Array
     fine: NDArray[np.bool_]
 
     def select(self, which: NDArray) -> "_Candidates":
@@ -133,6 +138,8 @@ def _candidates(mesh: Mesh, count: int, radius: float, rng: np.random.Generator)
         crease_distances=distances,
         crease_directions=directions,
         colors_srgb=colors,
+        roughness=np.full(len(points), mesh.roughness),
+        metallic=np.full(len(points), mesh.metallic),
         fine=(np.abs(colors - coarse).max(1) > DETAIL) | (distances < radius * FINER),
     )
 
@@ -236,6 +243,8 @@ def _discs(kept: _Candidates, normals: Array, radii: Array, transfer: NDArray[np
         normals=normals.astype(np.float32),
         albedo_linear=linear_from_srgb(kept.colors_srgb).astype(np.float32),
         transfer=transfer,
+        roughness=kept.roughness.astype(np.float32),
+        metallic=kept.metallic.astype(np.float32),
     )
 
 

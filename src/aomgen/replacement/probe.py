@@ -1,0 +1,81 @@
+"""What arrives at a place from all around: the twin drawn outward, and how much of the sphere it shows."""
+
+from dataclasses import dataclass
+from typing import Annotated, Final
+
+import numpy as np
+
+from aomgen.conventions import linear_from_srgb
+from aomgen.core.camera import Camera
+from aomgen.core.gaussians import Gaussians
+from aomgen.core.light import COSINE_BANDS
+from aomgen.core.sh import sh_basis
+from aomgen.core.transforms import transform
+from aomgen.core.values import Array, freeze_arrays
+from aomgen.splatting.rasterizer import render
+
+# Pixels along the side of a face of the cube.
+FACE_PX: Final = 24
+# Where less of the light comes from Gaussians, nothing was scanned.
+MIN_ALPHA: Final = 0.05
+# Camera axes (columns x, y, z) of the faces: along each axis of the world.
+FACES: Final = tuple(
+    np.stack([np.roll(z, 1), np.cross(z, np.roll(z, 1)), z], 1) for z in (*np.eye(3), *-np.eye(3))
+)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Probe:
+    """Radiance at a place in D directions.
+
+    Attributes:
+        directions: Unit, to where the light comes from, world frame.
+        solid_angles: Of each, [sr]; 4 pi together.
+        seen: Share of each that the scan shows, 0..1.
+        radiance_linear: Of that share, as pictures show it.
+    """
+
+    directions: Annotated[Array, "D 3"]
+    solid_angles: Annotated[Array, "D"]
+    seen: Annotated[Array, "D"]
+    radiance_linear: Annotated[Array, "D 3"]
+
+    __post_init__ = freeze_arrays
+
+    def project(self, radiance: Array) -> Array:
+        """Harmonics (9, ...) of radiance (D, ...)."""
+        return np.asarray(
+            (sh_basis(self.directions, 2) * self.solid_angles[:, None]).T @ radiance, np.float64
+        )
+
+
+def cosine_answer(normals: Array) -> Array:
+    """Matrix (N, 9) that turns harmonics of radiance into irradiance over pi at normals (N, 3)."""
+    return sh_basis(normals, 2) * (COSINE_BANDS / np.pi)
+
+
+def probe_light(world: Gaussians, place: Array) -> Probe:
+    """Draw Gaussians, world frame, outward from a place (3,)."""
+    found = []
+    half = FACE_PX / 2
+    for R in FACES:
+        camera = Camera(
+            fx=half, fy=half, cx=half, cy=half, width=FACE_PX, height=FACE_PX, T_world_cam=transform(R, place)
+        )
+        drawn, rays = render(world, camera), camera.directions()
+        length = np.linalg.norm(rays, axis=-1)
+        shown = np.asarray(drawn.rgb, np.float64) / np.maximum(drawn.alpha, MIN_ALPHA)[..., None]
+        found.append((
+            (rays / length[..., None]).reshape(-1, 3),
+            # A pixel of the unit cube, seen under the cosine, at its distance.
+            ((2 / FACE_PX) ** 2 / length**3).ravel(),
+            np.where(drawn.alpha > MIN_ALPHA, drawn.alpha, 0.0).ravel(),
+            linear_from_srgb(np.clip(shown, 0, 1)).reshape(-1, 3),
+        ))  # fmt: skip
+    directions, solid_angles, seen, radiance = (np.concatenate(part) for part in zip(*found, strict=True))
+    return Probe(
+        directions=directions,
+        solid_angles=solid_angles * (4 * np.pi / solid_angles.sum()),
+        seen=seen,
+        radiance_linear=np.asarray(radiance, np.float64),
+    )
