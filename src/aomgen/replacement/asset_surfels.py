@@ -46,6 +46,8 @@ ROUNDS: Final = 8
 GROW_AFTER, ERROR_PICTURES = (0, 1, 2), 12
 # Opaque enough to hide what is behind, with a gradient left.
 START_OPACITY: Final = 0.7
+# Squared error that a surface may cost which is opaque: what shines through it would be lit as what lies behind.
+OPAQUE: Final = 0.003
 # Fainter ones are used elsewhere.
 MIN_OPACITY: Final = 0.02
 # Gaussians move this much in a step at the start, [px] of a picture.
@@ -185,6 +187,7 @@ def _gradients(
         GaussianTensors(**leaves), picture.camera, RasterOptions(sh_degree=0), parts=parts
     )
     error = (drawn.rgb - picture.rgba[:3]).square().mean() + (drawn.alpha - picture.rgba[3]).square().mean()
+    error = error - OPAQUE * leaves["logit_opacities"].sigmoid().mean()
     error.backward()
     return {name: leaf.grad for name, leaf in leaves.items() if leaf.grad is not None}
 

@@ -37,11 +37,15 @@ FACING, MIN_EYES = 0.2, 0.15
 REFLECTED: Final = 0.04
 # Errors of colors beyond this are outliers: glints, wrong links, sRGB.
 OUTLIER: Final = 0.05
-# Standard deviations of bands 1 and 2 of what is not seen, shares of its mean, and of the loss of saturation; errors
-# of that many colors weigh as one of them.
+# Standard deviations of bands 1 and 2 of what is not seen, shares of its mean, and of the camera's loss of
+# color; what share of all colors weighs as much as one of them.
 BAND_SD, LOSS_SD, PRIOR_COLORS = (0.6, 0.4), 0.3, 1e-4
-# The camera's loss of saturation stays within these limits.
+# The camera's loss of color stays between these.
 LOSSES: Final = (0.0, 0.8)
+# Nearly black surfaces show reflections rather than light, linear.
+MIN_ALBEDO: Final = 0.05
+# Directions in which a light is checked.
+NORMALS: Final = 200
 # Mean albedo of things, to judge the brightness of light when the robot cannot.
 MEAN_ALBEDO: Final = 0.4
 # Brightness of a white, level surface stays within these limits, linear, 1 = image white.
@@ -106,8 +110,8 @@ def estimate_light(
         return SceneLight(scene_light(world, twin.labels), 0.0, "scene")
     middle = np.median(world.means[of_robot], 0).astype(np.float64)
     unseen, loss = fit_unseen(samples, probe_light(world.select(twin.labels != ROBOT), middle))
-    radiance = radiance_around(probe_light(empty, place), unseen, loss)
-    return SceneLight(limit_light(_positive(lose_color(radiance, loss))), loss, "robot")
+    radiance = lose_color(radiance_around(probe_light(empty, place), unseen, loss), loss)
+    return SceneLight(limit_light(_positive(radiance)), loss, "robot")
 
 
 def scene_light(world: Gaussians, labels: NDArray[np.uint8]) -> Light:
@@ -129,22 +133,22 @@ def fit_unseen(samples: LitSamples, around: Probe) -> tuple[Array, float]:
         around: What is seen from its middle.
     """
     answer, wanted = cosine_answer(samples.normals), srgb_from_linear(np.clip(samples.seen, 0, 1))
-    reflecting = samples.albedo + REFLECTED
     spreads = np.repeat(BAND_SD, [3, 5])[:, None]
     weight = np.sqrt(PRIOR_COLORS * len(wanted))
 
     def residuals(unknown: Array) -> Array:
-        unseen, loss = unknown[:27].reshape(9, 3), unknown[27]
+        unseen, loss = unknown[:27].reshape(9, 3), float(unknown[27])
         irradiance = np.maximum(answer @ radiance_around(around, unseen, loss), 0)
-        shown = srgb_from_linear(np.maximum(lose_color(reflecting * irradiance, loss), 1e-6))
+        sent = lose_color((samples.albedo + REFLECTED) * irradiance, loss)
         level = max(float(np.abs(unseen[0]).mean()), 1e-3)
-        prior = np.append((unseen[1:] / (level * spreads)).ravel(), loss / LOSS_SD)
-        return np.append((shown - wanted).ravel(), weight * prior)
+        prior = np.append(unseen[1:] / (level * spreads), loss / LOSS_SD)
+        return np.append((srgb_from_linear(np.maximum(sent, 1e-6)) - wanted).ravel(), weight * prior)
 
-    start = np.append(np.ones(3), np.zeros(25))
-    low, high = np.full(28, -np.inf), np.full(28, np.inf)
-    low[27], high[27] = LOSSES
-    found = least_squares(residuals, start, bounds=(low - 1e-9, high), loss="soft_l1", f_scale=OUTLIER).x
+    start = np.concatenate([np.ones(3), np.zeros(24), [0.1]])
+    low, high = (
+        np.append(np.full(27, end), limit) for end, limit in zip((-np.inf, np.inf), LOSSES, strict=True)
+    )
+    found = least_squares(residuals, start, bounds=(low, high), loss="soft_l1", f_scale=OUTLIER).x
     return found[:27].reshape(9, 3), float(found[27])
 
 
@@ -163,7 +167,7 @@ def limit_light(light: Light) -> Light:
 
 def _positive(coefficients: Array) -> Light:
     """Bands 1 and 2 shrunk until no surface direction is darker than a tenth of the mean."""
-    weighted = cosine_answer(sphere_directions(200))
+    weighted = cosine_answer(sphere_directions(NORMALS))
     mean, rest = weighted[:, :1] @ coefficients[:1], weighted[:, 1:] @ coefficients[1:]
     share = min(1.0, float((0.9 * mean / np.maximum(-rest, 1e-9)).min()))
     return Light(radiance_sh=np.concatenate([coefficients[:1], coefficients[1:] * max(share, 0.0)]))
@@ -179,7 +183,7 @@ def _robot_samples(
     if not len(points):
         return LitSamples(normals=points, albedo=colors, seen=colors)
     distances, nearest = cKDTree(points).query(world.means[mine])
-    close = distances < MAX_DISTANCE
+    close = (distances < MAX_DISTANCE) & (colors[nearest].mean(1) > MIN_ALBEDO)
     mine, nearest = mine[close], nearest[close]
     if len(mine) > MAX_SAMPLES:
         chosen = rng.choice(len(mine), MAX_SAMPLES, replace=False)

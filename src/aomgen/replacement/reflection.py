@@ -22,7 +22,9 @@ BANDS: Final = np.repeat([0, 1, 2], [1, 3, 5])
 # Constant harmonic, and the constant part of an open surface's transfer.
 Y0: Final = float(sh_basis([0.0, 0.0, 1.0], 0)[0])
 # The slope of sRGB is taken above this, linear: nearer to black it would make small differences large.
-BLACK: Final = 0.01
+BLACK: Final = 0.002
+# Step of the slope, as a share.
+STEP: Final = 0.05
 
 
 def show_in_light(surfels: Surfels, light: SceneLight, R_world_asset: Array) -> Surfels:
@@ -41,14 +43,13 @@ def show_in_light(surfels: Surfels, light: SceneLight, R_world_asset: Array) -> 
     blur = np.exp(-((BANDS * surfels.roughness[:, None].astype(np.float64) ** 2) ** 2))
     reflection = (share * open_)[:, None] * blur[..., None] * mirrored
     arriving = np.maximum(surfels.transfer.astype(np.float64) @ radiance, BLACK)
-    albedo = colors * (1 - metallic) + np.maximum(reflection[:, 0] * Y0, 0) / arriving
-    shown = np.clip(albedo * arriving, BLACK, 1)
-    slope = (srgb_from_linear(np.minimum(shown * 1.01, 1.0)) - srgb_from_linear(shown * 0.99)) / (
-        0.02 * shown
-    )
-    sh = np.zeros((len(albedo), 9, 3), np.float32)
+    sent = colors * (1 - metallic) * arriving + np.maximum(reflection[:, 0] * Y0, 0)
+    sent = np.clip(sent, BLACK, 1 / (1 + STEP))
+    slope = (srgb_from_linear(sent * (1 + STEP)) - srgb_from_linear(sent * (1 - STEP))) / (2 * STEP * sent)
+    sh = np.zeros((len(sent), 9, 3), np.float32)
     sh[:, 0] = surfels.gaussians.sh[:, 0]
     sh[:, 1:] = reflection[:, 1:] * slope[:, None]
+    albedo = sent / arriving
     return replace(surfels, gaussians=surfels.gaussians.with_sh(sh), albedo_linear=albedo.astype(np.float32))
 
 
