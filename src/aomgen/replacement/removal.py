@@ -19,6 +19,7 @@ from aomgen.core.gaussians import SH_C0, Gaussians, gaussians_of
 from aomgen.core.transforms import apply, quat_from_matrix
 from aomgen.core.values import Array
 from aomgen.replacement.mosaic import Photograph, photograph_surface
+from aomgen.replacement.old_shadow import shadow_gain
 from aomgen.robots.robot import RobotModel
 from aomgen.twin.support import SURFACE, Support, find_support, on_surface, seen_from_above
 from aomgen.twin.twin import Twin, posed
@@ -28,7 +29,9 @@ HALO: Final = 0.025
 # The surface is made new this far beyond the object's footprint, and reaches as far again under the old one, [m].
 MARGIN: Final = 0.03
 # So near to the footprint photographs show the object's foot, [m].
-FOOT: Final = 0.012
+FOOT: Final = 0.02
+# Where a shadow is so deep that colors would be lifted by more, they are invented, sRGB.
+MAX_LIFT: Final = 1.35
 # Texture and shadow are judged on a ring this wide, [m].
 RING: Final = 0.28
 # Cell of the image from above and of the new surface, one Gaussian each, [m].
@@ -39,10 +42,6 @@ BELOW: Final = 0.0015
 MIN_ALPHA: Final = 0.6
 # Difference of chromaticity from most of the surface that is certainly another thing.
 MIN_TINT: Final = 0.07
-# A cast shadow is lifted up to this factor, and only where it is this grey.
-MAX_GAIN: Final = 2.0
-# In log color; wood or cloth is allowed more where the shadow is deep.
-MAX_TINT: Final = 0.04
 # Patch side, [px].
 PATCH: Final = 17
 # Random patches compared at each place; the neighbourhood of the best is searched after.
@@ -110,7 +109,8 @@ def clear_object(
     # What lies close to the footprint and is not the table is the object's: its foot, its mirror image.
     rest = _in_cells(remaining.gaussians, support, low, covered & ~known & (outside < 1.5 * MARGIN)) & table
     remaining, table = remaining.select(~rest), table[~rest]
-    gain = shadow_gain(picture, known, outside, xy)
+    gain = shadow_gain(world.select(of_object), support.T_world_plane, low, CELL, picture, known)
+    known &= gain.max(-1) < MAX_LIFT
     lightened = _lightened(remaining.gaussians, table, support, low, gain)
     texture = inpaint(np.clip(picture * gain, 0, 1), known, rng)
     # Where nothing was scanned before either, the table ends; gaps within it are closed too.
@@ -163,37 +163,6 @@ def _same_material(picture: Array, known: NDArray[np.bool_]) -> NDArray[np.bool_
     other = (tint > max(4 * float(np.median(tint[known])), MIN_TINT)) | (level < -1.2)
     other |= level > max(4 * float(np.median(np.abs(level[known]))), 0.3)
     return known & ~binary_dilation(other & known, iterations=2)
-
-
-def shadow_gain(picture: Array, known: NDArray[np.bool_], outside: Array, xy: Array) -> Array:
-    """Factor (H, W, 3) >= 1 that lifts the object's shadow to the brightness further away.
-
-    Brightness far from the object is continued inwards as a plane in the logarithm. Where the
-    table changes its tint, or varies as much without a shadow, nothing is lifted.
-    """
-    gain = np.ones((*known.shape, 3))
-    weight = gaussian_filter(known.astype(float), 5.0)
-    smooth = (
-        np.stack([gaussian_filter(np.where(known, picture[..., k], 0.0), 5.0) for k in range(3)], -1)
-        / np.maximum(weight, 1e-3)[..., None]
-    )
-    logs = np.log(np.maximum(smooth, 1e-3))
-    far = known & (outside > 0.6 * RING) & (weight > 0.5)
-    if not far.sum() > 200:
-        return gain
-    A = np.concatenate([xy, np.ones((*known.shape, 1))], -1)
-    for _ in range(2):
-        fit = np.linalg.lstsq(A[far], logs[far], rcond=None)[0]
-        residual = np.abs((logs - A @ fit).mean(-1))
-        far &= residual < max(float(2.5 * np.median(residual[far])), 0.02)
-    lift = A @ fit - logs
-    spread = float(np.std(lift[far].mean(-1)))
-    depth = np.maximum(lift.mean(-1), 0)
-    tint = np.abs(lift - lift.mean(-1, keepdims=True)).max(-1)
-    # Wood or cloth throws its own color into its shadows: the deeper, the more tint is allowed.
-    strength = np.clip(1.5 - tint / (MAX_TINT + 0.35 * depth), 0, 1) * np.clip(1.2 - outside / RING, 0, 1)
-    strength *= np.clip(depth / max(spread, 0.02) - 0.5, 0, 1) * (weight > 0.05) * known
-    return np.exp(np.clip(lift * strength[..., None], 0, np.log(MAX_GAIN)))
 
 
 def _cells(

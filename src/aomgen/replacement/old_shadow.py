@@ -1,0 +1,95 @@
+"""The shadow that the recorded object threw on its table, explained by light from many directions.
+
+What the object keeps from every place of the table is known for every direction; how much comes from where is what
+explains the brightness that was seen best. Dividing by what arrives takes the shadow away, soft or crisp.
+"""
+
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter, map_coordinates
+from scipy.optimize import nnls
+
+from aomgen.conventions import linear_from_srgb
+from aomgen.core.gaussians import Gaussians
+from aomgen.core.transforms import invert
+from aomgen.core.values import Array
+from aomgen.splatting.surfaces import sphere_directions
+from aomgen.twin.plane_shadow import PlaneGrid, cast_on_plane
+
+# Cells of the picture from above that are one cell of the shadow, along a side: it is softer than wood is grained.
+COARSER: Final = 3
+# Directions over the whole sphere; those of which the sine of the elevation is less than this hardly light a table.
+DIRECTIONS, MIN_SINE = 240, 0.12
+# How much the light of every direction is held near that of an even sky, as a share of the evidence.
+EVEN: Final = 0.02
+# More than this is not made of what is seen, linear.
+MAX_GAIN: Final = 4.0
+# Fewer cells do not tell a shadow from the grain.
+MIN_CELLS: Final = 200
+# sRGB is close to this power of linear light.
+SRGB_POWER: Final = 1 / 2.2
+
+
+def shadow_gain(
+    caster: Gaussians,
+    T_world_plane: Array,
+    low: Array,
+    cell: float,
+    picture_srgb: Array,
+    known: NDArray[np.bool_],
+) -> Array:
+    """Factors (H, W, 3), 1 or more, on sRGB colors of a table that take away the shadow of what stood on it.
+
+    Args:
+        caster: The object, world frame.
+        T_world_plane: The table, z = 0 on it.
+        low: Corner of the picture, plane frame (2,).
+        cell: Side of its cells, [m].
+        picture_srgb: The table from above (H, W, 3).
+        known: Cells (H, W) that show the table.
+
+    Not checked: that the table has one color on the whole. Where its brightness changes evenly from side to side it is
+    left so.
+    """
+    gain = np.ones((*known.shape, 3))
+    rows, columns = (-(-side // COARSER) for side in known.shape)
+    grid = PlaneGrid(low=low, cell=COARSER * cell, columns=columns, rows=rows)
+    weight = _pooled(known.astype(float), rows, columns)
+    colors = _pooled(linear_from_srgb(picture_srgb) * known[..., None], rows, columns)
+    sure = weight > 0.5
+    if not sure.sum() >= MIN_CELLS:
+        return gain
+    directions = sphere_directions(DIRECTIONS)
+    directions = directions[directions[:, 2] > MIN_SINE]
+    # An even sky lights a table by the sine of the elevation.
+    sines, passed = directions[:, 2], _passed(caster, T_world_plane, grid, directions)
+    middle = grid.points()[..., :2] - grid.points()[..., :2][sure].mean(0)
+    slopes = [sign * middle[..., k] for k in range(2) for sign in (1, -1)]
+    A = np.stack([*passed, *slopes], -1)[sure]
+    even = np.sqrt(EVEN * len(A)) * np.eye(len(passed), A.shape[1])
+    places = (np.indices(known.shape) + 0.5) / COARSER - 0.5
+    for channel in range(3):
+        seen = colors[..., channel][sure] / weight[sure]
+        sky = np.median(seen) * sines / sines.sum()
+        found, _ = nnls(np.concatenate([A, even]), np.concatenate([seen, even[:, : len(passed)] @ sky]))
+        light = found[: len(passed)]
+        arriving = np.tensordot(light, passed, 1) / max(float(light.sum()), 1e-9)
+        smooth = map_coordinates(gaussian_filter(arriving, 0.5), places, order=1, mode="nearest")
+        gain[..., channel] = np.clip(1 / np.maximum(smooth, 1 / MAX_GAIN), 1, MAX_GAIN) ** SRGB_POWER
+    return gain
+
+
+def _passed(caster: Gaussians, T_world_plane: Array, grid: PlaneGrid, directions: Array) -> Array:
+    """Share (D, rows, columns) of the light of directions (D, 3), plane frame, that reaches each cell."""
+    body = caster.transformed(invert(T_world_plane))
+    index, poses = np.zeros(len(body), np.int32), np.tile(np.eye(4), (len(directions), 1, 1, 1))
+    return 1 - cast_on_plane(body, index, poses, directions, grid).astype(np.float64)
+
+
+def _pooled(image: Array, rows: int, columns: int) -> Array:
+    """Means over cells of an image (H, W, ...), 0 beyond its end."""
+    more = [(0, rows * COARSER - image.shape[0]), (0, columns * COARSER - image.shape[1])]
+    whole = np.pad(image, more + [(0, 0)] * (image.ndim - 2))
+    return whole.reshape(rows, COARSER, columns, COARSER, *image.shape[2:]).mean((1, 3))
