@@ -32,6 +32,7 @@ from aomgen.twin.shadow import (
     intersect_surface,
     remove_shadow,
     silhouette,
+    spread_directions,
     surface_share,
 )
 from aomgen.twin.twin import Twin, posed, shadow_roles
@@ -51,6 +52,8 @@ DIRECTIONS: Final = 350
 # First step of the refinement, about half the spacing of the first directions, and where it ends, [rad]: that moves
 # the shadow of a point 1 m high by less than half a centimeter.
 FIRST_STEP, LAST_STEP = 0.07, 0.004
+# Half the angles under which a lamp may be seen, [rad]: a spot, a bulb's shade, a panel near by, a window.
+WIDTHS: Final = (0.0, 0.05, 0.1, 0.15, 0.2)
 # The shadow has to take away at least this share of the variance in images it was not fitted to.
 # With less, as under soft light, most of what it draws would be wrong.
 MIN_EXPLAINED: Final = 0.5
@@ -88,10 +91,13 @@ class SurfaceObservations:
         """Some of the images."""
         return replace(self, logs=self.logs[which], seen=self.seen[which], moving=self.moving[which])
 
-    def dark(self, direction: Array) -> Array:
-        """Share (T, N) of a lamp's light that the moving bodies take from the places."""
-        lit = 1 - silhouette(self.fixed, direction).at(self.points)
-        return np.stack([silhouette(bodies, direction).at(self.points) * lit for bodies in self.moving])
+    def dark(self, directions: Array) -> Array:
+        """Share (T, N) of the light of a lamp, directions (K, 3), that the moving bodies take from the places."""
+        found = np.zeros((len(self.moving), len(self.points)))
+        for way in directions:
+            lit = 1 - silhouette(self.fixed, way).at(self.points)
+            found += [silhouette(bodies, way).at(self.points) * lit for bodies in self.moving]
+        return found / len(directions)
 
 
 def find_directional_light(
@@ -114,17 +120,19 @@ def find_directional_light(
     directions = directions[directions @ up > MIN_SINE]
 
     def score(images: SurfaceObservations) -> Callable[[Array], float]:
-        return lambda direction: explained_variance(images, images.dark(direction))
+        return lambda direction: explained_variance(images, images.dark(direction[None]))
 
     # Some of the images tell the first directions apart.
     first = max(directions, key=score(fitted.part(slice(0, None, FIRST_EVERY))))
     best = _refine_direction(first, score(fitted))
-    if explained_variance(unseen, unseen.dark(best)) < MIN_EXPLAINED:
+    wide = {width: spread_directions(best, width) for width in WIDTHS}
+    width = max(wide, key=lambda width: explained_variance(fitted, fitted.dark(wide[width])))
+    if explained_variance(unseen, unseen.dark(wide[width])) < MIN_EXPLAINED:
         return None
-    shade = estimate_shadow_color(observed, observed.dark(best))
-    if shade is None or not (shade < 1).all():
+    shade = estimate_shadow_color(observed, observed.dark(wide[width]))
+    if shade is None or not ((shade > 0) & (shade < 1)).all():
         return None
-    return DirectionalLight(direction=best, T_world_plane=T_world_plane, shade=shade)
+    return DirectionalLight(direction=best, width=width, T_world_plane=T_world_plane, shade=shade)
 
 
 def remove_baked_shadow(twin: Twin, robot: RobotModel, lamp: DirectionalLight) -> Twin:
@@ -137,9 +145,10 @@ def remove_baked_shadow(twin: Twin, robot: RobotModel, lamp: DirectionalLight) -
     turns = np.arange(8) * np.pi / 4
     circle = EDGE_M * np.stack([np.cos(turns), np.sin(turns)], 1) @ lamp.T_world_plane[:3, :2].T
     shifted = points + np.concatenate([np.zeros((1, 3)), circle])[:, None]
-    around = on_it * cast_directional_shadow(world, roles, lamp.direction, shifted)
+    around = on_it * cast_directional_shadow(world, roles, lamp.directions, shifted)
     dark, darkest = around[0], around.max(0)
-    unsure = darkest - around.min(0) > 1 - CORE
+    # A wide lamp has no edges to be beside.
+    unsure = (darkest - around.min(0) > 1 - CORE) & (not lamp.width)
     lit = remove_shadow(twin.gaussians, dark, lamp.shade)
     from_color = _shadow_from_color(lit, twin.gaussians, unsure, on_it, lamp)
     dark[unsure] = np.minimum(from_color, darkest[unsure])
@@ -202,9 +211,10 @@ def estimate_shadow_color(observed: SurfaceObservations, dark: Array) -> Array |
     """Color in shadow over color in light (3,), of places seen in both; None when there are none.
 
     Only what is in the core of a shadow, or far from all, is compared: at edges a shadow is often
-    a little beside where it is drawn.
+    a little beside where it is drawn. The core of a wide lamp's shadow still has some of its light.
     """
-    shadow, light = observed.seen & (dark > CORE), observed.seen & (dark < 1 - CORE)
+    deepest = float(dark.max())
+    shadow, light = observed.seen & (dark > CORE * deepest), observed.seen & (dark < 1 - CORE)
     both = shadow.any(0) & light.any(0)
     if not both.any():
         return None
@@ -212,7 +222,7 @@ def estimate_shadow_color(observed: SurfaceObservations, dark: Array) -> Array |
         (observed.logs[:, both] * which[:, both, None]).sum(0) / which[:, both].sum(0)[:, None]
         for which in (shadow, light)
     ]
-    return np.exp(np.median(mean[0] - mean[1], 0))
+    return 1 - (1 - np.exp(np.median(mean[0] - mean[1], 0))) / deepest
 
 
 def raise_plane(T_world_plane: Array, twin: Twin, camera: Camera) -> Array:

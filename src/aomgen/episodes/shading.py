@@ -21,6 +21,8 @@ from aomgen.twin.twin import OBJECT, PART, Twin, shadow_roles
 
 # Cell of a map of the robot's crisp shadow, [m]: about a pixel.
 CRISP_CELL = 0.004
+# Shadows of a wide lamp are softer: their cells are so many times as wide.
+WIDE_CELLS = 3
 # Nothing that hangs on an arm throws a shadow farther from its base than this, [m].
 SHADOW_REACH = 2.5
 
@@ -67,7 +69,7 @@ class SoftShade:
 
 
 class CrispShade:
-    """The shadow that the robot, and the object's part `with_part`, throws in a directional light.
+    """The shadow that the robot, and the object's part `with_part`, throws in a directional light, crisp or wide.
 
     Cells do not depend on what moves where, so that equal states give equal pictures.
 
@@ -89,30 +91,36 @@ class CrispShade:
         self.T_world_plane = self.T_world_grid = light.T_world_plane
         self._to_plane = invert(light.T_world_plane)
         self._bodies, self._parts, self._threads = twin.gaussians.select(moving), twin.bodies[moving], threads
-        self._direction = self._to_plane[:3, :3] @ light.direction
+        self._directions = light.directions @ self._to_plane[:3, :3].T
+        cell = CRISP_CELL * (WIDE_CELLS if light.width else 1)
         self._boxes = _body_corners(self._bodies, self._parts)
-        self.grid = _cells_over(apply(self._to_plane, seen_world)[:, :2], self._to_plane[:2, 3])
+        self.grid = _cells_over(apply(self._to_plane, seen_world)[:, :2], self._to_plane[:2, 3], cell)
         poses = RigidParts(indices=twin.bodies[stands], Ts_world_part=Ts_world_body)
-        standing = silhouette(twin.gaussians.select(stands), light.direction, poses)
-        lit = 1 - standing.at(apply(light.T_world_plane, self.grid.points()))
-        self._share = ((1 - light.shade.mean()) * lit).astype(np.float32)
+        places, standing = apply(light.T_world_plane, self.grid.points()), twin.gaussians.select(stands)
+        lit = np.stack([1 - silhouette(standing, way, poses).at(places) for way in light.directions])
+        self._shares = ((1 - light.shade.mean()) / len(lit) * lit).astype(np.float32)
 
     def dark(self, states: States) -> DarkMaps:
         """What it takes, in those cells where it may fall in any of the frames."""
         Ts = self._to_plane @ states.Ts_world_body
         rows, columns = self._reached(Ts)
         window = self.grid.window(rows, columns)
-        directions = np.tile(self._direction, (len(Ts), 1))
-        cast = cast_on_plane(self._bodies, self._parts, Ts, directions, window, self._threads)
-        return DarkMaps(window, self._share[rows, columns] * cast)
+        dark = np.zeros((len(Ts), window.rows, window.columns), np.float32)
+        for direction, share in zip(self._directions, self._shares, strict=True):
+            ways = np.tile(direction, (len(Ts), 1))
+            cast = cast_on_plane(self._bodies, self._parts, Ts, ways, window, self._threads)
+            dark += share[rows, columns] * cast
+        return DarkMaps(window, dark)
 
     def _reached(self, Ts_plane_body: Array) -> tuple[slice, slice]:
         """Rows and columns of the grid that hold the shadows of all bodies' boxes; at least one of each."""
-        slope, grid = self._direction[:2] / self._direction[2], self.grid
+        slopes, grid = self._directions[:, :2] / self._directions[:, 2:], self.grid
         places = [apply(Ts_plane_body[:, None, body], corners) for body, corners in self._boxes.items()]
         if not places:
             return slice(0, 1), slice(0, 1)
-        cast = np.concatenate([item[..., :2] - item[..., 2:] * slope for item in places], 1).reshape(-1, 2)
+        cast = np.concatenate(
+            [(item[..., :2] - item[..., 2:] * slope).reshape(-1, 2) for item in places for slope in slopes]
+        )
         low, high = (
             np.floor((bound - grid.low) / grid.cell).astype(int) for bound in (cast.min(0), cast.max(0))
         )
@@ -133,14 +141,14 @@ def _body_corners(gaussians: Gaussians, bodies: NDArray[np.int32]) -> dict[int, 
     return corners
 
 
-def _cells_over(places: Array, base: Array) -> PlaneGrid:
-    """Cells of `CRISP_CELL` over places (N, 2) on a surface near the robot's base (2,), corners at multiples of it."""
+def _cells_over(places: Array, base: Array, cell: float) -> PlaneGrid:
+    """Cells of a size over places (N, 2) on a surface near the robot's base (2,), corners at multiples of it."""
     places = np.clip(places, base - SHADOW_REACH, base + SHADOW_REACH)
     if not len(places):
-        return PlaneGrid(low=np.zeros(2), cell=CRISP_CELL, columns=1, rows=1)
-    first, last = (np.floor(bound / CRISP_CELL).astype(int) for bound in (places.min(0), places.max(0)))
+        return PlaneGrid(low=np.zeros(2), cell=cell, columns=1, rows=1)
+    first, last = (np.floor(bound / cell).astype(int) for bound in (places.min(0), places.max(0)))
     columns, rows = (last - first + 3).tolist()
-    return PlaneGrid(low=(first - 1) * CRISP_CELL, cell=CRISP_CELL, columns=columns, rows=rows)
+    return PlaneGrid(low=(first - 1) * cell, cell=cell, columns=columns, rows=rows)
 
 
 Shade = SoftShade | CrispShade

@@ -129,7 +129,7 @@ STAGES: tuple[Stage, ...] = (
         folder="06_twin",
         title="binding the twin",
         needs=("capture", "structure", "gaussians", "alignment", "parts", "motion"),
-        version=11,
+        version=12,
         weight=24,
         function=_lazily("appearance.stage"),
     ),

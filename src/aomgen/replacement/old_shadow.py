@@ -23,7 +23,7 @@ COARSER: Final = 3
 # Directions over the whole sphere; those of which the sine of the elevation is less than this hardly light a table.
 DIRECTIONS, MIN_SINE = 240, 0.12
 # How much the light of every direction is held near that of an even sky, as a share of the evidence.
-EVEN: Final = 0.02
+EVEN: Final = 0.005
 # More than this is not made of what is seen, linear.
 MAX_GAIN: Final = 4.0
 # Fewer cells do not tell a shadow from the grain.
@@ -57,7 +57,8 @@ def shadow_gain(
     rows, columns = (-(-side // COARSER) for side in known.shape)
     grid = PlaneGrid(low=low, cell=COARSER * cell, columns=columns, rows=rows)
     weight = _pooled(known.astype(float), rows, columns)
-    colors = _pooled(linear_from_srgb(picture_srgb) * known[..., None], rows, columns)
+    linear = np.asarray(linear_from_srgb(picture_srgb), np.float64)
+    colors = _pooled(linear * known[..., None], rows, columns)
     sure = weight > 0.5
     if not sure.sum() >= MIN_CELLS:
         return gain

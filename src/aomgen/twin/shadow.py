@@ -1,4 +1,4 @@
-"""What one strong light sees of bodies, and the crisp shadows that these throw.
+"""What one strong light sees of bodies, and the shadows that these throw.
 
 Whether a point is in shadow is read off an image of the bodies taken from the light (shadow
 mapping: Williams 1978, "Casting curved shadows on curved surfaces").
@@ -24,6 +24,8 @@ MAP_SIDE: Final = 384
 # Heights over which a seen point fades in and out of the surface, [m]. Depth of trained
 # surfaces is uncertain, mostly downwards, because lower Gaussians shine through.
 HEIGHTS: Final = (-0.09, -0.06, 0.012, 0.03)
+# Directions around the middle of a wide light.
+RING: Final = 6
 # The role of Gaussians for shadows: what they fall on, what throws one that is always the same, and what throws one
 # that comes and goes.
 SCENE, STANDS, MOVES = range(3)
@@ -31,15 +33,17 @@ SCENE, STANDS, MOVES = range(3)
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DirectionalLight:
-    """A light that throws crisp shadows on a level surface.
+    """A light that throws shadows on a level surface.
 
     Attributes:
-        direction: Unit, from the scene to the light, world frame.
+        direction: Unit, from the scene to the middle of the light, world frame.
+        width: Half the angle under which the light is seen, [rad]; 0 for one that throws crisp shadows.
         T_world_plane: The surface, z = 0 on it.
         shade: Color in shadow divided by color in light, sRGB, 0..1.
     """
 
     direction: Vector3
+    width: float = 0.0
     T_world_plane: Matrix4
     shade: Vector3
 
@@ -49,6 +53,11 @@ class DirectionalLight:
             raise ValueError("DirectionalLight.direction has not length 1")
         if not ((self.shade > 0) & (self.shade <= 1)).all():
             raise ValueError("DirectionalLight.shade is not in 0..1")
+
+    @property
+    def directions(self) -> Array:
+        """Directions (K, 3) that together stand for the light."""
+        return spread_directions(self.direction, self.width)
 
     def factors(self, dark: Array) -> NDArray[np.float32]:
         """Factors (..., 3) on sRGB colors where a share (...,) of the light is taken."""
@@ -65,7 +74,7 @@ class DirectionalLight:
         drawn = render(world, camera, features=still, with_ids=True)
         depth = np.asarray(drawn.median_depth, np.float64)
         points, belongs = intersect_surface(self.T_world_plane, camera, depth)
-        taken = cast_directional_shadow(world, roles, self.direction, points)
+        taken = cast_directional_shadow(world, roles, self.directions, points)
         return belongs * np.asarray(drawn.features)[..., 0], taken
 
 
@@ -123,16 +132,33 @@ def distant_camera(R_world_cam: Array, center: Array, cell: float, size: tuple[i
     )  # fmt: skip
 
 
+def spread_directions(direction: ArrayLike, width: float) -> Array:
+    """Directions (K, 3) over a disc of half an angle `width` [rad] around one (3,): its middle and a ring."""
+    middle = np.asarray(direction, np.float64)
+    if not width:
+        return middle[None]
+    side = np.cross(middle, np.eye(3)[np.argmin(np.abs(middle))])
+    side /= np.linalg.norm(side)
+    turns = np.arange(RING) * 2 * np.pi / RING
+    ring = np.stack([np.cos(turns), np.sin(turns)], 1) @ np.stack([side, np.cross(middle, side)])
+    # Together with the middle the ring has the second moment of the disc.
+    found = np.concatenate([middle[None], middle + np.tan(width) * np.sqrt((RING + 1) / (2 * RING)) * ring])
+    return found / np.linalg.norm(found, axis=1, keepdims=True)
+
+
 def cast_directional_shadow(
-    world: Gaussians, roles: NDArray[np.uint8], direction: ArrayLike, points: ArrayLike
+    world: Gaussians, roles: NDArray[np.uint8], directions: Array, points: ArrayLike
 ) -> Array:
-    """Share (...,) of a light in a direction that moving bodies take from points (..., 3) of a surface below them.
+    """Share (...,) of a light from directions (K, 3) that moving bodies take from points (..., 3) below them.
 
     Where something that stands throws its shadow there is nothing left to take: `roles` (N,) tells what each of the
     world's Gaussians is, `SCENE`, `STANDS` or `MOVES`.
     """
-    taken = silhouette(world.select(roles == MOVES), direction).at(points)
-    return taken * (1 - silhouette(world.select(roles == STANDS), direction).at(points))
+    moving, stands = world.select(roles == MOVES), world.select(roles == STANDS)
+    taken = [
+        silhouette(moving, way).at(points) * (1 - silhouette(stands, way).at(points)) for way in directions
+    ]
+    return np.mean(taken, 0)
 
 
 def intersect_surface(T_world_plane: Array, camera: Camera, depth: Array) -> tuple[Array, Array]:

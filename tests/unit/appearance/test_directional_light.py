@@ -80,7 +80,7 @@ def baked(scene, lamp):
     world = posed(twin, scene.robot, twin.scan_state)
     roles = shadow_roles(twin, scene.robot)
     flat = (twin.bodies == 0) & (np.abs(world.means[:, 2]) < 0.005)
-    dark = flat * cast_directional_shadow(world, roles, lamp.direction, world.means)
+    dark = flat * cast_directional_shadow(world, roles, lamp.directions, world.means)
     sh = np.array(twin.gaussians.sh)
     colors = 0.5 + SH_C0 * sh[:, 0]
     factor = 1 - dark[:, None] * (1 - lamp.shade)
@@ -145,7 +145,7 @@ def test_the_base_throws_no_shadow_that_moves(toy_scene):
     base = toy_scene.twin.body(toy_scene.robot.body_names[0])
     assert (roles[toy_scene.twin.bodies == base] == 1).all()
     # Right under the base only the base is in the way.
-    assert cast_directional_shadow(world, roles, lamp.direction, np.array([[-0.02, 0.0, 0.0]]))[0] < 0.2
+    assert cast_directional_shadow(world, roles, lamp.directions, np.array([[-0.02, 0.0, 0.0]]))[0] < 0.2
 
 
 def test_a_lamp_is_stored_with_its_twin(toy_scene, tmp_path):

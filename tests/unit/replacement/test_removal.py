@@ -3,13 +3,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from aomgen.conventions import BACKGROUND, ROBOT, linear_from_srgb
+from aomgen.conventions import BACKGROUND, ROBOT
 from aomgen.core.camera import Camera, look_at
-from aomgen.core.light import hemisphere_light
 from aomgen.errors import ReconstructionError
-from aomgen.replacement.light_estimation import LIMITS, estimate_light, fit_light
 from aomgen.replacement.mosaic import Photograph
-from aomgen.replacement.removal import clear_object, inpaint, shadow_gain
+from aomgen.replacement.removal import clear_object, inpaint
 from aomgen.twin.twin import render_state
 
 TABLE_SRGB = (0.6, 0.45, 0.3)
@@ -90,59 +88,6 @@ def test_inpainting_continues_color_and_texture():
 
 def test_inpainting_nothing_gives_grey():
     assert (inpaint(np.zeros((40, 40, 3)), np.zeros((40, 40), bool), np.random.default_rng(0)) == 0.5).all()
-
-
-def shadowed(tint: tuple[float, float, float]) -> tuple[np.ndarray, ...]:
-    xy = np.stack(np.meshgrid(np.arange(160) * 0.004 - 0.32, np.arange(160) * 0.004 - 0.32), -1)
-    outside = np.maximum(np.abs(xy).max(-1) - 0.04, 0)
-    dark = np.exp(-outside / 0.04)
-    picture = np.array([0.6, 0.5, 0.4]) * (1 - dark[..., None] * np.array(tint))
-    return picture, outside > 0.02, outside, xy
-
-
-def test_a_grey_shadow_is_lifted_and_a_colored_patch_is_not():
-    picture, known, outside, xy = shadowed((0.4, 0.4, 0.4))
-    gain = shadow_gain(picture, known, outside, xy)
-    near = known & (outside < 0.05)
-    assert (
-        np.abs(picture[near] * gain[near] - [0.6, 0.5, 0.4]).mean()
-        < 0.5 * np.abs(picture[near] - [0.6, 0.5, 0.4]).mean()
-    )
-    assert gain.min() == 1
-    picture, known, outside, xy = shadowed((0.1, 0.4, 0.8))
-    assert shadow_gain(picture, known, outside, xy)[near].mean() < 1.05
-
-
-def test_light_is_read_from_the_robot(toy_scene):
-    found = estimate_light(toy_scene.twin, toy_scene.robot, np.random.default_rng(0))
-    assert found.source == "robot"
-    normals = np.array([[0, 0, 1], [1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, -1.0]])
-    np.testing.assert_allclose(
-        found.light.irradiance(normals), toy_scene.light.irradiance(normals), atol=0.08
-    )
-
-
-def test_without_a_robot_light_comes_from_above(toy_scene):
-    bare = toy_scene.twin.select(toy_scene.labels != ROBOT)
-    found = estimate_light(bare, toy_scene.robot, np.random.default_rng(0))
-    assert found.source == "scene"
-    up, down = found.light.irradiance(np.array([[0, 0, 1], [0, 0, -1.0]])).mean(1)
-    assert up > down
-    assert LIMITS[0] * 0.9 <= up <= LIMITS[1]
-
-
-def test_light_is_fitted_in_spite_of_glare(toy_scene):
-    rng = np.random.default_rng(1)
-    normals = rng.normal(size=(2000, 3))
-    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-    albedo = linear_from_srgb(rng.uniform(0.5, 0.9, (2000, 3)))
-    seen = albedo * toy_scene.light.irradiance(normals)
-    seen[rng.random(2000) < 0.1] = 1.0
-    light = fit_light(normals, albedo, seen, hemisphere_light(np.ones(3), np.ones(3)))
-    up = np.array([[0, 0, 1.0]])
-    np.testing.assert_allclose(light.irradiance(up), toy_scene.light.irradiance(up), rtol=0.05)
-    predicted = albedo * light.irradiance(normals)
-    assert np.median(np.abs(predicted.mean(1) / seen.mean(1) - 1)) < 0.05
 
 
 def test_the_scan_itself_is_not_changed(toy_scene, photographs):

@@ -1,0 +1,109 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from aomgen.assets.choice import make_asset
+from aomgen.conventions import srgb_from_linear
+from aomgen.core.gaussians import SH_C0
+from aomgen.core.light import Light, hemisphere_light
+from aomgen.core.sh import sh_basis
+from aomgen.core.transforms import matrix_from_rotvec
+from aomgen.replacement.light_estimation import REFLECTED, SceneLight
+from aomgen.replacement.reflection import show_in_light
+from aomgen.splatting.surfels import surfels_of
+
+UPRIGHT = np.eye(3)
+
+
+@pytest.fixture(scope="module")
+def link():
+    return surfels_of(make_asset("microwave", 3).moving.meshes, 2000, np.random.default_rng(0))
+
+
+def scene_light(loss=0.0, sky=(0.9, 0.9, 0.9), ground=(0.2, 0.2, 0.2)):
+    return SceneLight(hemisphere_light(sky, ground), loss, "robot")
+
+
+def seen_from(surfels, light, ways):
+    """Linear colors (N, 3) of surfels seen in directions (N, 3), lit."""
+    arriving = surfels.transfer @ light.light.radiance_sh
+    base = srgb_from_linear(np.clip(surfels.albedo_linear * arriving, 0, 1))
+    rest = np.einsum("nk,nkc->nc", sh_basis(ways, 2)[:, 1:], surfels.gaussians.sh[:, 1:])
+    return base + rest
+
+
+def test_a_mirror_shows_what_lies_in_the_mirrored_direction(link):
+    """A smooth dark surface: from above the dark ground is seen in it, from below the bright sky."""
+    count = len(link.normals)
+    glass = replace(
+        link,
+        albedo_linear=np.full((count, 3), 0.01, np.float32),
+        roughness=np.zeros(count, np.float32),
+        metallic=np.zeros(count, np.float32),
+    )
+    light = scene_light()
+    shown = show_in_light(glass, light, UPRIGHT)
+    front = glass.normals[:, 1] < -0.95
+    down, up = (np.tile([0.0, np.cos(a), np.sin(a)], (count, 1)) for a in (-0.7, 0.7))
+    from_above, from_below = (seen_from(shown, light, way)[front].mean() for way in (down, up))
+    assert from_below > 1.3 * from_above
+    open_front = front & (glass.transfer[:, 0] > 0.25)
+    radiance = [
+        float(
+            np.maximum(
+                sh_basis(np.array([[0, -np.cos(a), np.sin(a)]]), 2) @ light.light.radiance_sh, 0
+            ).mean()
+        )
+        for a in (-0.7, 0.7)
+    ]
+    true = srgb_from_linear(0.01 * 0.55 + REFLECTED * np.array(radiance))
+    ours = [seen_from(shown, light, way)[open_front].mean() for way in (down, up)]
+    np.testing.assert_allclose(ours, true, atol=0.05)
+
+
+def test_rough_surfaces_reflect_less_of_a_difference(link):
+    light = scene_light()
+    sizes = []
+    for roughness in (0.1, 0.9):
+        rough = replace(link, roughness=np.full(len(link.normals), roughness, np.float32))
+        sizes.append(np.abs(show_in_light(rough, light, UPRIGHT).gaussians.sh[:, 1:]).mean())
+    assert sizes[1] < 0.6 * sizes[0]
+
+
+def test_a_light_from_everywhere_shows_no_view(link):
+    constant = np.zeros((9, 3))
+    constant[0] = 1.0
+    even = SceneLight(Light(radiance_sh=constant), 0.0, "robot")
+    assert np.abs(show_in_light(link, even, UPRIGHT).gaussians.sh[:, 1:]).max() < 1e-6
+
+
+def test_turning_object_and_light_together_changes_nothing(link):
+    radiance = np.random.default_rng(0).normal(size=(9, 3)) * 0.2
+    radiance[0] = 3.0
+    light = Light(radiance_sh=radiance)
+    R = matrix_from_rotvec([0.0, 0.0, 0.8])
+    turned = Light(radiance_sh=light.seen_from(R.T))
+    one = show_in_light(link, SceneLight(light, 0.1, "robot"), UPRIGHT)
+    other = show_in_light(link, SceneLight(turned, 0.1, "robot"), R)
+    np.testing.assert_allclose(one.albedo_linear, other.albedo_linear, atol=1e-4)
+    np.testing.assert_allclose(one.gaussians.sh, other.gaussians.sh, atol=1e-4)
+
+
+def test_a_camera_that_loses_color_shows_greyer_surfaces(link):
+    red = replace(
+        link, albedo_linear=np.tile(np.array([[0.6, 0.1, 0.1]], np.float32), (len(link.normals), 1))
+    )
+    spreads = [
+        np.ptp(show_in_light(red, scene_light(loss), UPRIGHT).albedo_linear, axis=1).mean()
+        for loss in (0.0, 0.5)
+    ]
+    assert spreads[1] == pytest.approx(spreads[0] / 2, rel=0.1)
+
+
+def test_the_fitted_color_is_kept_for_its_own_sake(link):
+    shown = show_in_light(link, scene_light(), UPRIGHT)
+    np.testing.assert_array_equal(shown.gaussians.sh[:, 0], link.gaussians.sh[:, 0])
+    assert shown.gaussians.sh.shape[1] == 9
+    assert np.isfinite(shown.gaussians.sh).all()
+    assert SH_C0 * np.abs(shown.gaussians.sh[:, 1:]).max() < 1
