@@ -48,9 +48,9 @@ def test_without_blender_nothing_is_traced(world, tmp_path, monkeypatch):
     camera = Camera(
         fx=100, fy=100, cx=16, cy=12, width=32, height=24, T_world_cam=look_at((1, 0, 1), (0, 0, 0))
     )
-    with PathTracedRenderer(world, (32, 24), tmp_path, LIGHT) as painter:
-        with pytest.raises(BackendError, match="make blender-env"):
-            painter.draw(camera, world.model.qpos0)
+    painter = PathTracedRenderer(world, (32, 24), tmp_path, LIGHT)
+    with painter, pytest.raises(BackendError, match="make blender-env"):
+        painter.draw(camera, world.model.qpos0)
     assert not list(tmp_path.rglob("*.png"))
 
 
@@ -62,9 +62,9 @@ def test_a_blender_that_dies_is_told_of(world, tmp_path, monkeypatch):
     camera = Camera(
         fx=100, fy=100, cx=16, cy=12, width=32, height=24, T_world_cam=look_at((1, 0, 1), (0, 0, 0))
     )
-    with PathTracedRenderer(world, (32, 24), tmp_path, LIGHT) as painter:
-        with pytest.raises(BackendError, match="exit code 3"):
-            painter.draw(camera, world.model.qpos0)
+    painter = PathTracedRenderer(world, (32, 24), tmp_path, LIGHT)
+    with painter, pytest.raises(BackendError, match="exit code 3"):
+        painter.draw(camera, world.model.qpos0)
 
 
 def test_the_worker_lies_beside_its_caller():
