@@ -167,10 +167,11 @@ def _shadow_from_color(
         on_it: Share (N,) of the surface.
     """
     sure = np.flatnonzero((on_it > CORE) & ~unsure & (seen.opacities > SOLID))
-    if not len(sure):
+    count = min(NEIGHBORS, len(sure))
+    if not count:
         return np.zeros(int(unsure.sum()))
-    _, near = cKDTree(lit.means[sure]).query(seen.means[unsure], k=min(NEIGHBORS, len(sure)))
-    level = np.median(_level(lit)[sure][near.reshape(int(unsure.sum()), -1)], 1)
+    _, near = cKDTree(lit.means[sure]).query(seen.means[unsure], k=count)
+    level = np.median(_level(lit)[sure][near.reshape(-1, count)], 1)
     return np.clip((1 - _level(seen)[unsure] / level) / (1 - lamp.shade.mean()), 0, 1)
 
 

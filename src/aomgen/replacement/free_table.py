@@ -10,7 +10,7 @@ from aomgen.core.demonstration import SupportPlane
 from aomgen.core.transforms import apply
 from aomgen.core.values import Array
 from aomgen.replacement.removal import Cleared
-from aomgen.twin.support import seen_from_above
+from aomgen.twin.support import cover_from_above
 
 # How far around the object the table is looked for, and free table grows, [m].
 TABLE_REACH_M = 1.0
@@ -29,7 +29,7 @@ def support_plane(cleared: Cleared) -> SupportPlane:
     support = cleared.support
     low, high = support.low - TABLE_REACH_M, support.high + TABLE_REACH_M
     world = cleared.twin.gaussians.select(cleared.twin.bodies == 0)
-    _, alpha = seen_from_above(world, support, low, high, TABLE_CELL_M)
+    alpha = cover_from_above(world, support, low, high, TABLE_CELL_M)
     rows, columns = np.nonzero(binary_closing(alpha > SURFACE_ALPHA, iterations=GAP_CELLS))
     xy = low + (np.stack([columns, rows], -1) + 0.5) * TABLE_CELL_M
     xy_corners = [

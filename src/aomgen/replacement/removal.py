@@ -21,7 +21,7 @@ from aomgen.core.values import Array
 from aomgen.replacement.mosaic import Photograph, photograph_surface
 from aomgen.replacement.old_shadow import shadow_gain
 from aomgen.robots.robot import RobotModel
-from aomgen.twin.support import SURFACE, Support, find_support, on_surface, seen_from_above
+from aomgen.twin.support import SURFACE, Support, cover_from_above, find_support, on_surface
 from aomgen.twin.twin import Twin, posed
 
 # Remains of the object are looked for this far around it, [m].
@@ -98,8 +98,8 @@ def clear_object(
         (remaining.labels == BACKGROUND) & (remaining.bodies == 0) & on_surface(remaining.gaussians, support)
     )
     low, high = support.low - RING, support.high + RING
-    _, extent = seen_from_above(world.select(scene), support, low, high, CELL)
-    _, alpha = seen_from_above(remaining.gaussians.select(table), support, low, high, CELL)
+    extent = cover_from_above(world.select(scene), support, low, high, CELL)
+    alpha = cover_from_above(remaining.gaussians.select(table), support, low, high, CELL)
     xy = _cell_centres(low, alpha.shape)
     outside = support.outside(xy)
     photographed = photograph_surface(world, scene, views, support.T_world_plane, xy)

@@ -1,4 +1,4 @@
-"""The plane that the recorded object stands on, and images of it from straight above."""
+"""The plane that the recorded object stands on, and what covers it, from straight above."""
 
 from dataclasses import dataclass
 from typing import Annotated, Final
@@ -126,17 +126,12 @@ def find_support(
     )
 
 
-def seen_from_above(
-    gaussians: Gaussians, support: Support, low: Array, high: Array, cell: float
-) -> tuple[Array, Array]:
-    """Image of what lies on the plane, in its mean color; cell (i, j) at `low + (j + 0.5, i + 0.5) * cell`.
+def cover_from_above(gaussians: Gaussians, support: Support, low: Array, high: Array, cell: float) -> Array:
+    """How much of what lies on the plane covers it (H, W), 0..1; cell (i, j) at `low + (j + 0.5, i + 0.5) * cell`.
 
     Args:
         low, high: Rectangle (2,), plane frame, [m].
         cell: Size of a pixel, [m].
-
-    Returns:
-        sRGB (H, W, 3) not premultiplied, and alpha (H, W).
     """
     flat = on_surface(gaussians, support)
     width, height = (int(n) for n in np.ceil((high - low) / cell))
@@ -144,9 +139,7 @@ def seen_from_above(
     R = support.T_world_plane[:3, :3] * [1.0, -1.0, -1.0]
     center = apply(support.T_world_plane, np.append(low + np.array([width, height]) * cell / 2, 0.0))
     camera = distant_camera(R, center, cell, (width, height))
-    drawn = render(gaussians.select(flat).with_sh_degree(0), camera)
-    rgb = drawn.rgb / np.maximum(drawn.alpha, 1e-3)[..., None]
-    return rgb[::-1].astype(np.float64), drawn.alpha[::-1].astype(np.float64)
+    return render(gaussians.select(flat).with_sh_degree(0), camera).alpha[::-1].astype(np.float64)
 
 
 def on_surface(gaussians: Gaussians, support: Support) -> NDArray[np.bool_]:

@@ -13,16 +13,16 @@ from aomgen.core.gaussians import SH_C0
 from aomgen.errors import MalformedFileError
 from aomgen.io.artifact import load_artifact, read_json, save_artifact
 from aomgen.io.atomic import write_json
-from aomgen.twin.shadow import DirectionalLight, cast_directional_shadow, remove_shadow
+from aomgen.twin.shadow import DirectionalLight, cast_directional_shadow, remove_shadow, spread_directions
 from aomgen.twin.twin import Twin, posed, render_state, shadow_roles
 
 SHADE = np.array([0.6, 0.58, 0.55])
 PLANE = np.eye(4)
 
 
-def lamp_from(x: float, y: float) -> DirectionalLight:
-    direction = np.array([x, y, 1.0])
-    return DirectionalLight(direction=direction / np.linalg.norm(direction), T_world_plane=PLANE, shade=SHADE)
+def lamp_from(x: float, y: float, width: float = 0.0) -> DirectionalLight:
+    direction = np.array([x, y, 1.0]) / np.linalg.norm([x, y, 1.0])
+    return DirectionalLight(direction=direction, width=width, T_world_plane=PLANE, shade=SHADE)
 
 
 def make_images(scene, lamp, rng, count=12) -> PosedImages:
@@ -52,6 +52,38 @@ def test_a_lamp_is_found_by_the_shadow_it_throws(toy_scene, lean, exposure):
     assert found is not None
     assert np.degrees(np.arccos(min(found.direction @ true.direction, 1.0))) < 2.0
     np.testing.assert_allclose(found.shade, SHADE, atol=0.04)
+
+
+@pytest.mark.parametrize("width", [0.0, 0.2])
+def test_the_width_of_a_lamp_is_found_by_its_penumbra(toy_scene, width):
+    true = lamp_from(0.2, -0.3, width)
+    view = make_images(toy_scene, true, np.random.default_rng(0))
+    found = find_directional_light(toy_scene.twin, toy_scene.robot, view, PLANE)
+    assert found is not None
+    assert abs(found.width - width) <= 0.06
+    np.testing.assert_allclose(found.shade, SHADE, atol=0.06)
+
+
+def test_directions_of_a_wide_lamp_lie_around_its_middle():
+    middle = lamp_from(0.2, -0.3).direction
+    spread = spread_directions(middle, 0.1)
+    np.testing.assert_allclose(np.linalg.norm(spread, axis=1), 1)
+    np.testing.assert_allclose(spread.mean(0) / np.linalg.norm(spread.mean(0)), middle, atol=1e-9)
+    angles = np.arccos(np.clip(spread @ middle, -1, 1))
+    # A disc of half an angle a has the mean square a^2 / 2 of its angles.
+    assert np.mean(angles**2) == pytest.approx(0.1**2 / 2, rel=0.02)
+    np.testing.assert_array_equal(spread_directions(middle, 0.0), middle[None])
+
+
+def test_the_shadow_of_a_wide_lamp_is_taken_off_the_table(toy_scene):
+    lamp = lamp_from(0.2, -0.3, 0.15)
+    scanned, dark = baked(toy_scene, lamp)
+    freed = remove_baked_shadow(scanned, toy_scene.robot, lamp)
+    wrong, right = (
+        np.abs(twin.gaussians.sh - toy_scene.twin.gaussians.sh)[dark > 0.02, 0].mean()
+        for twin in (scanned, freed)
+    )
+    assert right < 0.1 * wrong
 
 
 def test_without_a_shadow_there_is_no_lamp(toy_scene):
