@@ -26,6 +26,8 @@ INTERPRETER: Final = Path(__file__).parents[1] / ".venv-blender" / "bin" / "pyth
 WORKER: Final = Path(__file__).with_name("blender_tracer.py")
 # Paths a pixel; what noise they leave is taken by Blender's denoiser.
 SAMPLES: Final = 24
+# Of what has a color and no material: between paint and plastic.
+PLAIN_ROUGHNESS: Final = 0.5
 # Where MuJoCo has no roughness its shininess s stands for a roughness of 1 - s / this.
 SHININESS: Final = 0.6
 
@@ -173,16 +175,19 @@ def _describe(model: mujoco.MjModel, geoms: NDArray[np.int64], light: RoomLight)
             "roughness": _roughness(model, index),
             "metallic": float(max(model.mat_metallic[index], 0.0)),
         })  # fmt: skip
+    mesh_materials = model.geom_matid[geoms].tolist()
+    for number, geom in enumerate(geoms):
+        if mesh_materials[number] < 0:
+            plain = {"texture": "", "roughness": PLAIN_ROUGHNESS, "metallic": 0.0}
+            materials.append({"color_srgb": model.geom_rgba[geom, :3].round(6).tolist(), **plain})
+            mesh_materials[number] = len(materials) - 1
     T_world_lamp = look_at(np.asarray(light.lamp_from), np.asarray(light.lamp_at)) @ np.diag(
         [1.0, -1.0, -1.0, 1.0]
     )
     scene = {
         "materials": materials,
-        "mesh_materials": model.geom_matid[geoms].tolist(),
-        "light": {
-            **{k: v for k, v in asdict(light).items() if k != "lamp_at"},
-            "T_world_lamp": T_world_lamp.round(6).tolist(),
-        },
+        "mesh_materials": mesh_materials,
+        "light": {**asdict(light), "T_world_lamp": T_world_lamp.round(6).tolist()},
         "samples": SAMPLES,
         "view_transform": light.view_transform,
         "exposure": light.exposure,
