@@ -4,6 +4,7 @@ import hashlib
 import json
 import os
 import subprocess
+from contextlib import suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -115,11 +116,14 @@ class PathTracedRenderer(SceneRenderer):
         blender = self._blender
         if blender.stdin is None or blender.stdout is None:
             raise ValueError("Blender was started without pipes")
-        blender.stdin.write(json.dumps(job) + "\n")
-        blender.stdin.flush()
+        # One that has died does not listen either.
+        with suppress(BrokenPipeError):
+            blender.stdin.write(json.dumps(job) + "\n")
+            blender.stdin.flush()
         for line in blender.stdout:
             if line.startswith("DONE"):
                 return
+        self._blender = None
         raise BackendError(
             "Blender", f"ended with exit code {blender.wait()}", f"see {self.folder / 'blender.log'}"
         )

@@ -23,9 +23,11 @@ COARSER: Final = 3
 # Directions over the whole sphere; those of which the sine of the elevation is less than this hardly light a table.
 DIRECTIONS, MIN_SINE = 240, 0.12
 # How much the light of every direction is held near that of an even sky, as a share of the evidence.
-EVEN: Final = 0.005
+EVEN: Final = 0.02
 # More than this is not made of what is seen, linear.
 MAX_GAIN: Final = 4.0
+# Brightness is compared over so many cells of the shadow, a few widths of a grain.
+SMOOTH: Final = 1.5
 # Fewer cells do not tell a shadow from the grain.
 MIN_CELLS: Final = 200
 # sRGB is close to this power of linear light.
@@ -70,15 +72,20 @@ def shadow_gain(
     slopes = [sign * middle[..., k] for k in range(2) for sign in (1, -1)]
     A = np.stack([*passed, *slopes], -1)[sure]
     even = np.sqrt(EVEN * len(A)) * np.eye(len(passed), A.shape[1])
+    smooth_weight = gaussian_filter(weight, SMOOTH)
     places = (np.indices(known.shape) + 0.5) / COARSER - 0.5
     for channel in range(3):
         seen = colors[..., channel][sure] / weight[sure]
         sky = np.median(seen) * sines / sines.sum()
         found, _ = nnls(np.concatenate([A, even]), np.concatenate([seen, even[:, : len(passed)] @ sky]))
-        light = found[: len(passed)]
+        light, slope = found[: len(passed)], np.tensordot(found[len(passed) :], slopes, 1)
         arriving = np.tensordot(light, passed, 1) / max(float(light.sum()), 1e-9)
-        smooth = map_coordinates(gaussian_filter(arriving, 0.5), places, order=1, mode="nearest")
-        gain[..., channel] = np.clip(1 / np.maximum(smooth, 1 / MAX_GAIN), 1, MAX_GAIN) ** SRGB_POWER
+        lift = 1 / np.maximum(gaussian_filter(arriving, 0.5), 1 / MAX_GAIN)
+        # What is as bright as the table in the light has no shadow to lose, whatever the sky.
+        observed = gaussian_filter(colors[..., channel], SMOOTH) / np.maximum(smooth_weight, 1e-3)
+        lift = np.minimum(lift, np.maximum((light.sum() + slope) / np.maximum(observed, 1e-3), 1))
+        fine = map_coordinates(lift, places, order=1, mode="nearest")
+        gain[..., channel] = np.clip(fine, 1, MAX_GAIN) ** SRGB_POWER
     return gain
 
 
