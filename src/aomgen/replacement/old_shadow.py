@@ -28,6 +28,8 @@ EVEN: Final = 0.02
 MAX_GAIN: Final = 4.0
 # Brightness is compared over so many cells of the shadow, a few widths of a grain.
 SMOOTH: Final = 1.5
+# Wood is by so much brighter in some places than on the whole, linear.
+GRAIN: Final = 1.2
 # Fewer cells do not tell a shadow from the grain.
 MIN_CELLS: Final = 200
 # sRGB is close to this power of linear light.
@@ -83,7 +85,7 @@ def shadow_gain(
         lift = 1 / np.maximum(gaussian_filter(arriving, 0.5), 1 / MAX_GAIN)
         # What is as bright as the table in the light has no shadow to lose, whatever the sky.
         observed = gaussian_filter(colors[..., channel], SMOOTH) / np.maximum(smooth_weight, 1e-3)
-        lift = np.minimum(lift, np.maximum((light.sum() + slope) / np.maximum(observed, 1e-3), 1))
+        lift = np.minimum(lift, np.maximum(GRAIN * (light.sum() + slope) / np.maximum(observed, 1e-3), 1))
         fine = map_coordinates(lift, places, order=1, mode="nearest")
         gain[..., channel] = np.clip(fine, 1, MAX_GAIN) ** SRGB_POWER
     return gain
