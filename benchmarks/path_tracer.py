@@ -133,9 +133,10 @@ class PathTracedRenderer(SceneRenderer):
         if not interpreter.is_file():
             raise BackendError("Blender", f"{interpreter} does not exist", "make blender-env")
         self._described.write(self.folder)
-        log = (self.folder / "blender.log").open("wb")
         command = [str(interpreter), str(WORKER), str(self.folder)]
-        return subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=log, text=True)
+        pipe = subprocess.PIPE
+        with (self.folder / "blender.log").open("wb") as log:
+            return subprocess.Popen(command, stdin=pipe, stdout=pipe, stderr=log, text=True)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

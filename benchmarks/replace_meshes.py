@@ -16,6 +16,7 @@ from aomgen.core.transforms import apply
 from aomgen.core.values import Array
 from aomgen.replacement.asset_pictures import AssetRenderer
 from aomgen.replacement.asset_surfels import asset_surfels
+from aomgen.splatting.metrics import psnr
 from aomgen.splatting.rasterizer import render
 from benchmarks.other_objects import make_object
 
@@ -96,17 +97,13 @@ def score_views(
                 true, cover = _truth(renderer, sized)
                 drawn = render(posed, sized.camera)
                 near = binary_dilation(cover > 0, iterations=AROUND_PX)
-                psnrs[size].append(_psnr(np.clip(drawn.rgb, 0, 1)[near], true[near]))
+                psnrs[size].append(psnr(np.clip(drawn.rgb, 0, 1)[near], true[near]))
                 if size == SIZES[0]:
                     ious.append(_iou(drawn.alpha > 0.5, cover > 0.5))
     return {
         **{f"psnr_{size}": float(np.median(found)) for size, found in psnrs.items()},
         "iou": float(np.median(ious)),
     }
-
-
-def _psnr(image: NDArray, true: NDArray) -> float:
-    return float(-10 * np.log10(np.mean((image - true) ** 2)))
 
 
 def _iou(one: NDArray[np.bool_], other: NDArray[np.bool_]) -> float:

@@ -1,7 +1,6 @@
 """Pairs of pictures of a room with a replaced object: as the twin draws it, and as it is path traced."""
 
 from collections.abc import Mapping
-from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Final
@@ -93,7 +92,6 @@ class RoomPictures:
                 **at_rest, theta=float(np.abs([self.fitted.start_theta, self.fitted.target_theta]).max())
             ),
             "empty_reached": Shot(**reached, theta=None),
-            "reached": Shot(**reached, theta=0.0),
         }
 
     def draw(
@@ -149,8 +147,7 @@ def see_geometry(
         )
     scene = build_world(pictures.truth.robot, layout, visual=True)
     qpos = scene.qpos(shot.joints[None], shot.gripper, 0.0 if recorded else shot.theta or 0.0)[0]
-    with ExitStack() as stack:
-        renderer = stack.enter_context(SceneRenderer(scene, CONDITIONS.size))
+    with SceneRenderer(scene, CONDITIONS.size) as renderer:
         return SeenGeometry(
             labels={name: renderer.labels(camera, qpos) for name, camera in cameras.items()},
             depths={name: renderer.depths(camera, qpos) for name, camera in cameras.items()},

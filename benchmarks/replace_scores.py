@@ -20,6 +20,7 @@ from aomgen.pipeline.runner import results_of
 from aomgen.pipeline.stages import STAGES
 from aomgen.splatting.metrics import psnr, ssim
 from aomgen.twin.twin import Twin, TwinState, render_state
+from benchmarks.images import masked_psnr
 from benchmarks.replace_pictures import RoomPictures, SeenGeometry, see_geometry
 from benchmarks.replace_rooms import CONDITIONS, ROOMS, RoomTruth
 
@@ -54,9 +55,7 @@ def score_room(pictures: RoomPictures) -> dict[str, float]:
         for key, value in _shadow_figures(pictures, pairs, drawn, traced, seen).items():
             figures[f"{name}_{key}"] = value
     robot = [
-        _masked_psnr(
-            drawn[name][NEW_CAMERA], traced[name][NEW_CAMERA], seen[name].labels[NEW_CAMERA] == ROBOT
-        )
+        masked_psnr(drawn[name][NEW_CAMERA], traced[name][NEW_CAMERA], seen[name].labels[NEW_CAMERA] == ROBOT)
         for name in ("empty", "empty_reached")
     ]
     figures["robot.psnr_new_view"] = float(np.median(robot))
@@ -103,7 +102,7 @@ def _shadow_figures(
     traced: Mapping[str, Pictures],
     seen: Mapping[str, SeenGeometry],
 ) -> dict[str, float]:
-    """Ratios of linear light with and without, on the table around the object."""
+    """Ratios of grey levels with and without, on the table around the object."""
     errors, correlations = [], []
     for with_it, without in pairs:
         for name, camera in pictures.cameras.items():
@@ -140,10 +139,6 @@ def _grey(image: NDArray[np.uint8]) -> Array:
     return image.mean(-1) / 255
 
 
-def _masked_psnr(one: NDArray[np.uint8], other: NDArray[np.uint8], mask: NDArray[np.bool_]) -> float:
-    return psnr(one[mask] / 255, other[mask] / 255)
-
-
 def _hole_figures(pictures: RoomPictures, drawn: Pictures, traced: Pictures) -> dict[str, float]:
     """The table where the recorded object stood: what some view saw of it, and what none did."""
     empty, cameras = pictures.shots["empty"], pictures.cameras
@@ -162,7 +157,7 @@ def _hole_figures(pictures: RoomPictures, drawn: Pictures, traced: Pictures) -> 
         for view, scan_camera in views.items():
             seen |= _visible(points, scan_camera, scanned.labels[view], scanned.depths[view])
         if (hole & seen).sum() >= MIN_PIXELS:
-            known.append(_masked_psnr(drawn[name], traced[name], hole & seen))
+            known.append(masked_psnr(drawn[name], traced[name], hole & seen))
         never = hole & ~seen
         if never.sum() >= MIN_PIXELS:
             levels.append(255 * abs(_grey(drawn[name])[never].mean() - _grey(traced[name])[never].mean()))

@@ -37,8 +37,7 @@ class Light:
 
     def irradiance(self, normals_world: ArrayLike) -> Array:
         """Irradiance over pi (N, 3) of unoccluded surfaces with unit normals (N, 3)."""
-        basis = sh_basis(normals_world, 2) * (COSINE_BANDS / np.pi)
-        return np.maximum(basis @ self.radiance_sh, 0)
+        return np.maximum(cosine_answer(normals_world) @ self.radiance_sh, 0)
 
     def seen_from(self, R_world_body: ArrayLike) -> Array:
         """Coefficients (..., 9, 3) in the frames of bodies turned by (..., 3, 3)."""
@@ -70,9 +69,14 @@ def hemisphere_light(sky: ArrayLike, ground: ArrayLike) -> Light:
     return Light(radiance_sh=sh)
 
 
+def cosine_answer(normals: ArrayLike) -> Array:
+    """Matrix (N, 9) that turns harmonics of radiance into irradiance over pi at unoccluded unit normals (N, 3)."""
+    return sh_basis(normals, 2) * (COSINE_BANDS / np.pi)
+
+
 def open_transfer(normals: ArrayLike) -> NDArray[np.float32]:
     """Transfer (N, 9) of unoccluded surfaces with unit normals (N, 3)."""
-    return (sh_basis(normals, 2) * (COSINE_BANDS / np.pi)).astype(np.float32)
+    return cosine_answer(normals).astype(np.float32)
 
 
 def shaded_srgb(albedo_linear: ArrayLike, transfer: ArrayLike, radiance_sh: ArrayLike) -> Array:

@@ -15,12 +15,12 @@ from scipy.spatial import cKDTree
 
 from aomgen.conventions import BACKGROUND, ROBOT, linear_from_srgb, srgb_from_linear
 from aomgen.core.gaussians import SH_C0, Gaussians
-from aomgen.core.light import Light, hemisphere_light
+from aomgen.core.light import Light, cosine_answer, hemisphere_light
 from aomgen.core.mesh import face_normals_areas, sample_surface
 from aomgen.core.sh import sh_basis
 from aomgen.core.transforms import apply
 from aomgen.core.values import Array, freeze_arrays
-from aomgen.replacement.probe import Probe, cosine_answer, probe_light
+from aomgen.replacement.probe import Probe, probe_light
 from aomgen.robots.robot import RobotModel
 from aomgen.splatting.surfaces import sphere_directions
 from aomgen.twin.twin import Twin, body_poses, posed

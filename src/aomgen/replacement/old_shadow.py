@@ -16,7 +16,7 @@ from aomgen.core.gaussians import Gaussians
 from aomgen.core.transforms import invert
 from aomgen.core.values import Array
 from aomgen.splatting.surfaces import sphere_directions
-from aomgen.twin.plane_shadow import PlaneGrid, cast_on_plane
+from aomgen.twin.plane_shadow import PlaneGrid, cast_body
 
 # Cells of the picture from above that are one cell of the shadow, along a side: it is softer than wood is grained.
 COARSER: Final = 3
@@ -69,7 +69,9 @@ def shadow_gain(
     directions = sphere_directions(DIRECTIONS)
     directions = directions[directions[:, 2] > MIN_SINE]
     # An even sky lights a table by the sine of the elevation.
-    sines, passed = directions[:, 2], _passed(caster, T_world_plane, grid, directions)
+    sines = directions[:, 2]
+    # What the object lets through of each.
+    passed = 1 - cast_body(caster, invert(T_world_plane), directions, grid).astype(np.float64)
     middle = grid.points()[..., :2] - grid.points()[..., :2][sure].mean(0)
     slopes = [sign * middle[..., k] for k in range(2) for sign in (1, -1)]
     A = np.stack([*passed, *slopes], -1)[sure]
@@ -89,13 +91,6 @@ def shadow_gain(
         fine = map_coordinates(lift, places, order=1, mode="nearest")
         gain[..., channel] = np.clip(fine, 1, MAX_GAIN) ** SRGB_POWER
     return gain
-
-
-def _passed(caster: Gaussians, T_world_plane: Array, grid: PlaneGrid, directions: Array) -> Array:
-    """Share (D, rows, columns) of the light of directions (D, 3), plane frame, that reaches each cell."""
-    body = caster.transformed(invert(T_world_plane))
-    index, poses = np.zeros(len(body), np.int32), np.tile(np.eye(4), (len(directions), 1, 1, 1))
-    return 1 - cast_on_plane(body, index, poses, directions, grid).astype(np.float64)
 
 
 def _pooled(image: Array, rows: int, columns: int) -> Array:

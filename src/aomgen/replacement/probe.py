@@ -8,7 +8,6 @@ import numpy as np
 from aomgen.conventions import linear_from_srgb
 from aomgen.core.camera import Camera
 from aomgen.core.gaussians import Gaussians
-from aomgen.core.light import COSINE_BANDS
 from aomgen.core.sh import sh_basis
 from aomgen.core.transforms import transform
 from aomgen.core.values import Array, freeze_arrays
@@ -47,11 +46,6 @@ class Probe:
         return np.asarray(
             (sh_basis(self.directions, 2) * self.solid_angles[:, None]).T @ radiance, np.float64
         )
-
-
-def cosine_answer(normals: Array) -> Array:
-    """Matrix (N, 9) that turns harmonics of radiance into irradiance over pi at normals (N, 3)."""
-    return sh_basis(normals, 2) * (COSINE_BANDS / np.pi)
 
 
 def probe_light(world: Gaussians, place: Array) -> Probe:

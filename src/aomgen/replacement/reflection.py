@@ -11,16 +11,14 @@ from typing import Final
 import numpy as np
 
 from aomgen.conventions import srgb_from_linear
+from aomgen.core.gaussians import SH_C0
 from aomgen.core.light import turned_radiance
-from aomgen.core.sh import sh_basis
 from aomgen.core.values import Array
 from aomgen.replacement.light_estimation import REFLECTED, SceneLight, lose_color
 from aomgen.splatting.surfels import Surfels
 
 # Band of each of the nine harmonics.
 BANDS: Final = np.repeat([0, 1, 2], [1, 3, 5])
-# Constant harmonic, and the constant part of an open surface's transfer.
-Y0: Final = float(sh_basis([0.0, 0.0, 1.0], 0)[0])
 # The slope of sRGB is taken above this, linear: nearer to black it would make small differences large.
 BLACK: Final = 0.002
 # Step of the slope, as a share.
@@ -37,13 +35,14 @@ def show_in_light(surfels: Surfels, light: SceneLight, R_world_asset: Array) -> 
     metallic = surfels.metallic[:, None].astype(np.float64)
     colors = lose_color(surfels.albedo_linear.astype(np.float64), light.color_loss)
     share = REFLECTED * (1 - metallic) + metallic * colors
-    open_ = np.clip(surfels.transfer[:, :1] / Y0, 0, 1)
+    # The constant part of an open surface's transfer is the constant harmonic.
+    open_ = np.clip(surfels.transfer[:, :1] / SH_C0, 0, 1)
     mirrored = _mirror(radiance, surfels.normals.astype(np.float64))
     # Lobes of microfacets: a GGX width of the square of the roughness.
     blur = np.exp(-((BANDS * surfels.roughness[:, None].astype(np.float64) ** 2) ** 2))
     reflection = (share * open_)[:, None] * blur[..., None] * mirrored
     arriving = np.maximum(surfels.transfer.astype(np.float64) @ radiance, BLACK)
-    sent = colors * (1 - metallic) * arriving + np.maximum(reflection[:, 0] * Y0, 0)
+    sent = colors * (1 - metallic) * arriving + np.maximum(reflection[:, 0] * SH_C0, 0)
     sent = np.clip(sent, BLACK, 1 / (1 + STEP))
     slope = (srgb_from_linear(sent * (1 + STEP)) - srgb_from_linear(sent * (1 - STEP))) / (2 * STEP * sent)
     sh = np.zeros((len(sent), 9, 3), np.float32)

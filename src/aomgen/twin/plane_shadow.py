@@ -110,6 +110,18 @@ def cast_on_plane(
     return images["alpha"]
 
 
+def cast_body(
+    body: Gaussians,
+    T_plane_body: Array,
+    directions_plane: Array,
+    grid: PlaneGrid,
+    threads: int | None = None,
+) -> NDArray[np.float32]:
+    """Share (D, rows, columns) of the light of D directions that a body at one pose keeps from each cell."""
+    index, poses = np.zeros(len(body), np.int32), np.tile(T_plane_body, (len(directions_plane), 1, 1, 1))
+    return cast_on_plane(body, index, poses, directions_plane, grid, threads)
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SoftShadow:
     """Light of many directions that an object lets through to the surface it stands on; moves along with it.
@@ -188,8 +200,7 @@ def cast_soft_shadow(twin: Twin, T_world_plane: ArrayLike, threads: int | None =
     directions = directions[directions[:, 2] > 0]
 
     def passed(body: Gaussians, T_plane_body: Array) -> NDArray[np.float32]:
-        index, poses = np.zeros(len(body), np.int32), np.tile(T_plane_body, (len(directions), 1, 1, 1))
-        cast = cast_on_plane(body, index, poses, directions, fine, threads)
+        cast = cast_body(body, T_plane_body, directions, fine, threads)
         return 1 - cast.reshape(len(directions), rows, FINER, columns, FINER).mean((2, 4))
 
     around = passed(still, T_plane_object)

@@ -3,6 +3,7 @@ import pytest
 
 from aomgen.conventions import ROBOT
 from aomgen.core.gaussians import Gaussians
+from aomgen.core.light import cosine_answer
 from aomgen.core.sh import sh_basis
 from aomgen.replacement.light_estimation import (
     LIMITS,
@@ -13,7 +14,7 @@ from aomgen.replacement.light_estimation import (
     lose_color,
     radiance_around,
 )
-from aomgen.replacement.probe import Probe, cosine_answer, probe_light
+from aomgen.replacement.probe import Probe, probe_light
 from aomgen.splatting.surfaces import sphere_directions
 
 AXES = np.concatenate([np.eye(3), -np.eye(3)])
