@@ -68,12 +68,13 @@ def photograph_surface(
     points = apply(T_world_plane, np.concatenate([xy, np.zeros_like(xy[..., :1])], -1))
     colors = np.zeros((len(views), *points.shape), np.float32)
     visible = np.zeros((len(views), *points.shape[:2]), bool)
+    to_plane = invert(T_world_plane)
     plain, share = world.with_sh_degree(0), scene.astype(np.float32)[:, None]
     for k, view in enumerate(views):
         camera = view.camera
         drawn = render(plain, camera, features=share, with_ids=True)
         depth = np.asarray(drawn.median_depth, np.float64)[..., None]
-        heights = apply(invert(T_world_plane), camera.center + camera.directions() * depth)[..., 2]
+        heights = apply(to_plane, camera.center + camera.directions() * depth)[..., 2]
         clear = (np.abs(heights) < ON_PLANE) & (np.asarray(drawn.features)[..., 0] > 1 - BEFORE)
         pixels, distance = camera.project(points)
         places = np.nan_to_num(np.moveaxis(pixels[..., ::-1], -1, 0) - 0.5, nan=-1.0)
