@@ -21,11 +21,14 @@ from aomgen.core.values import Array
 from aomgen.replacement.mosaic import Photograph, photograph_surface
 from aomgen.replacement.old_shadow import shadow_gain
 from aomgen.robots.robot import RobotModel
+from aomgen.splatting.rasterizer import contribution_weights
 from aomgen.twin.support import SURFACE, Support, cover_from_above, find_support, on_surface
 from aomgen.twin.twin import Twin, posed
 
 # Remains of the object are looked for this far around it, [m].
 HALO: Final = 0.025
+# What the object hid more than all but this share of is not known.
+SEEN_SHARE: Final = 0.2
 # The surface is made new this far beyond the object's footprint, and reaches as far again under the old one, [m].
 MARGIN: Final = 0.03
 # So near to the footprint photographs show the object's foot, [m].
@@ -43,11 +46,11 @@ MIN_ALPHA: Final = 0.6
 # Difference of chromaticity from most of the surface that is certainly another thing.
 MIN_TINT: Final = 0.07
 # Patch side, [px].
-PATCH: Final = 17
+PATCH: Final = 25
 # Random patches compared at each place; the neighbourhood of the best is searched after.
 CANDIDATES: Final = 600
 # Structure wider than this [px] is color, finer is texture.
-SMOOTHING: Final = 9.0
+SMOOTHING: Final = 15.0
 
 
 class Cleared(NamedTuple):
@@ -92,7 +95,7 @@ def clear_object(
     support = find_support(
         world.means[of_object], world.opacities[of_object], world.select(scene), twin.T_world_object
     )
-    leftover = scene & _leftover(world, support)
+    leftover = scene & (_leftover(world, support) | _hardly_seen(world, of_object, views))
     remaining = twin.select(~of_object & ~leftover)
     table = (
         (remaining.labels == BACKGROUND) & (remaining.bodies == 0) & on_surface(remaining.gaussians, support)
@@ -130,6 +133,23 @@ def _leftover(world: Gaussians, support: Support) -> NDArray[np.bool_]:
     faint = (world.opacities < 0.3) & (places[:, 2] > SURFACE) & (places[:, 2] < support.top + 2 * HALO)
     beneath = (np.abs(places[:, 2]) <= 0.04) & (places[:, 2] <= SURFACE) & (outside < MARGIN)
     return above | (faint & (beyond < 2 * HALO)) | beneath
+
+
+def _hardly_seen(
+    world: Gaussians, of_object: NDArray[np.bool_], views: Sequence[Photograph]
+) -> NDArray[np.bool_]:
+    """Which Gaussians (N,) the object hid from nearly all that would see them without it: no photograph shows that they
+    are so.
+    """
+    others = world.select(~of_object)
+    shown, bare = np.zeros(len(world)), np.zeros(len(others))
+    for view in views:
+        whole = np.ones((1, view.camera.height, view.camera.width), np.float32)
+        shown += contribution_weights(world, view.camera, whole)[:, 0]
+        bare += contribution_weights(others, view.camera, whole)[:, 0]
+    hidden = np.zeros(len(world), bool)
+    hidden[~of_object] = shown[~of_object] < SEEN_SHARE * bare
+    return hidden
 
 
 def _hull(cells: NDArray[np.bool_]) -> NDArray[np.bool_]:
