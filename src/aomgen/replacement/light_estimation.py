@@ -88,14 +88,19 @@ def lose_color(colors_linear: Array, loss: float) -> Array:
 
 
 def estimate_light(
-    twin: Twin, robot: RobotModel, empty: Gaussians, place: Array, eyes_world: Array, rng: np.random.Generator
+    twin: Twin,
+    robot: RobotModel,
+    around: Gaussians,
+    place: Array,
+    eyes_world: Array,
+    rng: np.random.Generator,
 ) -> SceneLight:
     """Find the light that the scan was taken under.
 
     Args:
         twin: Recorded scene.
         robot: Its robot.
-        empty: What stands still without the object, world frame.
+        around: What stands still about the object, in its shadow too, world frame.
         place: Where the light is wanted (3,), world frame.
         eyes_world: Where the scan's cameras were (K, 3).
         rng: Chooses points on the robot.
@@ -110,7 +115,7 @@ def estimate_light(
         return SceneLight(scene_light(world, twin.labels), 0.0, "scene")
     middle = np.median(world.means[of_robot], 0).astype(np.float64)
     unseen, loss = fit_unseen(samples, probe_light(world.select(twin.labels != ROBOT), middle))
-    radiance = lose_color(radiance_around(probe_light(empty, place), unseen, loss), loss)
+    radiance = lose_color(radiance_around(probe_light(around, place), unseen, loss), loss)
     return SceneLight(limit_light(_positive(radiance)), loss, "robot")
 
 

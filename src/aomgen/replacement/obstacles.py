@@ -37,6 +37,8 @@ FOOT_M: Final = 0.06
 LEAST_CELLS: Final = 8
 # Gaussians so near to the scanned robot are its own, or its shadow's, [m].
 ROBOT_M: Final = 0.04
+# A box ends so far before the robot, which was not hindered there, [m]: it may be larger than its visible surface.
+CLEAR_M: Final = 0.01
 # Points on its surface: one every 1.5 cm.
 ROBOT_SAMPLES: Final = 5000
 # And so near to where the object stood, its own, [m].
@@ -67,12 +69,12 @@ def find_obstacles(
     kept = (plane[:, 2] > LOWEST_M) & (np.linalg.norm(points - reach.shoulder_world, axis=1) < far_m)
     kept &= ~((support.beyond_reach(plane[:, :2]) < OBJECT_M) & (plane[:, 2] < support.top + OBJECT_M))
     points, plane = points[kept], plane[kept]
-    own, _ = cKDTree(configuration.surface_world(ROBOT_SAMPLES, rng)).query(
-        points, distance_upper_bound=ROBOT_M
-    )
+    robot = configuration.surface_world(ROBOT_SAMPLES, rng)
+    own, _ = cKDTree(robot).query(points, distance_upper_bound=ROBOT_M)
     plane = plane[np.isinf(own)]
     parts = (part for thing in _standing(plane) for part in _parts(thing))
-    return tuple(_box(part, support.T_world_plane) for part in parts)
+    boxes = (_beside(_box(part, support.T_world_plane), robot) for part in parts)
+    return tuple(box for box in boxes if box is not None)
 
 
 def _samples(gaussians: Gaussians, rng: np.random.Generator) -> Array:
@@ -146,3 +148,22 @@ def _box(part: Array, T_world_plane: Array) -> OrientedBox:
     low[2] = 0.0
     T_plane_box = transform(R, R @ ((low + high) / 2))
     return OrientedBox(T_world_box=T_world_plane @ T_plane_box, half_extents=(high - low) / 2)
+
+
+def _beside(box: OrientedBox, robot_world: Array) -> OrientedBox | None:
+    """The box without what the robot (N, 3) stood in: cut at the side or the top where that costs least."""
+    points, half = box.coordinates(robot_world), box.half_extents
+    inside = points[(np.abs(points) < half + CLEAR_M).all(1)]
+    if not len(inside):
+        return box
+    ends = np.stack([-half, half])
+    cuts = [(1, axis, inside[:, axis].min() - CLEAR_M) for axis in range(3)]
+    cuts += [(0, axis, inside[:, axis].max() + CLEAR_M) for axis in range(2)]
+    end, axis, where = max(
+        cuts, key=lambda cut: (2 * cut[0] - 1) * (cut[2] - ends[1 - cut[0], cut[1]]) / half[cut[1]]
+    )
+    ends[end, axis] = where
+    if not (ends[0] < ends[1]).all():
+        return None
+    T = box.T_world_box @ transform(np.eye(3), ends.mean(0))
+    return OrientedBox(T_world_box=T, half_extents=np.ptp(ends, 0) / 2)

@@ -58,12 +58,14 @@ class Cleared(NamedTuple):
 
     Attributes:
         twin: All labels are background or robot; no Gaussian belongs to "object" or "part".
+        shadowed: What never moves as it was scanned: the object's shadow on it, nothing made new; world frame.
         support: The plane the object stood on.
         removed: Gaussians taken away beyond those labelled as the object.
         filled: Gaussians of new surface.
     """
 
     twin: Twin
+    shadowed: Gaussians
     support: Support
     removed: int
     filled: int
@@ -71,8 +73,7 @@ class Cleared(NamedTuple):
     @property
     def surroundings(self) -> Gaussians:
         """All that never moves, world frame."""
-        twin = self.twin
-        return twin.gaussians.select((twin.labels == BACKGROUND) & (twin.bodies == 0))
+        return _still(self.twin)
 
 
 def clear_object(
@@ -121,7 +122,13 @@ def clear_object(
     where = (outside <= 0) | (((outside <= 2 * MARGIN) | thin) & _hull(extent > 0.5))
     fill = _surface(texture, xy, where, support, photographed.gloss_sh)
     cleared = replace(remaining, gaussians=lightened).extended(fill, 0, BACKGROUND)
-    return Cleared(cleared, support, removed=int(leftover.sum() + rest.sum()), filled=len(fill))
+    return Cleared(
+        cleared, _still(remaining), support, removed=int(leftover.sum() + rest.sum()), filled=len(fill)
+    )
+
+
+def _still(twin: Twin) -> Gaussians:
+    return twin.gaussians.select((twin.labels == BACKGROUND) & (twin.bodies == 0))
 
 
 def _leftover(world: Gaussians, support: Support) -> NDArray[np.bool_]:

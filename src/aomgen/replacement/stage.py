@@ -93,7 +93,7 @@ def _light_at_object(results: Results, cleared: Cleared) -> SceneLight:
     return estimate_light(
         results.twin,
         results.robot,
-        cleared.surroundings,
+        cleared.shadowed,
         apply(support.T_world_plane, middle),
         eyes,
         np.random.default_rng(results.project.seed),

@@ -1,5 +1,7 @@
 """Boxes that stand in a scene are found again from its Gaussians; specks, the table's noise and the robot are not."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -127,3 +129,19 @@ def test_specks_table_robot_and_the_object_s_rest_are_no_obstacles(
     assert found_in([own, rest, hanging, clutter(rng)], standing_robot) == ()
     far = sheet(standing(3.0, 0.0, 0.0, (0.2, 0.2, 0.2)), rng)
     assert found_in([far], standing_robot) == ()
+
+
+def test_no_box_holds_a_part_of_the_robot(standing_robot: RobotConfiguration) -> None:
+    rng = np.random.default_rng(2)
+    surface = standing_robot.surface_world(20_000, rng)
+    foot = float(surface[:, 2].min())
+    # What the robot stands on, scanned a little too high.
+    half = np.array([0.2, 0.2, 0.03])
+    pedestal = OrientedBox(
+        T_world_box=transform(upright_axes(0.2), [0.0, 0.0, foot + 0.008 - half[2]]), half_extents=half
+    )
+    support = replace(SUPPORT, T_world_plane=transform(np.eye(3), [0.7, 0.0, foot + 0.008 - 0.06]))
+    found = find_obstacles(sheet(pedestal, rng), support, longest_reach(standing_robot.robot), standing_robot)
+    assert found
+    for box in found:
+        assert not (np.abs(box.coordinates(surface)) < box.half_extents).all(1).any()
