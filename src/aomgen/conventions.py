@@ -29,6 +29,10 @@ def wxyz_from_xyzw(quats_xyzw: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.roll(quats_xyzw, 1, axis=-1)
 
 
+# sRGB is close to this power of linear light: a factor on light is nearly that power of it on colors.
+SRGB_POWER: Final = 1 / 2.2
+
+
 def linear_from_srgb(srgb: NDArray[np.floating]) -> NDArray[np.floating]:
     """Linear radiance of sRGB values in 0..1. Source: IEC 61966-2-1."""
     return np.where(srgb <= 0.04045, srgb / 12.92, ((np.maximum(srgb, 0) + 0.055) / 1.055) ** 2.4)

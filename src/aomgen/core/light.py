@@ -47,6 +47,13 @@ class Light:
         """The light made brighter by a factor, or by three, one for each channel."""
         return Light(radiance_sh=self.radiance_sh * np.asarray(gain, np.float64))
 
+    def without(self, direction: ArrayLike, normal: ArrayLike, share: float) -> "Light":
+        """What is left without a lamp in a direction (3,) that sends a surface with a normal (3,) a share of its light."""
+        towards, up = np.asarray(direction)[None], np.asarray(normal)[None]
+        lamp = sh_basis(towards, 2).T * self.irradiance(up)
+        lamp *= share / (cosine_answer(up) @ sh_basis(towards, 2).T)
+        return Light(radiance_sh=self.radiance_sh - lamp)
+
 
 def turned_radiance(radiance_sh: ArrayLike, R_world_body: ArrayLike) -> Array:
     """Coefficients (..., 9, C) in the frames of bodies turned by (..., 3, 3) of radiance (9, C) in the world's."""

@@ -18,8 +18,9 @@ from aomgen.episodes.shading import (
     ShadedPixels,
     SoftShade,
     States,
+    color_factors,
     find_shaded_pixels,
-    shaded_factors,
+    taken_light,
 )
 from aomgen.io.video import Codec
 from aomgen.robots.robot import RobotModel
@@ -160,10 +161,10 @@ def _crisp_shade(
     shades: Sequence[Shade],
     threads: int | None,
 ) -> list[Shade]:
-    """The shadow in a directional light, where there is one; the part's too, unless another shade has it."""
+    """The shadow in a directional light, where there is one; of all of the object, where it throws a new one."""
     if twin.directional_light is None:
         return []
-    return [CrispShade(twin, robot, Ts_world_body, seen_world, with_part=not shades, threads=threads)]
+    return [CrispShade(twin, robot, Ts_world_body, seen_world, with_static=bool(shades), threads=threads)]
 
 
 class FixedViews:
@@ -247,11 +248,10 @@ class _StillView:
     def darkened(self, shaded: Sequence[ShadedPixels], dark: Sequence[DarkMaps]) -> NDArray[np.float32]:
         """Factors (T, H, W) on the colors of the scene in shadows; at least one."""
         shape = self.layer.depth.shape
-        image = np.ones((len(dark[0].shares), shape[0] * shape[1]), np.float32)
+        taken = np.zeros((len(dark[0].shares), shape[0] * shape[1]), np.float32)
         for item, maps in zip(shaded, dark, strict=True):
-            # One light is taken only once.
-            image[:, item.pixels] = np.minimum(image[:, item.pixels], item.factors(maps))
-        return image.reshape(-1, *shape)
+            taken[:, item.pixels] += item.taken(maps)
+        return color_factors(taken).reshape(-1, *shape)
 
     def points_on(self, T_world_plane: Array) -> Array:
         """What is seen of a surface (N, 3)."""
@@ -312,11 +312,10 @@ def _draw_moving(
         dark = [shade.dark(states.part(chosen)) for shade in shades]
         for t in range(len(motion) if shades else 0):
             depth, camera = images["median_depth"][t], path.at(start + t)
-            found = [
-                shaded_factors(shade, maps, t, camera, depth)
-                for shade, maps in zip(shades, dark, strict=True)
-            ]
-            factors = np.where(scene[images["max_id"][t]], np.minimum.reduce(found), 1)
+            taken = sum(
+                taken_light(shade, maps, t, camera, depth) for shade, maps in zip(shades, dark, strict=True)
+            )
+            factors = np.where(scene[images["max_id"][t]], color_factors(np.asarray(taken)), 1)
             images["rgb8"][t] = np.rint(images["rgb8"][t] * factors[..., None])
         batches.append(images)
     return _frames(batches, everything.labels, params)

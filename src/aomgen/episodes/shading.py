@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import map_coordinates
 from scipy.sparse import csr_array
 
+from aomgen.conventions import SRGB_POWER
 from aomgen.core.camera import Camera
 from aomgen.core.gaussians import Gaussians
 from aomgen.core.light import Light
@@ -17,7 +18,7 @@ from aomgen.robots.robot import RobotModel
 from aomgen.splatting.rasterizer import RigidParts
 from aomgen.twin.plane_shadow import PlaneGrid, SoftShadow, cast_on_plane
 from aomgen.twin.shadow import FAR, MOVES, STANDS, DirectionalLight, intersect_surface, silhouette
-from aomgen.twin.twin import OBJECT, PART, Twin, shadow_roles
+from aomgen.twin.twin import OBJECT, Twin, shadow_roles
 
 # Cell of a map of the robot's crisp shadow, [m]: about a pixel.
 CRISP_CELL = 0.004
@@ -39,14 +40,14 @@ class States(NamedTuple):
 
 
 class DarkMaps(NamedTuple):
-    """Share (T, rows, columns) of the sRGB color that is taken in cells on a surface; nothing beside them."""
+    """Share (T, rows, columns) of the light that is taken in cells on a surface, linear; nothing beside them."""
 
     grid: PlaneGrid
     shares: NDArray[np.float32]
 
 
 class SoftShade:
-    """The shadow that the object throws in the light from all around.
+    """The shadow that the object throws in the light from all around, but for a lamp's, which is left to `CrispShade`.
 
     Attributes:
         T_world_plane: The surface it falls on.
@@ -57,9 +58,10 @@ class SoftShade:
     def __init__(self, twin: Twin, T_world_object: Array, soft: SoftShadow, T_world_plane: Array) -> None:
         self.T_world_plane, self.grid = T_world_plane, soft.grid
         self.T_world_grid = T_world_object @ soft.T_object_plane
-        arriving = soft.arriving(_object_light(twin), T_world_object)
-        # sRGB is close to the power 1 / 2.2 of linear light.
-        self._dark = 1 - np.maximum(arriving, 0) ** np.float32(1 / 2.2)
+        light, lamp, rest = _object_light(twin), twin.directional_light, 1.0
+        if lamp is not None:
+            light, rest = light.without(lamp.direction, T_world_plane[:3, 2], lamp.share), 1 - lamp.share
+        self._dark = np.float32(rest) * (1 - soft.arriving(light, T_world_object))
         self._soft = soft
 
     def dark(self, states: States) -> DarkMaps:
@@ -69,7 +71,9 @@ class SoftShade:
 
 
 class CrispShade:
-    """The shadow that the robot, and the object's part `with_part`, throws in a directional light, crisp or wide.
+    """The shadow that the robot and the object's part throw in a directional light, crisp or wide.
+
+    The object's static part throws one too `with_static`; elsewhere the scan shows it.
 
     Cells do not depend on what moves where, so that equal states give equal pictures.
 
@@ -83,11 +87,11 @@ class CrispShade:
         Ts_world_body: Array,
         seen_world: Array,
         *,
-        with_part: bool,
+        with_static: bool,
         threads: int | None,
     ) -> None:
         light, roles = _lamp(twin), shadow_roles(twin, robot)
-        moving, stands = (roles == MOVES) & (with_part | (twin.bodies != twin.body(PART))), roles == STANDS
+        moving, new = roles == MOVES, with_static & (twin.bodies == twin.body(OBJECT))
         self.T_world_plane = self.T_world_grid = light.T_world_plane
         self._to_plane = invert(light.T_world_plane)
         self._bodies, self._parts, self._threads = twin.gaussians.select(moving), twin.bodies[moving], threads
@@ -95,17 +99,25 @@ class CrispShade:
         cell = CRISP_CELL * (WIDE_CELLS if light.width else 1)
         self._boxes = _body_corners(self._bodies, self._parts)
         self.grid = _cells_over(apply(self._to_plane, seen_world)[:, :2], self._to_plane[:2, 3], cell)
-        poses = RigidParts(indices=twin.bodies[stands], Ts_world_part=Ts_world_body)
-        places, standing = apply(light.T_world_plane, self.grid.points()), twin.gaussians.select(stands)
-        lit = np.stack([1 - silhouette(standing, way, poses).at(places) for way in light.directions])
-        self._shares = ((1 - light.shade.mean()) / len(lit) * lit).astype(np.float32)
+        places = apply(light.T_world_plane, self.grid.points())
+
+        def lit_beside(chosen: NDArray[np.bool_]) -> Array:
+            """Share (K, rows, columns) of the light of each direction that some of what stands lets through."""
+            poses = RigidParts(indices=twin.bodies[chosen], Ts_world_part=Ts_world_body)
+            standing = twin.gaussians.select(chosen)
+            return np.stack([1 - silhouette(standing, way, poses).at(places) for way in light.directions])
+
+        share = light.share / len(self._directions) * lit_beside((roles == STANDS) & ~new)
+        passed = lit_beside(new)
+        self._still = (share * (1 - passed)).sum(0).astype(np.float32)
+        self._shares = (share * passed).astype(np.float32)
 
     def dark(self, states: States) -> DarkMaps:
         """What it takes, in those cells where it may fall in any of the frames."""
         Ts = self._to_plane @ states.Ts_world_body
         rows, columns = self._reached(Ts)
         window = self.grid.window(rows, columns)
-        dark = np.zeros((len(Ts), window.rows, window.columns), np.float32)
+        dark = np.tile(self._still[rows, columns], (len(Ts), 1, 1))
         for direction, share in zip(self._directions, self._shares, strict=True):
             ways = np.tile(direction, (len(Ts), 1))
             cast = cast_on_plane(self._bodies, self._parts, Ts, ways, window, self._threads)
@@ -113,14 +125,22 @@ class CrispShade:
         return DarkMaps(window, dark)
 
     def _reached(self, Ts_plane_body: Array) -> tuple[slice, slice]:
-        """Rows and columns of the grid that hold the shadows of all bodies' boxes; at least one of each."""
+        """Rows and columns of the grid that hold all shadows, of bodies by their boxes; at least one of each."""
         slopes, grid = self._directions[:, :2] / self._directions[:, 2:], self.grid
         places = [apply(Ts_plane_body[:, None, body], corners) for body, corners in self._boxes.items()]
-        if not places:
-            return slice(0, 1), slice(0, 1)
+        dark = grid.points()[self._still > 0, :2]
         cast = np.concatenate(
-            [(item[..., :2] - item[..., 2:] * slope).reshape(-1, 2) for item in places for slope in slopes]
+            [
+                dark,
+                *(
+                    (item[..., :2] - item[..., 2:] * slope).reshape(-1, 2)
+                    for item in places
+                    for slope in slopes
+                ),
+            ]
         )
+        if not len(cast):
+            return slice(0, 1), slice(0, 1)
         low, high = (
             np.floor((bound - grid.low) / grid.cell).astype(int) for bound in (cast.min(0), cast.max(0))
         )
@@ -184,14 +204,14 @@ class ShadedPixels:
     grid: PlaneGrid
     lookup: csr_array
 
-    def factors(self, dark: DarkMaps) -> NDArray[np.float32]:
-        """Factors (T, N) on their colors for maps of the grid, or of a window of it."""
+    def taken(self, dark: DarkMaps) -> NDArray[np.float32]:
+        """Light taken (T, N) from their colors by maps of the grid, or of a window of it."""
         maps = dark.shares
         if dark.grid is not self.grid:
             column, row = np.rint((dark.grid.low - self.grid.low) / self.grid.cell).astype(int)
             maps = np.zeros((len(maps), self.grid.rows, self.grid.columns), np.float32)
             maps[:, row : row + dark.grid.rows, column : column + dark.grid.columns] = dark.shares
-        return 1 - self.share * (self.lookup @ np.ascontiguousarray(maps.reshape(len(maps), -1).T)).T
+        return self.share * (self.lookup @ np.ascontiguousarray(maps.reshape(len(maps), -1).T)).T
 
 
 def find_shaded_pixels(
@@ -207,14 +227,19 @@ def find_shaded_pixels(
     return ShadedPixels(pixels=seen[hit], share=share[seen[hit]], grid=shade.grid, lookup=lookup[hit])
 
 
-def shaded_factors(
+def taken_light(
     shade: Shade, dark: DarkMaps, frame: int, camera: Camera, depth: NDArray[np.float32]
 ) -> NDArray[np.float32]:
-    """Factors (H, W) on the colors of the surface in one frame, where a camera sees it at depth (H, W)."""
+    """Share (H, W) of the light on the surface that is taken in one frame, where a camera sees it at depth (H, W)."""
     points, belongs = intersect_surface(shade.T_world_plane, camera, depth.astype(np.float64))
     seen = belongs > 0
     places = apply(invert(shade.T_world_grid), points[seen])[:, :2]
     cells = ((places - dark.grid.low) / dark.grid.cell - 0.5).T[::-1]
-    factors = np.ones(depth.shape, np.float32)
-    factors[seen] -= (belongs[seen] * map_coordinates(dark.shares[frame], cells, order=1)).astype(np.float32)
-    return factors
+    taken = np.zeros(depth.shape, np.float32)
+    taken[seen] = belongs[seen] * map_coordinates(dark.shares[frame], cells, order=1)
+    return taken
+
+
+def color_factors(taken: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Factors on sRGB colors where shares of the light are taken."""
+    return np.maximum(1 - taken, 0) ** np.float32(SRGB_POWER)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter, map_coordinates
 from scipy.optimize import nnls
 
-from aomgen.conventions import linear_from_srgb
+from aomgen.conventions import SRGB_POWER, linear_from_srgb
 from aomgen.core.gaussians import Gaussians
 from aomgen.core.transforms import invert
 from aomgen.core.values import Array
@@ -32,8 +32,6 @@ SMOOTH: Final = 1.5
 GRAIN: Final = 1.2
 # Fewer cells do not tell a shadow from the grain.
 MIN_CELLS: Final = 200
-# sRGB is close to this power of linear light.
-SRGB_POWER: Final = 1 / 2.2
 
 
 def shadow_gain(

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.ndimage import map_coordinates
 
+from aomgen.conventions import SRGB_POWER
 from aomgen.core.camera import Camera
 from aomgen.core.gaussians import SH_C0, Gaussians
 from aomgen.core.transforms import apply, invert, transform
@@ -58,6 +59,11 @@ class DirectionalLight:
     def directions(self) -> Array:
         """Directions (K, 3) that together stand for the light."""
         return spread_directions(self.direction, self.width)
+
+    @property
+    def share(self) -> float:
+        """What of the light on the surface is the lamp's, 0..1, linear."""
+        return float(1 - np.mean(self.shade ** (1 / SRGB_POWER)))
 
     def factors(self, dark: Array) -> NDArray[np.float32]:
         """Factors (..., 3) on sRGB colors where a share (...,) of the light is taken."""

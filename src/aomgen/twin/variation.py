@@ -6,7 +6,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from aomgen.conventions import linear_from_srgb, srgb_from_linear
+from aomgen.conventions import SRGB_POWER, linear_from_srgb, srgb_from_linear
 from aomgen.core.gaussians import SH_C0, Gaussians
 from aomgen.core.plan import LightChange, MaterialChange
 from aomgen.core.transforms import matrix_from_rotvec
@@ -95,9 +95,8 @@ def _blackbody_rgb(temperature_k: float) -> Array:
 def _with_gains(twin: Twin, gains: Array) -> Twin:
     relit = twin.relit
     if relit is not None:
-        # sRGB is close to the power 1 / 2.2 of linear light.
         residuals = tuple(
-            replace(item, difference_srgb=item.difference_srgb * gains ** (1 / 2.2))
+            replace(item, difference_srgb=item.difference_srgb * gains**SRGB_POWER)
             for item in relit.residuals
         )
         relit = replace(
