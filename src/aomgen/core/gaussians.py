@@ -69,6 +69,13 @@ class Gaussians:
             means=self.means, quats=self.quats, scales=self.scales, opacities=self.opacities, sh=sh
         )
 
+    def brightened(self, factors: ArrayLike) -> "Gaussians":
+        """The same shapes with sRGB colors times factors (N, 3) or (N, 1), as seen from anywhere."""
+        factors = np.asarray(factors)
+        sh = self.sh * factors[:, None]
+        sh[:, 0] += (factors - 1) * 0.5 / SH_C0
+        return self.with_sh(sh)
+
     def with_sh_degree(self, degree: int) -> "Gaussians":
         """The same Gaussians with coefficients cut or zero-padded to a degree 0..3."""
         want, have = (degree + 1) ** 2, self.sh.shape[1]

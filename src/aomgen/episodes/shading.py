@@ -18,12 +18,15 @@ from aomgen.robots.robot import RobotModel
 from aomgen.splatting.rasterizer import RigidParts
 from aomgen.twin.plane_shadow import PlaneGrid, SoftShadow, cast_on_plane
 from aomgen.twin.shadow import FAR, MOVES, STANDS, DirectionalLight, intersect_surface, silhouette
-from aomgen.twin.twin import OBJECT, Twin, shadow_roles
+from aomgen.twin.thing_shadow import ThingShadow, cast_on_things
+from aomgen.twin.twin import OBJECT, PART, Twin, posed_by, shadow_roles
 
 # Cell of a map of the robot's crisp shadow, [m]: about a pixel.
 CRISP_CELL = 0.004
 # Shadows of a wide lamp are softer: their cells are so many times as wide.
 WIDE_CELLS = 3
+# Places of walls and things on which the object's shadow is computed.
+THINGS = 2000
 # Nothing that hangs on an arm throws a shadow farther from its base than this, [m].
 SHADOW_REACH = 2.5
 
@@ -172,6 +175,14 @@ def _cells_over(places: Array, base: Array, cell: float) -> PlaneGrid:
 
 
 Shade = SoftShade | CrispShade
+
+
+def shade_on_things(twin: Twin, Ts_world_body: Array, eyes_world: Array, T_world_plane: Array) -> ThingShadow:
+    """The shadow of a lit object on walls and things, for one state: they lie behind it more than before its part."""
+    bodies = [twin.body(OBJECT), twin.body(PART)]
+    body = posed_by(twin.select(np.isin(twin.bodies, bodies)), Ts_world_body)
+    scene, lamp = twin.gaussians.select(twin.bodies == 0), twin.directional_light
+    return cast_on_things(scene, body, _object_light(twin), lamp, eyes_world, T_world_plane, THINGS)
 
 
 def _object_light(twin: Twin) -> Light:

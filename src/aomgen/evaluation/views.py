@@ -11,7 +11,8 @@ from aomgen.core.camera import Camera
 from aomgen.core.plan import FittedAsset, Variation
 from aomgen.core.values import Array
 from aomgen.episodes.factory import EpisodeFactory, OpenAsset
-from aomgen.episodes.render import FixedViews, Trajectory, soft_shades, states_of
+from aomgen.episodes.fixed_views import FixedViews, soft_shades
+from aomgen.episodes.render import Trajectory, states_of
 from aomgen.robots.model_renderer import FAR_M
 from aomgen.simulation.replay import Reached
 from aomgen.simulation.scene import build_scene

@@ -216,9 +216,7 @@ def _lightened(
     inside &= table
     factor = np.ones((len(gaussians), 3))
     factor[inside] = gain[cells[inside, 1], cells[inside, 0]]
-    sh = gaussians.sh * factor[:, None]
-    sh[:, 0] += (factor - 1) * 0.5 / SH_C0
-    return gaussians.with_sh(sh)
+    return gaussians.brightened(factor)
 
 
 def _surface(

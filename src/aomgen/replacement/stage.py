@@ -1,5 +1,6 @@
 """The scene without its object, its light, and every asset fitted to the motion. [paper 4.3]"""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -8,13 +9,14 @@ import numpy as np
 from aomgen.assets.choice import open_asset
 from aomgen.assets.doctor import Finding
 from aomgen.assets.usd_write import write_for_replay
-from aomgen.conventions import MOVING, STATIC
+from aomgen.conventions import BACKGROUND, MOVING, SRGB_POWER, STATIC
 from aomgen.core.asset import ArticulatedAsset
 from aomgen.core.demonstration import EpisodeScene, RecordedObject, SupportPlane
 from aomgen.core.parts import surface_points
 from aomgen.core.plan import FittedAsset, Rejection
 from aomgen.core.progress import Progress
 from aomgen.core.transforms import apply
+from aomgen.core.values import Array
 from aomgen.errors import EstimationError
 from aomgen.io.artifact import save_artifact
 from aomgen.io.images import read_image
@@ -25,13 +27,15 @@ from aomgen.replacement.free_table import support_plane
 from aomgen.replacement.light_estimation import SceneLight, estimate_light
 from aomgen.replacement.mosaic import Photograph
 from aomgen.replacement.obstacles import find_obstacles
+from aomgen.replacement.old_shadow import MAX_GAIN
 from aomgen.replacement.reflection import show_in_light
 from aomgen.replacement.removal import Cleared, clear_object
 from aomgen.replacement.viewpoint import episode_cameras
 from aomgen.results import ASSET_USD, ASSETS_FOLDER, FITTED, Results
 from aomgen.robots.reach import longest_reach
 from aomgen.twin.binding import with_object
-from aomgen.twin.twin import Twin
+from aomgen.twin.thing_shadow import cast_on_things
+from aomgen.twin.twin import Twin, posed
 
 # Folder of the twin without its object.
 BACKGROUND_FOLDER = "background"
@@ -46,11 +50,12 @@ def run(results: Results, folder: Path, progress: Progress) -> dict[str, Any]:
         for name, camera in results.scan_cameras.items()
     ]
     cleared = clear_object(results.twin, results.robot, views, np.random.default_rng(project.seed))
-    (folder / BACKGROUND_FOLDER).mkdir()
-    save_artifact(folder / BACKGROUND_FOLDER, "twin", cleared.twin)
     progress(0.3, "light")
     support = support_plane(cleared)
     light = _light_at_object(results, cleared)
+    background = _things_in_light(results, cleared, light)
+    (folder / BACKGROUND_FOLDER).mkdir()
+    save_artifact(folder / BACKGROUND_FOLDER, "twin", background)
     obstacles = find_obstacles(
         cleared.surroundings, cleared.support, longest_reach(results.robot), results.configuration
     )
@@ -62,7 +67,7 @@ def run(results: Results, folder: Path, progress: Progress) -> dict[str, Any]:
         target.mkdir(parents=True)
         save_artifact(target, FITTED, asset)
         write_for_replay(asset.asset, target / ASSET_USD)
-        save_artifact(target, "twin", asset_twin(cleared.twin, asset, light, project.seed + number))
+        save_artifact(target, "twin", asset_twin(background, asset, light, project.seed + number))
     progress(0.9, "new viewpoint")
     scene = EpisodeScene(
         support=support,
@@ -89,15 +94,33 @@ def _light_at_object(results: Results, cleared: Cleared) -> SceneLight:
     """The light in the middle of where the recorded object stood."""
     support = cleared.support
     middle = np.append((support.low + support.high) / 2, support.top / 2)
-    eyes = np.stack([camera.center for camera in results.scan_cameras.values()])
     return estimate_light(
         results.twin,
         results.robot,
         cleared.shadowed,
         apply(support.T_world_plane, middle),
-        eyes,
+        _eyes(results),
         np.random.default_rng(results.project.seed),
     )
+
+
+def _things_in_light(results: Results, cleared: Cleared, light: SceneLight) -> Twin:
+    """The cleared scene without the recorded object's shadow on walls and things."""
+    twin, recorded, T_world_plane = cleared.twin, results.twin, cleared.support.T_world_plane
+    body = posed(recorded, results.robot, recorded.scan_state).select(
+        np.isin(recorded.labels, (STATIC, MOVING))
+    )
+    still = (twin.labels == BACKGROUND) & (twin.bodies == 0)
+    scene, lamp = twin.gaussians.select(still), recorded.directional_light
+    cast = cast_on_things(scene, body, light.light, lamp, _eyes(results), T_world_plane, len(scene))
+    gain = np.ones((len(twin.gaussians), 1))
+    gain[still] = 1 / np.maximum(cast.factors(scene, T_world_plane), MAX_GAIN**-SRGB_POWER)
+    return replace(twin, gaussians=twin.gaussians.brightened(gain))
+
+
+def _eyes(results: Results) -> Array:
+    """Where the scan's cameras were (K, 3)."""
+    return np.stack([camera.center for camera in results.scan_cameras.values()])
 
 
 def contact_of(results: Results, support: SupportPlane) -> RecordedContact:

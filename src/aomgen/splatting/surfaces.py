@@ -23,6 +23,8 @@ MIN_BEFORE, BEFORE_TO_ON = 2, 3
 DIRECTIONS: Final = 96
 # Cells along the longest side of the occluding surface.
 CELLS: Final = 64
+# And of a body that is known by its Gaussians alone, which lie less dense.
+BODY_CELLS: Final = 32
 # Light that comes back from the walls of a cavity, as a share of what they block.
 BOUNCE: Final = 0.25
 
@@ -104,45 +106,72 @@ def estimate_transfer(points: Array, normals: Array, surface: Array) -> tuple[ND
     A normal whose side is closed in while the other side is open is turned round: meshes may
     be wound either way. `surface` has dense points (M, 3) on everything that occludes, same frame.
     """
-    low = surface.min(0)
-    cell = float(np.ptp(surface, axis=0).max()) / CELLS
-    shape = np.ceil(np.ptp(surface, axis=0) / cell).astype(int) + 3
-    solid = np.zeros(tuple(shape), bool)
-    solid[tuple(((surface - low) / cell).astype(int).T + 1)] = True
-    directions = sphere_directions(DIRECTIONS)
-    basis = sh_basis(directions, 2)
-    sides = []
-    for sign in (1.0, -1.0):
-        transfer = np.zeros((len(points), 9))
-        seen = np.zeros(len(points))
-        for direction, values in zip(directions, basis, strict=True):
-            cosine = sign * normals @ direction
-            facing = np.flatnonzero(cosine > 0)
-            start = points[facing] + 1.8 * cell * sign * normals[facing]
-            open_ = ~_blocked(start, direction, solid, low, cell)
-            weight = cosine[facing] * np.where(open_, 1.0, BOUNCE) * 4 / DIRECTIONS
-            transfer[facing] += weight[:, None] * values
-            seen[facing] += open_ * cosine[facing] * 4 / DIRECTIONS
-        sides.append((transfer, seen))
+    solid = _Solid(surface, CELLS)
+    sides = [_transfer(points, sign * normals, solid) for sign in (1.0, -1.0)]
     turned = (sides[0][1] < 0.1) & (sides[1][1] > 0.3)
     transfer = np.where(turned[:, None], sides[1][0], sides[0][0])
     return transfer.astype(np.float32), np.where(turned[:, None], -normals, normals)
 
 
-def _blocked(
-    start: Array, direction: Array, solid: NDArray[np.bool_], low: Array, cell: float
-) -> NDArray[np.bool_]:
-    """Which rays from `start` (N, 3) meet a solid cell."""
-    position = (start - low) / cell + 1
-    blocked = np.zeros(len(start), bool)
-    going = np.arange(len(start))
-    limits = np.array(solid.shape)
-    while len(going):
-        cells = position[going].astype(np.int64)
-        inside = ((position[going] >= 0) & (cells < limits)).all(1)
-        going, cells = going[inside], cells[inside]
-        hit = solid[cells[:, 0], cells[:, 1], cells[:, 2]]
-        blocked[going[hit]] = True
-        going = going[~hit]
-        position[going] += direction
-    return blocked
+def transfer_past(points: Array, normals: Array, body: Array) -> Array:
+    """Transfer (N, 9) of points beside a body, of which points (M, 3) are given; nothing else is in the way."""
+    return _transfer(points, normals, _Solid(body, BODY_CELLS))[0]
+
+
+def open_past(points: Array, directions: Array, body: Array) -> Array:
+    """Share (N,) of directions (K, 3) in which points do not meet a body, as above."""
+    solid = _Solid(body, BODY_CELLS)
+    return np.mean([~solid.blocks(points, direction) for direction in directions], axis=0)
+
+
+def _transfer(points: Array, normals: Array, solid: "_Solid") -> tuple[Array, Array]:
+    """Transfer (N, 9) and the share (N,) of the sky that is open, weighted with the cosine."""
+    transfer, seen = np.zeros((len(points), 9)), np.zeros(len(points))
+    directions = sphere_directions(DIRECTIONS)
+    for direction, values in zip(directions, sh_basis(directions, 2), strict=True):
+        cosine = normals @ direction
+        facing = np.flatnonzero(cosine > 0)
+        open_ = ~solid.blocks(points[facing] + 1.8 * solid.cell * normals[facing], direction)
+        weight = cosine[facing] * np.where(open_, 1.0, BOUNCE) * 4 / DIRECTIONS
+        transfer[facing] += weight[:, None] * values
+        seen[facing] += open_ * cosine[facing] * 4 / DIRECTIONS
+    return transfer, seen
+
+
+class _Solid:
+    """Cells that a surface crosses.
+
+    Args:
+        surface: Dense points (M, 3) on it.
+        cells: Along its longest side.
+
+    Attributes:
+        cell: Their side.
+    """
+
+    def __init__(self, surface: Array, cells: int) -> None:
+        self._low = surface.min(0)
+        self.cell = float(np.ptp(surface, axis=0).max()) / cells
+        shape = np.ceil(np.ptp(surface, axis=0) / self.cell).astype(int) + 3
+        self._solid = np.zeros(tuple(shape), bool)
+        self._solid[tuple(((surface - self._low) / self.cell).astype(int).T + 1)] = True
+
+    def blocks(self, start: Array, direction: Array) -> NDArray[np.bool_]:
+        """Which rays from `start` (N, 3) meet a solid cell."""
+        position, shape = (start - self._low) / self.cell + 1, np.array(self._solid.shape)
+        # To where they enter the box of all cells.
+        with np.errstate(divide="ignore", invalid="ignore"):
+            ends = np.stack([-position, shape - position]) / direction
+        enter, leave = np.nanmax(ends.min(0), 1), np.nanmin(ends.max(0), 1)
+        blocked = np.zeros(len(start), bool)
+        going = np.flatnonzero((leave > 0) & (leave > enter))
+        position[going] += np.maximum(enter[going] + 1e-6, 0)[:, None] * direction
+        while len(going):
+            cells = np.floor(position[going]).astype(np.int64)
+            inside = ((cells >= 0) & (cells < shape)).all(1)
+            going, cells = going[inside], cells[inside]
+            hit = self._solid[cells[:, 0], cells[:, 1], cells[:, 2]]
+            blocked[going[hit]] = True
+            going = going[~hit]
+            position[going] += direction
+        return blocked

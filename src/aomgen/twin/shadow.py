@@ -13,7 +13,7 @@ from scipy.ndimage import map_coordinates
 
 from aomgen.conventions import SRGB_POWER
 from aomgen.core.camera import Camera
-from aomgen.core.gaussians import SH_C0, Gaussians
+from aomgen.core.gaussians import Gaussians
 from aomgen.core.transforms import apply, invert, transform
 from aomgen.core.values import Array, Matrix4, Vector3, freeze_arrays
 from aomgen.splatting.rasterizer import RigidParts, render
@@ -186,7 +186,4 @@ def surface_share(T_world_plane: Array, points_world: ArrayLike) -> Array:
 
 def remove_shadow(gaussians: Gaussians, dark: Array, shade: Array) -> Gaussians:
     """Gaussians without a shadow that lies on them to some share `dark` (N,), 0..1."""
-    factor = 1 / (1 - dark[:, None] * (1 - shade))
-    sh = gaussians.sh * factor[:, None]
-    sh[:, 0] = ((0.5 + SH_C0 * gaussians.sh[:, 0]) * factor - 0.5) / SH_C0
-    return gaussians.with_sh(sh)
+    return gaussians.brightened(1 / (1 - dark[:, None] * (1 - shade)))

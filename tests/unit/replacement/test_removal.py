@@ -3,12 +3,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from aomgen.conventions import BACKGROUND, ROBOT
+from aomgen.conventions import BACKGROUND, MOVING, ROBOT, STATIC
 from aomgen.core.camera import Camera, look_at
+from aomgen.core.gaussians import gaussians_of
+from aomgen.core.transforms import apply
 from aomgen.errors import ReconstructionError
 from aomgen.replacement.mosaic import Photograph
-from aomgen.replacement.removal import clear_object, inpaint
-from aomgen.twin.twin import render_state
+from aomgen.replacement.removal import _hardly_seen, clear_object, inpaint
+from aomgen.twin.twin import posed, render_state
 
 TABLE_SRGB = (0.6, 0.45, 0.3)
 
@@ -53,6 +55,31 @@ def test_no_hole_and_no_trace_of_the_object_is_left(toy_scene, cleared, eye):
     assert np.abs(after.rgb[on_table] - TABLE_SRGB).max() < 0.12
     elsewhere = (before.max_id >= 0) & ~was_object
     assert np.abs(after.rgb - before.rgb)[elsewhere].mean() < 0.02
+
+
+def test_what_no_photograph_shows_behind_the_object_is_taken_away(toy_scene, photographs, cleared):
+    """A dark thing that only the object's absence would show; another one beside it is seen and stays."""
+    twin, T = toy_scene.twin, toy_scene.twin.T_world_object
+    points = np.random.default_rng(0).normal(0, 0.01, (200, 3))
+    hidden = apply(T, points + [0.0, 0.05, 0.1])
+    seen = points + [0.3, 0.4, 0.15]
+    count = len(twin.gaussians)
+    more = [
+        gaussians_of(
+            means=means,
+            quats=np.tile([1.0, 0, 0, 0], (200, 1)),
+            scales=np.full((200, 3), 0.01),
+            opacities=np.full(200, 0.9),
+            sh=np.full((200, 4, 3), 0.0),
+        )
+        for means in (hidden, seen)
+    ]
+    clutter = twin.extended(more[0], 0, BACKGROUND).extended(more[1], 0, BACKGROUND)
+    world = posed(clutter, toy_scene.robot, clutter.scan_state)
+    chosen = _hardly_seen(world, np.isin(clutter.labels, (STATIC, MOVING)), photographs)
+    assert chosen[count : count + 200].mean() > 0.95
+    assert not chosen[count + 200 :].any()
+    assert not chosen[np.isin(clutter.labels, (STATIC, MOVING))].any()
 
 
 def test_labels_and_robot_after_removal(toy_scene, cleared):
