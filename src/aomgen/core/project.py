@@ -37,7 +37,7 @@ class Project(BaseModel):
     seed: int = Field(default=0, ge=0)
     assets: tuple[str, ...] = Field(default=(), min_length=0)
     poses: int = Field(default=6, ge=1, le=10_000)
-    adapt: Literal["trajectory", "object"] = "trajectory"
+    adapt: Literal["trajectory", "object", "auto"] = "trajectory"
     image_size: tuple[Side, Side] = (320, 240)
     iterations: int = Field(default=1200, ge=10, le=200_000)
     gaussians: int = Field(default=100_000, ge=1_000, le=3_000_000)

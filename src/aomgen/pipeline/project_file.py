@@ -21,7 +21,7 @@ out = {out}                  # where results go
 seed = {seed}                  # same seed, same episodes
 assets = {assets}              # category:seed of a made asset, or the path of a USD file
 poses = {poses}                # verified episodes wanted for each asset
-adapt = {adapt}              # "trajectory": the asset keeps its size; "object": it is scaled to the motion
+adapt = {adapt}              # "trajectory": the asset keeps its size; "object": it is scaled to the motion; "auto": scaled where that fits
 
 image_size = {image_size}      # width and height of the episodes' images [px]
 iterations = {iterations}      # training steps of the scene's Gaussians

@@ -1,11 +1,13 @@
 """Bring an asset to where the recorded object stood, by the path of the held point.
 
 Two ways: "object" scales the asset until its handle follows the recorded path (the paper's
-two-stage fit, with repairs), "trajectory" keeps its true size and lets the path change.
+two-stage fit, with repairs), "trajectory" keeps its true size and lets the path change. "auto" is the first where it
+works, else the second.
 Source: AOMGen, sec. 4.3, "Physical Interaction Adaptation".
 """
 
 from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -52,7 +54,7 @@ def fit_asset(
     asset: ArticulatedAsset,
     contact: RecordedContact,
     recorded_type: str,
-    mode: Adaptation,
+    mode: Adaptation | Literal["auto"],
     params: FitParams,
 ) -> FittedAsset | Rejection:
     """Place an asset (closed at joint value 0, front along -y, support at z = 0) in the recorded object's stead.
@@ -64,6 +66,13 @@ def fit_asset(
 
     Not checked: reach, collisions and forces; planning and verification do that.
     """
+    if mode == "auto":
+        scaled = fit_asset(asset, contact, recorded_type, "object", params)
+        return (
+            scaled
+            if isinstance(scaled, FittedAsset)
+            else fit_asset(asset, contact, recorded_type, "trajectory", params)
+        )
     if asset.joint.type != recorded_type:
         return Rejection(reason="joint_type", detail=f"asset is {asset.joint.type}, recorded {recorded_type}")
     if mode == "trajectory":

@@ -55,7 +55,7 @@ def test_a_name_that_is_no_text(tmp_path):
     ("line", "words"),
     [
         ("image_size = [321, 240]", "'image_size.0' is 321: Input should be a multiple of 2"),
-        ("adapt = 'objects'", "'adapt' is 'objects': Input should be 'trajectory' or 'object'"),
+        ("adapt = 'objects'", "'adapt' is 'objects': Input should be 'trajectory', 'object' or 'auto'"),
         ("colour = 'red'", "key 'colour' is unknown; known: format, capture, out, seed"),
         ("", "key 'out' is missing"),
     ],

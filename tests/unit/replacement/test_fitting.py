@@ -174,6 +174,25 @@ def test_asset_that_cannot_open_far_enough_is_refused() -> None:
     assert result.reason == "size"
 
 
+def test_auto_scales_where_that_fits_and_else_keeps_the_size() -> None:
+    asset = make_asset("microwave", 1)
+    demo, recorded = recording(asset)
+    contact = recorded_contact(demo, recorded, "opening")
+    for given, mode in (
+        (asset, "object"),
+        (replace(asset, joint=replace(asset.joint, upper=0.6)), "trajectory"),
+    ):
+        found = fit_asset(given, contact, demo.joint.type, "auto", FitParams())
+        assert isinstance(found, FittedAsset)
+        assert found.mode == mode
+        expected = fit_asset(given, contact, demo.joint.type, mode, FitParams())
+        assert isinstance(expected, FittedAsset)
+        np.testing.assert_array_equal(found.T_world_asset, expected.T_world_asset)
+    refused = fit_asset(make_asset("drawer", 1), contact, demo.joint.type, "auto", FitParams())
+    assert isinstance(refused, Rejection)
+    assert refused.reason == "joint_type"
+
+
 def test_mirroring_twice_is_nothing_and_once_keeps_the_opening_direction() -> None:
     asset = make_asset("microwave", 3)
     once = mirror_asset(asset)
