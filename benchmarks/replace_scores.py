@@ -161,16 +161,14 @@ def _hole_figures(pictures: RoomPictures, drawn: Pictures, traced: Pictures) -> 
         never = hole & ~seen
         if never.sum() >= MIN_PIXELS:
             levels.append(255 * abs(_grey(drawn[name])[never].mean() - _grey(traced[name])[never].mean()))
-            inner = binary_erosion(never, iterations=2)
+        inner = binary_erosion(never, iterations=2)
+        if inner.sum() >= MIN_PIXELS:
             gradients.append(_gradient(drawn[name])[inner].mean() / _gradient(traced[name])[inner].mean())
         alpha = render_state(pictures.background, pictures.results.robot, state, camera).alpha
         open_pixels, pixels = open_pixels + int((alpha[hole] < COVERED).sum()), pixels + int(hole.sum())
-    return {
-        "hole.psnr_seen": float(np.median(known)),
-        "hole.level_error": float(np.median(levels)),
-        "hole.gradient_ratio": float(np.median(gradients)),
-        "hole.open_share": open_pixels / max(pixels, 1),
-    }
+    found = {"psnr_seen": known, "level_error": levels, "gradient_ratio": gradients}
+    figures = {f"hole.{key}": float(np.median(values)) for key, values in found.items() if values}
+    return figures | {"hole.open_share": open_pixels / max(pixels, 1)}
 
 
 def _visible(points: Array, camera: Camera, labels: NDArray[np.uint8], depths: Array) -> NDArray[np.bool_]:
@@ -204,6 +202,7 @@ def run_rooms(
         run_project(project, until="replacement")
         tell(f"{name} scored")
         rows.append({"room": name, **score_room(RoomPictures(truth, results_of(project, STAGES)))})
-    return {key: float(np.median([row[key] for row in rows])) for key in rows[0] if key != "room"} | {
+    names = dict.fromkeys(key for row in rows for key in row if key != "room")
+    return {key: float(np.median([row[key] for row in rows if key in row])) for key in names} | {
         "rooms": rows
     }

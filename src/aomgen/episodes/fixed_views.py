@@ -5,6 +5,7 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import median_filter
 
 from aomgen.core.gaussians import Gaussians, concatenate
 from aomgen.core.values import Array
@@ -140,7 +141,9 @@ class _StillView:
         camera, depth = self.layer.camera, self.layer.depth.astype(np.float64)
         points = camera.center + camera.directions() * np.minimum(depth, FAR)[..., None]
         taken = 1 - shadow.at(points.reshape(-1, 3)).reshape(depth.shape)
-        self._taken = self.scene_share * (1 - surface_share(T_world_plane, points).astype(np.float32)) * taken
+        taken *= 1 - surface_share(T_world_plane, points).astype(np.float32)
+        # Single pixels of an outline may lie behind it.
+        self._taken = self.scene_share * median_filter(taken, 3)
 
     def darkened(self, shaded: Sequence[ShadedPixels], dark: Sequence[DarkMaps]) -> NDArray[np.float32]:
         """Factors (T, H, W) on the colors of the scene in shadows; at least one."""

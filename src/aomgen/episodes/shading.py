@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import map_coordinates
+from scipy.ndimage import map_coordinates, median_filter
 from scipy.sparse import csr_array
 
 from aomgen.conventions import SRGB_POWER
@@ -231,7 +231,8 @@ def find_shaded_pixels(
     """Where a fixed camera sees the surface, by depth (H, W) and the scene's share of the colors (H, W)."""
     far = np.minimum(depth, FAR).astype(np.float64)
     points, belongs = intersect_surface(shade.T_world_plane, camera, far)
-    share = (belongs * scene_share).astype(np.float32).ravel()
+    # Single pixels of an outline may lie behind it.
+    share = (median_filter(belongs, 3) * scene_share).astype(np.float32).ravel()
     seen = np.flatnonzero(share > 0)
     lookup = shade.grid.lookup(apply(invert(shade.T_world_grid), points.reshape(-1, 3)[seen])[:, :2])
     hit = lookup.sum(1) > 0

@@ -1,5 +1,7 @@
 """Pictures of an asset's meshes in their own colors, without light: what its Gaussians are fitted to."""
 
+from typing import Final
+
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
@@ -7,7 +9,11 @@ from numpy.typing import NDArray
 from aomgen.assets.mjcf import VISUAL_GROUP, add_asset
 from aomgen.core.asset import ArticulatedAsset
 from aomgen.core.camera import Camera
-from aomgen.robots.model_renderer import ModelRenderer
+from aomgen.core.values import Array
+from aomgen.robots.model_renderer import ModelRenderer, depth_of
+
+# Cosine between the normals of two corners of a pixel that lie on one face.
+FLAT: Final = 0.99
 
 
 class AssetRenderer(ModelRenderer):
@@ -36,6 +42,27 @@ class AssetRenderer(ModelRenderer):
             camera: Pose in the asset's frame.
             theta: Joint value.
         """
-        colors, depth = self._render(camera, [theta], ids=False)
-        covered = (depth > 0)[..., None]
-        return np.concatenate([colors * covered / np.float32(255), covered], -1, dtype=np.float32)
+        return self.draw_surface(camera, theta)[0]
+
+    def draw_surface(self, camera: Camera, theta: float) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """The same, and unit normals (H, W, 3) towards the camera, asset frame; zero at edges and where nothing is."""
+        colors, buffer = self._render(camera, [theta], ids=False)
+        covered = (buffer > 0)[..., None]
+        rgba = np.concatenate([colors * covered / np.float32(255), covered], -1, dtype=np.float32)
+        points = camera.center + camera.directions() * depth_of(buffer)[..., None]
+        return rgba, _normals(points, camera) * covered
+
+
+def _normals(points: Array, camera: Camera) -> NDArray[np.float32]:
+    """Unit normals (H, W, 3) of points (H, W, 3) towards the camera; zero where those of two corners differ."""
+    right, down = np.diff(points, axis=1), np.diff(points, axis=0)
+    found = []
+    for corner in (0, 1):
+        inner = slice(1, None) if corner else slice(None, -1)
+        normal = np.zeros_like(points)
+        normal[inner, inner] = np.cross(down[:, inner], right[inner])
+        found.append(normal / np.maximum(np.linalg.norm(normal, axis=-1, keepdims=True), 1e-12))
+    first, second = found
+    away = ((points - camera.center) * first).sum(-1, keepdims=True) > 0
+    flat = (first * second).sum(-1, keepdims=True) > FLAT
+    return (np.where(away, -first, first) * flat).astype(np.float32)

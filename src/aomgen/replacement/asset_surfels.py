@@ -48,6 +48,10 @@ GROW_AFTER, ERROR_PICTURES = (0, 1, 2), 12
 START_OPACITY: Final = 0.7
 # Squared error that a surface may cost which is opaque: what shines through it would be lit as what lies behind.
 OPAQUE: Final = 0.003
+# Weight of the error of normals: a Gaussian that lies over an edge would be lit as the wrong face.
+NORMAL: Final = 0.05
+# A pixel shows one face where its mean normal is this long.
+FLAT: Final = 0.98
 # Fainter ones are used elsewhere.
 MIN_OPACITY: Final = 0.02
 # Gaussians move this much in a step at the start, [px] of a picture.
@@ -64,11 +68,12 @@ FOCAL: Final = 1.2
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Picture:
-    """Of the meshes; colors and cover (4, H, W)."""
+    """Of the meshes; colors and cover (4, H, W), and normals (3, H, W), zero where there is no one face."""
 
     camera: Camera
     theta: float
     rgba: Tensor
+    normals: Tensor
 
 
 def asset_surfels(asset: ArticulatedAsset, rng: np.random.Generator) -> tuple[Surfels, Surfels]:
@@ -83,7 +88,8 @@ def asset_surfels(asset: ArticulatedAsset, rng: np.random.Generator) -> tuple[Su
     discs = concatenate([static.gaussians, moving.gaussians])
     discs = replace(discs, opacities=np.full(len(discs), START_OPACITY, np.float32))
     with one_torch_thread():
-        parameters, sources = _fit(asset, parameters_of(discs, 0), links, _pictures(asset, rng), rng)
+        normals = np.concatenate([static.normals, moving.normals])
+        parameters, sources = _fit(asset, parameters_of(discs, 0), links, normals, _pictures(asset, rng), rng)
     gaussians, count = gaussians_of(parameters), len(static.gaussians)
     albedo = linear_from_srgb(np.clip(0.5 + SH_C0 * gaussians.sh[:, 0], 0, 1)).astype(np.float32)
     fitted = []
@@ -133,9 +139,11 @@ def _pictures(asset: ArticulatedAsset, rng: np.random.Generator) -> list[_Pictur
             camera = Camera(
                 fx=f, fy=f, cx=c, cy=c, width=PICTURE_PX, height=PICTURE_PX, T_world_cam=look_at(eye, middle)
             )
-            image = renderer.draw(camera, theta).transpose(2, 0, 1)
-            rgba = torch.tensor(np.ascontiguousarray(image))
-            found.append(_Picture(camera=camera, theta=theta, rgba=rgba))
+            rgba, normals = (
+                torch.tensor(np.ascontiguousarray(image.transpose(2, 0, 1)))
+                for image in renderer.draw_surface(camera, theta)
+            )
+            found.append(_Picture(camera=camera, theta=theta, rgba=rgba, normals=normals))
     return found
 
 
@@ -143,6 +151,7 @@ def _fit(
     asset: ArticulatedAsset,
     parameters: Parameters,
     links: NDArray[np.int64],
+    normals: NDArray[np.float32],
     pictures: list[_Picture],
     rng: np.random.Generator,
 ) -> tuple[Parameters, NDArray[np.int64]]:
@@ -155,7 +164,7 @@ def _fit(
         for place, index in enumerate(rng.permutation(len(pictures))):
             step = turn * len(pictures) + place
             picture = pictures[index] if step % 2 else _halved(pictures[index])
-            gradients = _gradients(asset, parameters, links[sources], picture)
+            gradients = _gradients(asset, parameters, links[sources], normals[sources], picture)
             decay = DECAY ** (step / steps)
             parameters.step(gradients, parameter_rates(RATES, step_m * decay, decay, 0), compute)
             parameters.values["sh"].clamp_(-0.5 / SH_C0, 0.5 / SH_C0)
@@ -171,22 +180,41 @@ def _fit(
 
 def _halved(picture: _Picture) -> _Picture:
     half = PICTURE_PX // 2
-    return replace(picture, camera=picture.camera.resized(half, half), rgba=avg_pool2d(picture.rgba, 2))
+    rgba, normals = avg_pool2d(picture.rgba, 2), avg_pool2d(picture.normals, 2)
+    normals = normals * (normals.norm(dim=0) > FLAT)
+    return replace(picture, camera=picture.camera.resized(half, half), rgba=rgba, normals=normals)
 
 
 def _gradients(
-    asset: ArticulatedAsset, parameters: Parameters, links: NDArray[np.int64], picture: _Picture
+    asset: ArticulatedAsset,
+    parameters: Parameters,
+    links: NDArray[np.int64],
+    normals: NDArray[np.float32],
+    picture: _Picture,
 ) -> dict[str, Tensor]:
-    """Gradients of the squared error of a picture's colors and cover, by name."""
-    leaves = parameters.leaves()
+    """Gradients of the squared error of a picture's colors, cover and normals, by name."""
+    leaves, poses = parameters.leaves(), _link_poses(asset, picture.theta)
     parts = PartTensors(
-        indices=torch.tensor(links, dtype=torch.int32),
-        Ts_world_part=torch.tensor(_link_poses(asset, picture.theta), dtype=torch.float32),
+        indices=torch.tensor(links, dtype=torch.int32), Ts_world_part=torch.tensor(poses, dtype=torch.float32)
     )
+    turned = np.einsum("nij,nj->ni", poses[links, :3, :3], normals)
+    means = (
+        np.einsum("nij,nj->ni", poses[links, :3, :3], leaves["means"].detach().numpy()) + poses[links, :3, 3]
+    )
+    # Both sides of a sheet may be seen.
+    turned *= np.where(((picture.camera.center - means) * turned).sum(1) < 0, -1, 1)[:, None]
+    features = torch.tensor(turned, dtype=torch.float32)
     drawn = CpuRasterizer()(
-        GaussianTensors(**leaves), picture.camera, RasterOptions(sh_degree=0), parts=parts
+        GaussianTensors(**leaves, features=features), picture.camera, RasterOptions(sh_degree=0), parts=parts
     )
-    error = (drawn.rgb - picture.rgba[:3]).square().mean() + (drawn.alpha - picture.rgba[3]).square().mean()
+    assert drawn.features is not None
+    one_face = picture.normals.square().sum(0) > 0
+    error = NORMAL * ((drawn.features.permute(2, 0, 1) - picture.normals) * one_face).square().mean()
+    error = (
+        error
+        + (drawn.rgb - picture.rgba[:3]).square().mean()
+        + (drawn.alpha - picture.rgba[3]).square().mean()
+    )
     error = error - OPAQUE * leaves["logit_opacities"].sigmoid().mean()
     error.backward()
     return {name: leaf.grad for name, leaf in leaves.items() if leaf.grad is not None}

@@ -62,7 +62,7 @@ class ModelRenderer:
         for geom in self._scene.geoms[: self._scene.ngeom]:
             if geom.segid >= 0 and geom.objtype == mujoco.mjtObj.mjOBJ_GEOM:
                 value_of_id[geom.segid + 1] = geom_values[geom.objid]
-        return value_of_id[ids], NEAR_M * FAR_M / (NEAR_M + buffer.astype(np.float64) * (FAR_M - NEAR_M))
+        return value_of_id[ids], depth_of(buffer)
 
     def close(self) -> None:
         """Free the OpenGL context."""
@@ -105,6 +105,11 @@ class ModelRenderer:
         colors, buffer = np.empty((height, width, 3), np.uint8), np.empty((height, width), np.float32)
         mujoco.mjr_readPixels(colors, buffer, rect, self._renderer)
         return colors[::-1], buffer[::-1]
+
+
+def depth_of(buffer: NDArray[np.float32]) -> NDArray[np.float64]:
+    """Depth along the optical axis, [m], of a depth buffer; FAR_M where nothing is."""
+    return NEAR_M * FAR_M / (NEAR_M + buffer.astype(np.float64) * (FAR_M - NEAR_M))
 
 
 def _place_camera(scene: mujoco.MjvScene, camera: Camera) -> None:

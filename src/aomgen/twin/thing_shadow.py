@@ -15,12 +15,15 @@ from aomgen.core.light import Light
 from aomgen.core.transforms import matrix_from_quat
 from aomgen.core.values import Array
 from aomgen.splatting.surfaces import open_past, transfer_past
+from aomgen.twin.plane_shadow import FILL
 from aomgen.twin.shadow import DirectionalLight, surface_share
 
 # Farther from the object its shadow is weaker than a picture's noise, [m].
 REACH_M: Final = 0.8
 # Neighbours over which normals are averaged: those of single Gaussians are rough.
 NEIGHBORS: Final = 16
+# Over so much the shadow is smooth, [m], and what the nearest places weigh where there is none.
+SOFT_M, AWAY = 0.03, 0.05
 # Fainter Gaussians are no surface.
 SOLID: Final = 0.3
 # Of an object's Gaussians so many tell its shape.
@@ -34,12 +37,14 @@ class ThingShadow(NamedTuple):
     passed: NDArray[np.float32]
 
     def at(self, points_world: Array) -> NDArray[np.float32]:
-        """Share (N,) at points (N, 3): that of the nearest place, or all of it far away."""
-        shares = np.append(self.passed, np.float32(1))
+        """Share (N,) at points (N, 3): the mean of places near by, and all of it away from them."""
         if not len(self.points):
             return np.ones(len(points_world), np.float32)
-        _, nearest = cKDTree(self.points).query(points_world, distance_upper_bound=REACH_M / 4)
-        return shares[nearest]
+        near = min(NEIGHBORS, len(self.points))
+        distances, places = cKDTree(self.points).query(points_world, near, distance_upper_bound=3 * SOFT_M)
+        weights = np.exp(-0.5 * (distances / SOFT_M) ** 2).reshape(-1, near)
+        taken = np.append(1 - self.passed, np.float32(0))[places].reshape(-1, near)
+        return 1 - ((weights * taken).sum(1) / (weights.sum(1) + AWAY)).astype(np.float32)
 
     def factors(self, gaussians: Gaussians, T_world_plane: Array) -> Array:
         """Factors (N, 1) on sRGB colors of a scene's Gaussians but those on a plane, world frame."""
@@ -86,7 +91,8 @@ def cast_on_things(
         lamp_passed = lamp_open * open_past(points, lamp.directions, own)
     passed = np.maximum(transfer_past(points, normals, own) @ rest.radiance_sh.mean(1), 0) + lamp_passed
     without = rest.irradiance(normals).mean(1) + lamp_open
-    return ThingShadow(points, np.clip(passed / np.maximum(without, 1e-6), 0, 1).astype(np.float32))
+    share = np.clip(passed / np.maximum(without, 1e-6), 0, 1)
+    return ThingShadow(points, (FILL + (1 - FILL) * share).astype(np.float32))
 
 
 def _some(items: NDArray, count: int) -> NDArray:
