@@ -140,8 +140,9 @@ class _StillView:
         """Let a shadow fall on all but a plane."""
         camera, depth = self.layer.camera, self.layer.depth.astype(np.float64)
         points = camera.center + camera.directions() * np.minimum(depth, FAR)[..., None]
-        taken = 1 - shadow.at(points.reshape(-1, 3)).reshape(depth.shape)
-        taken *= 1 - surface_share(T_world_plane, points).astype(np.float32)
+        taken = 1 - surface_share(T_world_plane, points).astype(np.float32)
+        things = taken > 0
+        taken[things] *= 1 - shadow.at(points[things])
         # Single pixels of an outline may lie behind it.
         self._taken = self.scene_share * median_filter(taken, 3)
 

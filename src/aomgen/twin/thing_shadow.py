@@ -22,8 +22,8 @@ from aomgen.twin.shadow import DirectionalLight, surface_share
 REACH_M: Final = 0.8
 # Neighbours over which normals are averaged: those of single Gaussians are rough.
 NEIGHBORS: Final = 16
-# Over so much the shadow is smooth, [m], and what the nearest places weigh where there is none.
-SOFT_M, AWAY = 0.03, 0.05
+# So many places tell it at a point; over so much it is smooth, [m]; and what they weigh where there is none.
+PLACES, SOFT_M, AWAY = 8, 0.03, 0.05
 # Fainter Gaussians are no surface.
 SOLID: Final = 0.3
 # Of an object's Gaussians so many tell its shape.
@@ -40,7 +40,7 @@ class ThingShadow(NamedTuple):
         """Share (N,) at points (N, 3): the mean of places near by, and all of it away from them."""
         if not len(self.points):
             return np.ones(len(points_world), np.float32)
-        near = min(NEIGHBORS, len(self.points))
+        near = min(PLACES, len(self.points))
         distances, places = cKDTree(self.points).query(points_world, near, distance_upper_bound=3 * SOFT_M)
         weights = np.exp(-0.5 * (distances / SOFT_M) ** 2).reshape(-1, near)
         taken = np.append(1 - self.passed, np.float32(0))[places].reshape(-1, near)
