@@ -100,7 +100,10 @@ class PathTracedRenderer(SceneRenderer):
         name = hashlib.sha256(json.dumps(job).encode()).hexdigest()[:24]
         file = self.folder / "pictures" / f"{name}.png"
         if not file.is_file():
-            self._ask({**job, "file": str(file)})
+            # One that dies while it writes leaves half a picture.
+            partial = file.with_suffix(".part.png")
+            self._ask({**job, "file": str(partial)})
+            partial.replace(file)
         return read_image(file)
 
     def close(self) -> None:

@@ -26,7 +26,7 @@ CONDITIONS: Final = Conditions(scan_views=48)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class TestRoom:
+class ReplacedRoom:
     """A recording and the object that takes the recorded one's place.
 
     Attributes:
@@ -43,14 +43,14 @@ class TestRoom:
 
 
 # Lights of other kinds, and other tone curves: a lamp from the left, a window, an even sky.
-ROOMS: Final[Mapping[str, TestRoom]] = {
-    "lamp": TestRoom(
+ROOMS: Final[Mapping[str, ReplacedRoom]] = {
+    "lamp": ReplacedRoom(
         category="microwave",
         seed=9200,
         light=RoomLight(environment="interior.exr", lamp_w=60.0, lamp_from=(-1.2, 0.3, 1.6)),
         asset="microwave:41",
     ),
-    "window": TestRoom(
+    "window": ReplacedRoom(
         category="cabinet",
         seed=9201,
         light=RoomLight(
@@ -59,7 +59,7 @@ ROOMS: Final[Mapping[str, TestRoom]] = {
         ),
         asset="cabinet:41",
     ),
-    "sky": TestRoom(
+    "sky": ReplacedRoom(
         category="drawer",
         seed=9202,
         light=RoomLight(environment="forest.exr", strength=0.8, turn=2.0, view_transform="Standard"),
@@ -77,7 +77,7 @@ class RoomTruth:
         folder: Holds `capture`, and `traced` pictures, so that none is drawn twice.
     """
 
-    room: TestRoom
+    room: ReplacedRoom
     folder: Path
 
     @property

@@ -16,6 +16,8 @@ from aomgen.core.light import hemisphere_light
 from aomgen.core.project import Project
 from aomgen.core.transforms import apply, invert
 from aomgen.core.values import Array
+from aomgen.errors import ConfigError
+from aomgen.io.schema import suggest
 from aomgen.pipeline.runner import results_of
 from aomgen.pipeline.stages import STAGES
 from aomgen.splatting.metrics import psnr, ssim
@@ -190,6 +192,9 @@ def run_rooms(
 ) -> dict[str, Any]:
     """Record rooms, replace their objects and score: medians over rooms, and a row each; what is there is kept."""
     rows = []
+    for name in names:
+        if name not in ROOMS:
+            raise ConfigError("--room", f"'{name}' is unknown", suggest(name, ROOMS))
     for name in names:
         truth = RoomTruth(room=ROOMS[name], folder=folder / name)
         truth.record(lambda share, text, name=name: tell(f"{name} {share:4.0%} {text}"))

@@ -5,13 +5,13 @@ import pytest
 
 from aomgen.assets.choice import make_asset
 from aomgen.core.camera import Camera, look_at
-from aomgen.errors import BackendError
+from aomgen.errors import BackendError, ConfigError
 from aomgen.robots.loading import load_robot
 from aomgen.synthetic.layout import build_world, draw_layout
 from benchmarks import path_tracer
 from benchmarks.path_tracer import PathTracedRenderer, RoomLight
 from benchmarks.replace_rooms import CONDITIONS
-from benchmarks.replace_scores import _grown_box, _visible
+from benchmarks.replace_scores import _grown_box, _visible, run_rooms
 
 LIGHT = RoomLight(environment="studio.exr", lamp_w=10.0)
 
@@ -55,16 +55,27 @@ def test_without_blender_nothing_is_traced(world, tmp_path, monkeypatch):
 
 
 def test_a_blender_that_dies_is_told_of(world, tmp_path, monkeypatch):
+    """Half a picture that it has written is not taken for one the next time."""
     dying = tmp_path / "python"
-    dying.write_text("#!/bin/sh\nexit 3\n")
+    half = 'read job; file=$(echo "$job" | sed "s/.*\\"file\\": \\"//; s/\\".*//")'
+    dying.write_text(f'#!/bin/sh\n{half}\nmkdir -p "$(dirname "$file")"\necho cut > "$file"\nexit 3\n')
     dying.chmod(0o755)
     monkeypatch.setenv("AOMGEN_BLENDER_PYTHON", str(dying))
     camera = Camera(
         fx=100, fy=100, cx=16, cy=12, width=32, height=24, T_world_cam=look_at((1, 0, 1), (0, 0, 0))
     )
     painter = PathTracedRenderer(world, (32, 24), tmp_path, LIGHT)
-    with painter, pytest.raises(BackendError, match="exit code 3"):
-        painter.draw(camera, world.model.qpos0)
+    with painter:
+        for _ in range(2):
+            with pytest.raises(BackendError, match="exit code 3"):
+                painter.draw(camera, world.model.qpos0)
+    assert [file.read_text() for file in tmp_path.rglob("pictures/*")] == ["cut\n"]
+
+
+def test_an_unknown_room_is_refused_before_any_work(tmp_path):
+    with pytest.raises(ConfigError, match="did you mean 'window'"):
+        run_rooms(tmp_path, ["lamp", "windows"], lambda *_, **__: None, print)
+    assert not list(tmp_path.iterdir())
 
 
 def test_the_worker_lies_beside_its_caller():

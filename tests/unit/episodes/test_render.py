@@ -168,6 +168,35 @@ def test_shadow_only_darkens_the_static_picture(toy_scene, twin, cameras):
     assert (dark < bright - 8).any()
 
 
+def test_a_lamp_throws_the_shadow_of_the_whole_object_to_its_other_side(toy_scene, twin, cameras):
+    """Light that a lamp sends is missing behind the body too, not only behind its door."""
+    trajectory = trajectory_of(verified(toy_scene, 0.1).plan)
+    T = trajectory.T_world_object
+    x_side = {}
+    for sign in (1.0, -1.0):
+        lamp = DirectionalLight(
+            direction=(0.8 * sign, 0.0, 0.6), T_world_plane=np.eye(4), shade=np.full(3, 0.5)
+        )
+        lit = replace(twin, directional_light=lamp)
+        above = Camera(
+            fx=60, fy=60, cx=40, cy=30, width=80, height=60,
+            T_world_cam=look_at((T[0, 3] + 0.01, T[1, 3], 2.2), (T[0, 3], T[1, 3], 0.0)),
+        )  # fmt: skip
+        layers = static_layers(lit, {"above": above})
+        bright, dark = (
+            render_frames(lit, toy_scene.robot, trajectory, layers, plane)["above"][0].mean(-1)
+            for plane in (None, np.eye(4))
+        )
+        hit = above.center + above.directions() * (-above.center[2] / above.directions()[..., 2])[..., None]
+        x, y = hit[..., 0] - T[0, 3], hit[..., 1] - T[1, 3]
+        ratio = dark / np.maximum(bright, 1)
+        for side in (1.0, -1.0):
+            beside = (np.abs(y) < 0.1) & (side * x > 0.3) & (side * x < 0.4)
+            x_side[sign, side] = float(ratio[beside].mean())
+    assert x_side[1.0, -1.0] < x_side[1.0, 1.0] - 0.1
+    assert x_side[-1.0, 1.0] < x_side[-1.0, -1.0] - 0.1
+
+
 def test_all_kinds_of_images_are_stored(toy_scene, twin, cameras, tmp_path):
     wanted = ImageParams(codec="av1", depth=True, labels=True, robot_cameras=True)
     small = {"front": cameras["front"].resized(96, 72)}
