@@ -12,7 +12,7 @@ from aomgen.core.camera import Camera
 from aomgen.core.values import Array
 from aomgen.robots.model_renderer import ModelRenderer, depth_of
 
-# Cosine between the normals of two corners of a pixel that lie on one face.
+# Cosine between the normals of two corners of a pixel that lie on one face; length of a mean normal of such pixels.
 FLAT: Final = 0.99
 
 

@@ -20,7 +20,7 @@ from aomgen.core.camera import Camera, look_at
 from aomgen.core.gaussians import SH_C0, concatenate
 from aomgen.core.transforms import apply
 from aomgen.core.values import Array
-from aomgen.replacement.asset_pictures import AssetRenderer
+from aomgen.replacement.asset_pictures import FLAT, AssetRenderer
 from aomgen.splatting.compute import NativeCompute
 from aomgen.splatting.differentiable import CpuRasterizer, GaussianTensors, PartTensors, RasterOptions
 from aomgen.splatting.optimizer import (
@@ -50,8 +50,6 @@ START_OPACITY: Final = 0.7
 OPAQUE: Final = 0.003
 # Weight of the error of normals: a Gaussian that lies over an edge would be lit as the wrong face.
 NORMAL: Final = 0.05
-# A pixel shows one face where its mean normal is this long.
-FLAT: Final = 0.98
 # Fainter ones are used elsewhere.
 MIN_OPACITY: Final = 0.02
 # Gaussians move this much in a step at the start, [px] of a picture.

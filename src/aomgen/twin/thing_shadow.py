@@ -24,8 +24,6 @@ REACH_M: Final = 0.8
 NEIGHBORS: Final = 16
 # So many places tell it at a point; over so much it is smooth, [m]; and what they weigh where there is none.
 PLACES, SOFT_M, AWAY = 8, 0.03, 0.05
-# Fainter Gaussians are no surface.
-SOLID: Final = 0.3
 # Of an object's Gaussians so many tell its shape.
 BODY_POINTS: Final = 20_000
 
@@ -76,8 +74,7 @@ def cast_on_things(
     low, high = own.min(0), own.max(0)
     means = scene.means.astype(np.float64)
     away = np.linalg.norm(np.maximum(np.maximum(low - means, means - high), 0), axis=1)
-    solid = scene.opacities > SOLID
-    things = np.flatnonzero((away < REACH_M) & solid & (surface_share(T_world_plane, means) < 1))
+    things = np.flatnonzero((away < REACH_M) & (surface_share(T_world_plane, means) < 1))
     if not len(things):
         return ThingShadow(np.zeros((0, 3)), np.zeros(0, np.float32))
     chosen = _some(things, at_most)
