@@ -18,7 +18,7 @@ from aomgen.errors import ConfigError, EstimationError, ReconstructionError
 from aomgen.io.artifact import load_artifact, save_artifact
 from aomgen.motion.estimate import estimate_motion
 from aomgen.motion.inputs import MotionInput
-from aomgen.replacement.correspondence import recorded_contact
+from aomgen.replacement.correspondence import RecordedContact, recorded_contact
 from aomgen.replacement.fitting import FitParams, fit_asset
 from aomgen.results import ASSET_USD, resample_demonstration
 from aomgen.simulation.verify import PassRule
@@ -87,8 +87,14 @@ def recover(category: str, seed: int, folder: Path, direction: Direction = "open
     raise ConfigError(f"category {category}", f"no world gives a demonstration ({'; '.join(refused)})")
 
 
-def _fitted(given: MotionInput, category: str, number: int, direction: Direction) -> Recovered:
-    """Motion, support and fit as the stages of a run find them."""
+def recorded_motion(
+    given: MotionInput, direction: Direction
+) -> tuple[Demonstration, SupportPlane, RecordedContact, float]:
+    """Demonstration, support, contact and the film's rate, [1/s], as the stages of a run find them.
+
+    Raises:
+        EstimationError, ReconstructionError: Something of it is not found.
+    """
     motion = estimate_motion(given)
     if motion.direction != direction:
         problem = f"is taken for {motion.direction} and shows {direction}"
@@ -104,7 +110,12 @@ def _fitted(given: MotionInput, category: str, number: int, direction: Direction
     support = _support(given, demo)
     moving, static = (surface_points(given.scene, given.labels, label) for label in (MOVING, STATIC))
     recorded = RecordedObject(moving_points_world=moving, static_points_world=static, support=support)
-    contact = recorded_contact(demo, recorded, motion.direction)
+    return demo, support, recorded_contact(demo, recorded, motion.direction), fps
+
+
+def _fitted(given: MotionInput, category: str, number: int, direction: Direction) -> Recovered:
+    """A made object in the recorded one's stead."""
+    demo, support, contact, fps = recorded_motion(given, direction)
     asset = make_asset(category, number + OTHER_OBJECT)
     fitted = fit_asset(asset, contact, demo.joint.type, "trajectory", FitParams())
     if isinstance(fitted, Rejection):

@@ -136,22 +136,27 @@ def bench_replace(
         list[str] | None, typer.Option("--asset", help="Also a USD file, or FILE#JOINT; repeatable.")
     ] = None,
     meshes: Annotated[bool, typer.Option(help="Draw assets as Gaussians beside their meshes.")] = True,
+    fits: Annotated[bool, typer.Option(help="Scale assets to recovered motions.")] = True,
     seed: Annotated[int, typer.Option(help="Of the first made asset and of all views.")] = 100,
     json_file: JsonFile = None,
 ) -> None:
-    """Draw assets as Gaussians beside their meshes, and replaced objects beside path-traced pictures of them.
+    """Draw assets as Gaussians beside their meshes, fit them to motions, and compare with path-traced pictures.
 
     Rooms want Blender (`make blender-env`) and half an hour each. Figures are told by `docs/replacement.md`.
     """
     from aomgen.assets.choice import load_asset
+    from benchmarks.replace_fits import run_fits
     from benchmarks.replace_meshes import made_assets, run_meshes
     from benchmarks.replace_scores import ROOMS, run_rooms
 
     figures: dict = {}
     if meshes:
         figures["mesh"] = run_meshes([*made_assets(seed), *map(load_asset, assets or [])], seed)
+    tell = partial(print, file=sys.stderr, flush=True)
+    if fits:
+        with tempfile.TemporaryDirectory() as scratch:
+            figures["fit"] = run_fits((out or Path(scratch)).resolve(), seed, tell)
     if out is not None:
-        tell = partial(print, file=sys.stderr, flush=True)
         figures |= run_rooms(out.resolve(), rooms or list(ROOMS), run_project, tell)
     show(figures, json_file)
 

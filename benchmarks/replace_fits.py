@@ -1,0 +1,58 @@
+"""How many assets the recorded motions fit, how well, and why the others do not."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from aomgen.assets.choice import make_asset
+from aomgen.core.plan import Rejection
+from aomgen.errors import EstimationError, ReconstructionError
+from aomgen.replacement.fitting import FitParams, fit_asset
+from benchmarks.motion_worlds import motion_world
+from benchmarks.recovered import MAX_WORLDS, OTHER_OBJECT, recorded_motion
+from benchmarks.replay_runs import CATEGORIES
+
+# Assets of each category, none of which was recorded.
+ASSETS: Final = 10
+
+
+def run_fits(folder: Path, seed: int, tell: Callable[[str], None]) -> dict[str, Any]:
+    """Scale made assets to motions recovered from films of other objects of their kind; filmed worlds are kept."""
+    rows = [_fits(category, seed, folder, tell) for category in CATEGORIES]
+    residuals = [value for row in rows for value in row["contact_mm"]]
+    count = ASSETS * len(rows)
+    return {
+        "accepted_share": len(residuals) / count,
+        "contact_mm": float(np.median(residuals)),
+        "contact_mm_worst": float(np.max(residuals)),
+        "assets": count,
+        "categories": rows,
+    }
+
+
+def _fits(category: str, seed: int, folder: Path, tell: Callable[[str], None]) -> dict[str, Any]:
+    """Of the first world from a seed whose motion is recovered."""
+    refused: list[str] = []
+    for number in range(seed, seed + MAX_WORLDS):
+        tell(f"film {category}-{number}")
+        given = motion_world(category, number, folder / "worlds", "open").demonstration
+        try:
+            demo, _, contact, _ = recorded_motion(given, "opening")
+        except (EstimationError, ReconstructionError) as error:
+            refused.append(f"{category}-{number}: {error}")
+            continue
+        assets = [make_asset(category, number + OTHER_OBJECT + k) for k in range(ASSETS)]
+        found = [fit_asset(asset, contact, demo.joint.type, "object", FitParams()) for asset in assets]
+        return {
+            "category": category,
+            "world": number,
+            "refused": refused,
+            "contact_mm": [round(item.residual_mm, 2) for item in found if not isinstance(item, Rejection)],
+            "scales": [round(item.scale, 3) for item in found if not isinstance(item, Rejection)],
+            "rejects": [f"{item.reason}: {item.detail}" for item in found if isinstance(item, Rejection)],
+        }
+    raise EstimationError(
+        f"category {category}", f"no motion is recovered ({'; '.join(refused)})", "another --seed"
+    )

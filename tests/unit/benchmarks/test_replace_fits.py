@@ -1,0 +1,53 @@
+"""Fits are counted over all categories, with a reason for each asset that is left out."""
+
+from types import SimpleNamespace
+
+import pytest
+
+from aomgen.assets.choice import make_asset
+from aomgen.errors import EstimationError
+from aomgen.replacement.correspondence import recorded_contact
+from benchmarks import replace_fits
+from recordings import recording
+
+
+@pytest.fixture
+def films(monkeypatch):
+    """Films of a microwave, of which that of seed 7 shows nothing."""
+    demo, recorded = recording(make_asset("microwave", 1))
+    contact = recorded_contact(demo, recorded, "opening")
+    shown = []
+
+    def film(category, number, folder, kind):
+        shown.append((category, number))
+        return SimpleNamespace(demonstration=number)
+
+    def recover(given, direction):
+        if given == 7:
+            raise EstimationError("demonstration video", "shows nothing", "try another world")
+        return demo, None, contact, 10.0
+
+    monkeypatch.setattr(replace_fits, "motion_world", film)
+    monkeypatch.setattr(replace_fits, "recorded_motion", recover)
+    monkeypatch.setattr(replace_fits, "ASSETS", 2)
+    return shown
+
+
+def test_a_film_that_shows_nothing_is_told_of_and_the_next_one_taken(films, monkeypatch, tmp_path):
+    monkeypatch.setattr(replace_fits, "CATEGORIES", ("microwave", "drawer"))
+    found = replace_fits.run_fits(tmp_path, 7, lambda text: None)
+    microwaves, drawers = found["categories"]
+    assert films == [("microwave", 7), ("microwave", 8), ("drawer", 7), ("drawer", 8)]
+    assert microwaves["refused"] == ["microwave-7: demonstration video: shows nothing; try another world"]
+    assert len(microwaves["contact_mm"]) == 2
+    # Drawers do not move as a microwave's door does.
+    assert drawers["contact_mm"] == []
+    assert all(reason.startswith("joint_type: asset is prismatic") for reason in drawers["rejects"])
+    assert found["accepted_share"] == 0.5
+    assert found["contact_mm_worst"] == max(microwaves["contact_mm"])
+
+
+def test_no_film_that_shows_anything_is_an_error(films, monkeypatch, tmp_path):
+    monkeypatch.setattr(replace_fits, "MAX_WORLDS", 1)
+    with pytest.raises(EstimationError, match="shows nothing"):
+        replace_fits.run_fits(tmp_path, 7, lambda text: None)
