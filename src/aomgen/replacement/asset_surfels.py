@@ -48,8 +48,8 @@ GROW_AFTER, ERROR_PICTURES = (0, 1, 2), 12
 START_OPACITY: Final = 0.7
 # Squared error that a surface may cost which is opaque: what shines through it would be lit as what lies behind.
 OPAQUE: Final = 0.003
-# Weight of the error of normals: a Gaussian that lies over an edge would be lit as the wrong face.
-NORMAL: Final = 0.05
+# Weight of the error of normals, every so many steps: a Gaussian that lies over an edge would be lit as the wrong face.
+NORMAL, NORMAL_EVERY = 0.1, 4
 # Fainter ones are used elsewhere.
 MIN_OPACITY: Final = 0.02
 # Gaussians move this much in a step at the start, [px] of a picture.
@@ -162,7 +162,8 @@ def _fit(
         for place, index in enumerate(rng.permutation(len(pictures))):
             step = turn * len(pictures) + place
             picture = pictures[index] if step % 2 else _halved(pictures[index])
-            gradients = _gradients(asset, parameters, links[sources], normals[sources], picture)
+            of_faces = normals[sources] if step % NORMAL_EVERY == 1 else None
+            gradients = _gradients(asset, parameters, links[sources], of_faces, picture)
             decay = DECAY ** (step / steps)
             parameters.step(gradients, parameter_rates(RATES, step_m * decay, decay, 0), compute)
             parameters.values["sh"].clamp_(-0.5 / SH_C0, 0.5 / SH_C0)
@@ -187,35 +188,37 @@ def _gradients(
     asset: ArticulatedAsset,
     parameters: Parameters,
     links: NDArray[np.int64],
-    normals: NDArray[np.float32],
+    normals: NDArray[np.float32] | None,
     picture: _Picture,
 ) -> dict[str, Tensor]:
-    """Gradients of the squared error of a picture's colors, cover and normals, by name."""
+    """Gradients of the squared error of a picture's colors and cover, and of normals if there are any, by name."""
     leaves, poses = parameters.leaves(), _link_poses(asset, picture.theta)
     parts = PartTensors(
         indices=torch.tensor(links, dtype=torch.int32), Ts_world_part=torch.tensor(poses, dtype=torch.float32)
     )
-    turned = np.einsum("nij,nj->ni", poses[links, :3, :3], normals)
-    means = (
-        np.einsum("nij,nj->ni", poses[links, :3, :3], leaves["means"].detach().numpy()) + poses[links, :3, 3]
-    )
-    # Both sides of a sheet may be seen.
-    turned *= np.where(((picture.camera.center - means) * turned).sum(1) < 0, -1, 1)[:, None]
-    features = torch.tensor(turned, dtype=torch.float32)
+    features = None
+    if normals is not None:
+        means = leaves["means"].detach().numpy()
+        features = torch.tensor(_to_eye(means, poses[links], normals, picture.camera), dtype=torch.float32)
     drawn = CpuRasterizer()(
         GaussianTensors(**leaves, features=features), picture.camera, RasterOptions(sh_degree=0), parts=parts
     )
-    assert drawn.features is not None
-    one_face = picture.normals.square().sum(0) > 0
-    error = NORMAL * ((drawn.features.permute(2, 0, 1) - picture.normals) * one_face).square().mean()
-    error = (
-        error
-        + (drawn.rgb - picture.rgba[:3]).square().mean()
-        + (drawn.alpha - picture.rgba[3]).square().mean()
-    )
+    error = (drawn.rgb - picture.rgba[:3]).square().mean() + (drawn.alpha - picture.rgba[3]).square().mean()
     error = error - OPAQUE * leaves["logit_opacities"].sigmoid().mean()
+    if drawn.features is not None:
+        one_face = picture.normals.square().sum(0) > 0
+        away = (drawn.features.permute(2, 0, 1) - picture.normals) * one_face
+        error = error + NORMAL * away.square().mean()
     error.backward()
     return {name: leaf.grad for name, leaf in leaves.items() if leaf.grad is not None}
+
+
+def _to_eye(means: Array, Ts_world_link: Array, normals: NDArray[np.float32], camera: Camera) -> Array:
+    """Normals (N, 3) of Gaussians of posed links on the side that a camera sees: sheets have two."""
+    R = Ts_world_link[:, :3, :3]
+    turned = np.einsum("nij,nj->ni", R, normals)
+    places = np.einsum("nij,nj->ni", R, means) + Ts_world_link[:, :3, 3]
+    return turned * np.where(((camera.center - places) * turned).sum(1) < 0, -1, 1)[:, None]
 
 
 def _shares(
