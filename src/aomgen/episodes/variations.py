@@ -21,12 +21,15 @@ from aomgen.core.plan import (
 from aomgen.core.transforms import similarity, transform
 from aomgen.core.values import Array
 from aomgen.errors import ConfigError
+from aomgen.simulation.judge import PassRule
 
 Range = tuple[float, float]
 # An area has at least three corners.
 CORNERS: Final = 3
 # Farther off its plan the arm would meet what planning has kept it clear of, [m].
 MAX_PUSH_M: Final = 0.02
+# Share of a joint's range that is used.
+BEFORE_STOP: Final = 0.95
 # Light of a black body has a known color between these, [K].
 COLDEST_K, HOTTEST_K = 1667, 25_000
 
@@ -213,20 +216,25 @@ def _variation(
 def scaled_fit(fitted: FittedAsset, scale: float) -> FittedAsset:
     """A fitted asset of another size, which is held at the same place, seen from above, and opened as far.
 
-    A slide's travel is scaled as its object is; a hinge turns by the same angle.
+    A slide's travel is scaled as its object is, but for a small one, which is opened as far as counts where it can be; a
+    hinge turns by the same angle.
     """
     if scale == 1.0:
         return fitted
     held = fitted.contact_asset
     R, t = fitted.T_world_asset[:3, :3], fitted.T_world_asset[:3, 3]
     shift = R @ np.append((1 - scale) * held[:2], 0.0)
-    slides = fitted.asset.joint.type == "prismatic"
+    thetas = fitted.thetas
+    if fitted.asset.joint.type == "prismatic":
+        least, most = PassRule().least_travel("prismatic"), BEFORE_STOP * scale * fitted.asset.joint.upper
+        travel = scale * abs(fitted.travel)
+        thetas = scale * thetas * max(1.0, min(least * (1 + 1e-6), most) / travel)
     return replace(
         fitted,
         asset=fitted.asset.transformed(similarity(scale, np.eye(3), np.zeros(3))),
         T_world_asset=transform(R, t + shift),
         contact_asset=scale * held,
-        thetas=fitted.thetas * scale if slides else fitted.thetas,
+        thetas=thetas,
         scale=fitted.scale * scale,
     )
 

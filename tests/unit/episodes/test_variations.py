@@ -16,6 +16,7 @@ from aomgen.episodes.variations import OrbitRanges, Ranges, area, draw, inside, 
 from aomgen.errors import ConfigError
 from aomgen.robots.reach import Reach, longest_reach
 from aomgen.robots.robot import RobotModel
+from aomgen.simulation.judge import PassRule
 from benchmarks.toy_drawer import SUPPORT
 
 HERE = Variation(seed=0, index=0, x=0.0, y=0.0, yaw=0.0)
@@ -129,6 +130,20 @@ def test_a_scaled_object_is_held_where_it_was_and_stands_on_the_table(fitted: Fi
     np.testing.assert_allclose(small.asset.static.bounds[1], 0.7 * fitted.asset.static.bounds[1])
     assert small.target_theta == pytest.approx(0.7 * fitted.target_theta)
     assert scaled_fit(fitted, 1.0) is fitted
+
+
+def test_a_small_slide_is_opened_as_far_as_counts_where_it_can_be(fitted: FittedAsset) -> None:
+    assert fitted.asset.joint.type == "prismatic"
+    least = PassRule().least_travel("prismatic")
+    share = 0.9 * least / abs(fitted.travel)
+    long = replace(
+        fitted, asset=replace(fitted.asset, joint=replace(fitted.asset.joint, upper=least / share / 0.9))
+    )
+    assert abs(scaled_fit(long, share).travel) >= least
+    assert abs(scaled_fit(long, share).travel) < 1.001 * least
+    stop = replace(fitted.asset.joint, upper=1.001 * abs(fitted.travel))
+    short = replace(fitted, asset=replace(fitted.asset, joint=stop))
+    assert abs(scaled_fit(short, share).travel) == pytest.approx(0.9 * least)
 
 
 def test_poses_off_the_table_or_out_of_reach_are_not_tried(fitted: FittedAsset, camera: Camera) -> None:
