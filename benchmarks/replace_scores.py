@@ -207,7 +207,5 @@ def run_rooms(
         run_project(project, until="replacement")
         tell(f"{name} scored")
         rows.append({"room": name, **score_room(RoomPictures(truth, results_of(project, STAGES)))})
-    names = dict.fromkeys(key for row in rows for key in row if key != "room")
-    return {key: float(np.median([row[key] for row in rows if key in row])) for key in names} | {
-        "rooms": rows
-    }
+    keys = dict.fromkeys(key for row in rows for key in row if key != "room")
+    return {key: float(np.median([row[key] for row in rows if key in row])) for key in keys} | {"rooms": rows}
