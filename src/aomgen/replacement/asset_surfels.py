@@ -49,7 +49,7 @@ START_OPACITY: Final = 0.7
 # Squared error that a surface may cost which is opaque: what shines through it would be lit as what lies behind.
 OPAQUE: Final = 0.003
 # Weight of the error of normals, every so many steps: a Gaussian that lies over an edge would be lit as the wrong face.
-NORMAL, NORMAL_EVERY = 0.1, 4
+NORMAL, NORMAL_EVERY = 0.05, 4
 # Fainter ones are used elsewhere.
 MIN_OPACITY: Final = 0.02
 # Gaussians move this much in a step at the start, [px] of a picture.
