@@ -12,7 +12,7 @@ from aomgen.appearance.drawer_interior import add_drawer_interior
 from aomgen.appearance.refine import refine_twin
 from aomgen.appearance.robot_surfels import replace_robot_gaussians
 from aomgen.appearance.surfel_observations import PosedImages, match_exposure
-from aomgen.conventions import BACKGROUND, MOVING, STATIC
+from aomgen.conventions import MOVING, STATIC
 from aomgen.core.gaussians import Gaussians
 from aomgen.core.joint import Joint
 from aomgen.core.parts import Parts, surface_points
@@ -121,7 +121,7 @@ def _lamp(twin: Twin, robot: RobotModel, view: PosedImages) -> DirectionalLight 
     """The lamp that throws shadows on what the object stands on; None when there is none or it stands on nothing."""
     world = posed(twin, robot, twin.scan_state)
     of_object = np.isin(twin.labels, (STATIC, MOVING))
-    scene = (twin.labels == BACKGROUND) & (twin.bodies == 0)
+    scene = twin.of_scene
     try:
         support = find_support(
             world.means[of_object], world.opacities[of_object], world.select(scene), twin.T_world_object

@@ -10,6 +10,8 @@ from aomgen.core.transforms import apply, matrix_from_rotvec, transform
 from aomgen.core.values import Array, Vector3, freeze_arrays
 
 JointType = Literal["revolute", "prismatic"]
+# Share of a joint's range that may be used, so that its stop is not hit.
+LIMIT_SHARE = 0.95
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -10,6 +10,7 @@ from typing import Final, Literal
 import numpy as np
 from scipy.stats import qmc
 
+from aomgen.core.joint import LIMIT_SHARE
 from aomgen.core.plan import (
     FittedAsset,
     LightChange,
@@ -28,8 +29,6 @@ Range = tuple[float, float]
 CORNERS: Final = 3
 # Farther off its plan the arm would meet what planning has kept it clear of, [m].
 MAX_PUSH_M: Final = 0.02
-# Share of a joint's range that is used.
-BEFORE_STOP: Final = 0.95
 # Light of a black body has a known color between these, [K].
 COLDEST_K, HOTTEST_K = 1667, 25_000
 
@@ -226,7 +225,7 @@ def scaled_fit(fitted: FittedAsset, scale: float) -> FittedAsset:
     shift = R @ np.append((1 - scale) * held[:2], 0.0)
     thetas = fitted.thetas
     if fitted.asset.joint.type == "prismatic":
-        least, most = PassRule().least_travel("prismatic"), BEFORE_STOP * scale * fitted.asset.joint.upper
+        least, most = PassRule().least_travel("prismatic"), LIMIT_SHARE * scale * fitted.asset.joint.upper
         travel = scale * abs(fitted.travel)
         thetas = scale * thetas * max(1.0, min(least * (1 + 1e-6), most) / travel)
     return replace(

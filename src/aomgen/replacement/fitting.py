@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 from scipy.optimize import least_squares
 
 from aomgen.core.asset import ArticulatedAsset
-from aomgen.core.joint import Joint
+from aomgen.core.joint import LIMIT_SHARE, Joint
 from aomgen.core.plan import Adaptation, FittedAsset, Rejection
 from aomgen.core.transforms import apply, matrix_from_rotvec, similarity, transform
 from aomgen.core.values import Array
@@ -33,8 +33,6 @@ SCALE_RANGE = (0.6, 1.6)
 SCALE_PRIOR_SD = 0.2
 # Standard deviation of sliding along the face, stage two, [m]: a finger's width.
 SLIDE_SD_M = 0.010
-# Share of the asset's joint range that may be used, so that the joint's stop is not hit.
-LIMIT_SHARE = 0.95
 # Mode "object" refuses a larger RMS distance of the paths, [m]: the gripper would miss most handles.
 MAX_RESIDUAL_M = 0.03
 

@@ -73,7 +73,7 @@ class Cleared(NamedTuple):
     @property
     def surroundings(self) -> Gaussians:
         """All that never moves, world frame."""
-        return _still(self.twin)
+        return self.twin.scene
 
 
 def clear_object(
@@ -92,15 +92,13 @@ def clear_object(
     """
     world = posed(twin, robot, twin.scan_state)
     of_object = np.isin(twin.labels, (STATIC, MOVING))
-    scene = (twin.labels == BACKGROUND) & (twin.bodies == 0)
+    scene = twin.of_scene
     support = find_support(
         world.means[of_object], world.opacities[of_object], world.select(scene), twin.T_world_object
     )
     leftover = scene & (_leftover(world, support) | _hardly_seen(world, of_object, views))
     remaining = twin.select(~of_object & ~leftover)
-    table = (
-        (remaining.labels == BACKGROUND) & (remaining.bodies == 0) & on_surface(remaining.gaussians, support)
-    )
+    table = remaining.of_scene & on_surface(remaining.gaussians, support)
     low, high = support.low - RING, support.high + RING
     extent = cover_from_above(world.select(scene), support, low, high, CELL)
     alpha = cover_from_above(remaining.gaussians.select(table), support, low, high, CELL)
@@ -123,12 +121,8 @@ def clear_object(
     fill = _surface(texture, xy, where, support, photographed.gloss_sh)
     cleared = replace(remaining, gaussians=lightened).extended(fill, 0, BACKGROUND)
     return Cleared(
-        cleared, _still(remaining), support, removed=int(leftover.sum() + rest.sum()), filled=len(fill)
+        cleared, remaining.scene, support, removed=int(leftover.sum() + rest.sum()), filled=len(fill)
     )
-
-
-def _still(twin: Twin) -> Gaussians:
-    return twin.gaussians.select((twin.labels == BACKGROUND) & (twin.bodies == 0))
 
 
 def _leftover(world: Gaussians, support: Support) -> NDArray[np.bool_]:

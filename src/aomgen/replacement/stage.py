@@ -9,7 +9,7 @@ import numpy as np
 from aomgen.assets.choice import open_asset
 from aomgen.assets.doctor import Finding
 from aomgen.assets.usd_write import write_for_replay
-from aomgen.conventions import BACKGROUND, MOVING, SRGB_POWER, STATIC
+from aomgen.conventions import MOVING, SRGB_POWER, STATIC
 from aomgen.core.asset import ArticulatedAsset
 from aomgen.core.demonstration import EpisodeScene, RecordedObject, SupportPlane
 from aomgen.core.parts import surface_points
@@ -110,11 +110,10 @@ def _things_in_light(results: Results, cleared: Cleared, light: SceneLight) -> T
     body = posed(recorded, results.robot, recorded.scan_state).select(
         np.isin(recorded.labels, (STATIC, MOVING))
     )
-    still = (twin.labels == BACKGROUND) & (twin.bodies == 0)
-    scene, lamp = twin.gaussians.select(still), recorded.directional_light
+    scene, lamp = twin.scene, recorded.directional_light
     cast = cast_on_things(scene, body, light.light, lamp, _eyes(results), T_world_plane, len(scene))
     gain = np.ones((len(twin.gaussians), 1))
-    gain[still] = 1 / np.maximum(cast.factors(scene, T_world_plane), MAX_GAIN**-SRGB_POWER)
+    gain[twin.of_scene] = 1 / np.maximum(cast.factors(scene, T_world_plane), MAX_GAIN**-SRGB_POWER)
     return replace(twin, gaussians=twin.gaussians.brightened(gain))
 
 

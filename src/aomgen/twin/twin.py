@@ -10,6 +10,7 @@ from typing import Annotated, Any, Final
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from aomgen.conventions import BACKGROUND
 from aomgen.core.camera import Camera
 from aomgen.core.gaussians import SH_C0, Gaussians, concatenate
 from aomgen.core.joint import Joint
@@ -103,6 +104,16 @@ class Twin:
             labels=np.append(self.labels, np.broadcast_to(labels, count)),
             **changes,
         )
+
+    @property
+    def of_scene(self) -> NDArray[np.bool_]:
+        """Which Gaussians (N,) are neither of the robot nor of the object and never move."""
+        return (self.labels == BACKGROUND) & (self.bodies == 0)
+
+    @property
+    def scene(self) -> Gaussians:
+        """These, world frame."""
+        return self.gaussians.select(self.of_scene)
 
     def select(self, which: NDArray[np.bool_]) -> "Twin":
         """The twin with a part of its Gaussians, boolean mask (N,)."""
