@@ -252,7 +252,7 @@ def test_an_episode_that_closes_its_object_begins_open_and_ends_closed(tmp_path)
 
 
 def test_an_asset_that_never_opens_far_enough_is_told_with_its_reasons(tmp_path):
-    results = toy_run(tmp_path, params={"ranges": {"scale": [0.4, 0.4]}, "attempts_per_episode": 2}, poses=1)
+    results = toy_run(tmp_path, params={"ranges": {"scale": [0.3, 0.3]}, "attempts_per_episode": 2}, poses=1)
     with pytest.raises(NotEnoughEpisodesError, match="drawer-0: 0 of 1 episodes after 2 attempts"):
         run(results, results.folders["episodes"], lambda share, text: None)
     assert all(account.left == 0 for account in read_accounts(results.folders["episodes"]))
