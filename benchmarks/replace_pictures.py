@@ -24,8 +24,8 @@ from benchmarks.replace_rooms import CONDITIONS, RoomTruth
 
 # Places in the walk, as shares of its length: left, front and right, low and high.
 VIEWS: Final = (0.08, 0.22, 0.4, 0.6, 0.75, 0.95)
-# Far below the floor, [m].
-AWAY: Final = transform(np.eye(3), np.array([0.0, 0.0, -50.0]))
+# Far away and below the floor, [m].
+AWAY: Final = transform(np.eye(3), np.array([50.0, 50.0, -50.0]))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -98,12 +98,12 @@ class RoomPictures:
         self, shot: Shot, *, twin: Twin | None = None, shadow: bool = True
     ) -> dict[str, NDArray[np.uint8]]:
         """What the twin, or another one, shows each camera, (H, W, 3)."""
-        twin = twin or (self.background if shot.theta is None else self.twin)
+        twin = twin or self.twin
         trajectory = Trajectory(
             joints=shot.joints[None],
             gripper=np.array([shot.gripper]),
             thetas=np.array([shot.theta or 0.0]),
-            T_world_object=self.fitted.T_world_asset,
+            T_world_object=AWAY if shot.theta is None else self.fitted.T_world_asset,
         )
         plane = self.results.episode_scene.T_world_plane if shadow else None
         layers = static_layers(twin, self.cameras)

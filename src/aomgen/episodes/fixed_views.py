@@ -9,6 +9,7 @@ from scipy.ndimage import median_filter
 
 from aomgen.core.gaussians import Gaussians, concatenate
 from aomgen.core.values import Array
+from aomgen.episodes.arm_shade import ArmShade
 from aomgen.episodes.shading import (
     CrispShade,
     DarkMaps,
@@ -32,10 +33,12 @@ DARK: Final = 1e-4
 
 
 def soft_shades(
-    twin: Twin, T_world_object: Array, soft: SoftShadow | None, T_world_plane: Array
+    twin: Twin, robot: RobotModel, T_world_object: Array, soft: SoftShadow | None, T_world_plane: Array
 ) -> list[Shade]:
-    """The shadow of the object where it stands, if it is lit."""
-    return [] if soft is None else [SoftShade(twin, T_world_object, soft, T_world_plane)]
+    """The shadows of the object where it stands, and of the robot, in soft light, if the object is lit."""
+    if soft is None:
+        return []
+    return [SoftShade(twin, T_world_object, soft, T_world_plane), ArmShade(twin, robot, T_world_plane)]
 
 
 def crisp_shade(
@@ -60,7 +63,7 @@ class FixedViews:
     Args:
         twin, robot, layers, threads: As of `render_episode`.
         Ts_world_body: Poses (B, 4, 4) of the twin's bodies in any state.
-        shades: The object's soft shadow, if any.
+        shades: Soft shadows of object and robot, if any.
 
     Attributes:
         labels: Of all Gaussians, in the engine's order.

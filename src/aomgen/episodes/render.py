@@ -108,7 +108,7 @@ def render_episode(
     shades: list[Shade] = []
     if T_world_plane is not None:
         soft = cast_soft_shadow(twin, T_world_plane, threads) if soft is None else soft
-        shades = soft_shades(twin, trajectory.T_world_object, soft, T_world_plane)
+        shades = soft_shades(twin, robot, trajectory.T_world_object, soft, T_world_plane)
     batches = [states.part(slice(k, k + BATCH)) for k in range(0, len(states.thetas), BATCH)]
     drawn: dict[str, CameraFrames] = {}
     if layers:

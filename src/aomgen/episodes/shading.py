@@ -1,7 +1,7 @@
 """How shadows darken the scene in an episode's images, frame by frame."""
 
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -49,8 +49,8 @@ class DarkMaps(NamedTuple):
     shares: NDArray[np.float32]
 
 
-class SoftShade:
-    """The shadow that the object throws in the light from all around, but for a lamp's, which is left to `CrispShade`.
+class Shade(Protocol):
+    """A shadow on a surface.
 
     Attributes:
         T_world_plane: The surface it falls on.
@@ -58,13 +58,23 @@ class SoftShade:
         grid: Cells of its maps.
     """
 
+    T_world_plane: Array
+    T_world_grid: Array
+    grid: PlaneGrid
+
+    def dark(self, states: States) -> DarkMaps:
+        """What it takes."""
+        ...
+
+
+class SoftShade:
+    """The shadow that the object throws in the light from all around, but for a lamp's, which is left to `CrispShade`."""
+
     def __init__(self, twin: Twin, T_world_object: Array, soft: SoftShadow, T_world_plane: Array) -> None:
         self.T_world_plane, self.grid = T_world_plane, soft.grid
         self.T_world_grid = T_world_object @ soft.T_object_plane
-        light, lamp, rest = _object_light(twin), twin.directional_light, 1.0
-        if lamp is not None:
-            light, rest = light.without(lamp.direction, T_world_plane[:3, 2], lamp.share), 1 - lamp.share
-        self._dark = np.float32(rest) * (1 - soft.arriving(light, T_world_object))
+        light, share = light_without_lamp(twin, T_world_plane)
+        self._dark = np.float32(share) * (1 - soft.arriving(light, T_world_object))
         self._soft = soft
 
     def dark(self, states: States) -> DarkMaps:
@@ -80,7 +90,7 @@ class CrispShade:
 
     Cells do not depend on what moves where, so that equal states give equal pictures.
 
-    Attributes: As of `SoftShade`; `grid` covers what is seen (N, 3) of the surface.
+    The grid covers what is seen (N, 3) of the surface.
     """
 
     def __init__(
@@ -174,15 +184,20 @@ def _cells_over(places: Array, base: Array, cell: float) -> PlaneGrid:
     return PlaneGrid(low=(first - 1) * cell, cell=cell, columns=columns, rows=rows)
 
 
-Shade = SoftShade | CrispShade
-
-
 def shade_on_things(twin: Twin, Ts_world_body: Array, eyes_world: Array, T_world_plane: Array) -> ThingShadow:
     """The shadow of a lit object on walls and things, for one state: they lie behind it more than before its part."""
     bodies = [twin.body(OBJECT), twin.body(PART)]
     body = posed_by(twin.select(np.isin(twin.bodies, bodies)), Ts_world_body)
     scene, lamp = twin.gaussians.select(twin.bodies == 0), twin.directional_light
     return cast_on_things(scene, body, _object_light(twin), lamp, eyes_world, T_world_plane, THINGS)
+
+
+def light_without_lamp(twin: Twin, T_world_plane: Array) -> tuple[Light, float]:
+    """What a lit object receives but a lamp's light, and which share of the light on a surface that is."""
+    light, lamp = _object_light(twin), twin.directional_light
+    if lamp is None:
+        return light, 1.0
+    return light.without(lamp.direction, T_world_plane[:3, 2], lamp.share), 1 - lamp.share
 
 
 def _object_light(twin: Twin) -> Light:

@@ -42,7 +42,9 @@ class SplatViews:
         self._robot, self._T = factory.results.robot, variation.placed(fitted)
         self._cameras = factory.place.cameras
         self._twin, layers, soft = opened.seen(variation, self._cameras)
-        shades = soft_shades(self._twin, self._T, soft, factory.results.episode_scene.T_world_plane)
+        shades = soft_shades(
+            self._twin, self._robot, self._T, soft, factory.results.episode_scene.T_world_plane
+        )
         demo = factory.results.demonstration
         first = Reached(demo.joints[0], 0.0, fitted.start_theta, demo.Ts_world_ee[0])
         Ts = self._states(first).Ts_world_body[0]

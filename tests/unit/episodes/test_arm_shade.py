@@ -1,0 +1,53 @@
+import numpy as np
+import pytest
+
+from aomgen.core.transforms import apply
+from aomgen.episodes.arm_shade import ArmShade, body_spheres, sphere_share
+from aomgen.episodes.shading import States
+from aomgen.splatting.surfaces import sphere_directions
+from aomgen.twin.plane_shadow import PlaneGrid
+from aomgen.twin.twin import TwinState, body_poses
+
+RIGHT = 1.5
+
+
+@pytest.mark.parametrize("middle", [(0.02, -0.01, 0.12), (0.3, 0.1, 0.4)])
+def test_a_sphere_keeps_what_rays_say(middle):
+    """Of rays to an even sky, counted by their sine, so many meet the sphere."""
+    radius, place = 0.08, np.array([0.05, 0.03, 0.0])
+    grid = PlaneGrid(low=place[:2] - 0.05, cell=0.1, columns=1, rows=1)
+    rays = sphere_directions(400_000)
+    rays = rays[rays[:, 2] > 0]
+    beside = np.linalg.norm(np.cross(rays, middle - place), axis=1)
+    met = rays[beside < radius, 2].sum() / rays[:, 2].sum()
+    assert sphere_share(np.array([middle]), radius, grid)[0, 0, 0] == pytest.approx(met, rel=0.02)
+
+
+def test_spheres_lie_along_the_robot(toy_scene):
+    """No piece of the arm is farther from a sphere than it is thick."""
+    spheres, robot = body_spheres(toy_scene.robot), toy_scene.robot
+    for mesh in robot.meshes:
+        own = [item for item in spheres if item.body == mesh.body]
+        away = [np.linalg.norm(mesh.vertices_body - item.middle, axis=1) - 2 * item.radius for item in own]
+        assert np.min(away, 0).max() < 0.03
+
+
+def test_the_shadow_goes_with_the_arm(toy_scene):
+    """At the scan's pose nothing changes; turned, it is dark below the arm and light comes back where it was."""
+    twin = toy_scene.twin
+    scan = twin.scan_state
+    turned = TwinState(
+        joints=scan.joints + RIGHT * np.eye(6)[0],
+        gripper=scan.gripper,
+        theta=scan.theta,
+        T_world_object=scan.T_world_object,
+    )
+    shade = ArmShade(twin, toy_scene.robot, np.eye(4))
+    Ts = np.stack([body_poses(twin, toy_scene.robot, state) for state in (scan, turned)])
+    still, moved = shade.dark(States(Ts, np.zeros(2))).shares
+    assert not still.any()
+    forearm = 1 + toy_scene.robot.body_names.index("forearm_link")
+    before, after = (apply(poses[forearm], np.array([0.0, 0.0, 0.2])) for poses in Ts)
+    under = shade.grid.lookup(np.stack([before, after])[:, :2]) @ moved.ravel()
+    assert under[0] < -0.02
+    assert under[1] > 0.02
