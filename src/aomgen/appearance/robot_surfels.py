@@ -20,7 +20,7 @@ from aomgen.core.gaussians import Gaussians, concatenate
 from aomgen.core.light import Light, open_transfer
 from aomgen.core.mesh import Mesh, face_normals_areas
 from aomgen.robots.robot import RobotModel
-from aomgen.splatting.surfels import Surfels, open_surfels_of
+from aomgen.splatting.surfels import Surfels, surfels_of
 from aomgen.twin.relighting import Relit
 from aomgen.twin.twin import Twin
 
@@ -84,7 +84,7 @@ def _cover(robot: RobotModel, pixel_m: float, rng: np.random.Generator) -> Robot
             continue
         share = areas[mine].sum() / areas.sum()
         meshes = [_plain_mesh(robot, i) for i in mine]
-        surfels = open_surfels_of(meshes, max(int(count * share), MIN_PER_BODY), rng)
+        surfels = surfels_of(meshes, max(int(count * share), MIN_PER_BODY), rng)
         pieces.append(_inset_discs(surfels, pixel_m))
         normals.append(surfels.normals)
         bodies.append(np.full(len(surfels.gaussians), body + 1, np.int32))

@@ -10,7 +10,6 @@ from typing import Final
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 from torch import Tensor
 from torch.nn.functional import avg_pool2d
 
@@ -21,6 +20,7 @@ from aomgen.core.gaussians import SH_C0, concatenate
 from aomgen.core.transforms import apply
 from aomgen.core.values import Array
 from aomgen.replacement.asset_pictures import FLAT, AssetRenderer
+from aomgen.replacement.joint_occlusion import dense_points, find_occlusion
 from aomgen.splatting.compute import NativeCompute
 from aomgen.splatting.differentiable import CpuRasterizer, GaussianTensors, PartTensors, RasterOptions
 from aomgen.splatting.optimizer import (
@@ -32,6 +32,7 @@ from aomgen.splatting.optimizer import (
     parameters_of,
     relocate_and_grow,
 )
+from aomgen.splatting.surfaces import outward_normals
 from aomgen.splatting.surfels import Surfels, surfels_of
 from aomgen.splatting.training import one_torch_thread
 from aomgen.twin.twin import move_bodies
@@ -58,8 +59,6 @@ STEP_PX: Final = 0.12
 DECAY: Final = 0.1
 # Cameras look from around, down by these angles, [rad]; the asset's sphere fills their pictures about so much.
 ELEVATIONS, FILLED = (-0.2, 1.2), (0.8, 1.1)
-# Occlusion is a mean over so many discs, among which another direction counts as so much distance, [m].
-NEAR, ALIKE_M = 16, 0.2
 # Focal length over the width of a picture: that of a usual camera.
 FOCAL: Final = 1.2
 
@@ -81,17 +80,24 @@ def asset_surfels(asset: ArticulatedAsset, rng: np.random.Generator) -> tuple[Su
         AssetError: A link has no surface.
         BackendError: No OpenGL driver works, or the splatting engine is missing.
     """
-    static, moving = (surfels_of(link.meshes, DISCS // 2, rng) for link in (asset.static, asset.moving))
-    links = np.repeat([0, 1], [len(static.gaussians), len(moving.gaussians)])
-    discs = concatenate([static.gaussians, moving.gaussians])
+    meshes = (asset.static.meshes, asset.moving.meshes)
+    surfaces = [dense_points(items, rng) for items in meshes]
+    covers = [
+        _turned_outward(surfels_of(items, DISCS // 2, rng), surface)
+        for items, surface in zip(meshes, surfaces, strict=True)
+    ]
+    links = np.repeat([0, 1], [len(cover.gaussians) for cover in covers])
+    discs = concatenate([cover.gaussians for cover in covers])
     discs = replace(discs, opacities=np.full(len(discs), START_OPACITY, np.float32))
     with one_torch_thread():
-        normals = np.concatenate([static.normals, moving.normals])
+        normals = np.concatenate([cover.normals for cover in covers])
         parameters, sources = _fit(asset, parameters_of(discs, 0), links, normals, _pictures(asset, rng), rng)
-    gaussians, count = gaussians_of(parameters), len(static.gaussians)
+    gaussians, count = gaussians_of(parameters), len(covers[0].gaussians)
     albedo = linear_from_srgb(np.clip(0.5 + SH_C0 * gaussians.sh[:, 0], 0, 1)).astype(np.float32)
     fitted = []
-    for link, cover in enumerate((static, moving)):
+    for link, (cover, occlusion) in enumerate(
+        zip(covers, find_occlusion(asset, covers, surfaces), strict=True)
+    ):
         mine = np.flatnonzero(links[sources] == link)
         of_cover = sources[mine] - count * link
         normals = cover.normals[of_cover]
@@ -100,7 +106,7 @@ def asset_surfels(asset: ArticulatedAsset, rng: np.random.Generator) -> tuple[Su
                 gaussians=gaussians.select(mine),
                 normals=normals,
                 albedo_linear=albedo[mine],
-                transfer=_transfer_at(gaussians.means[mine], normals, cover),
+                transfer=occlusion.at(gaussians.means[mine], normals),
                 roughness=cover.roughness[of_cover],
                 metallic=cover.metallic[of_cover],
             )
@@ -108,14 +114,9 @@ def asset_surfels(asset: ArticulatedAsset, rng: np.random.Generator) -> tuple[Su
     return fitted[0], fitted[1]
 
 
-def _transfer_at(points: NDArray, normals: NDArray, cover: Surfels) -> NDArray[np.float32]:
-    """Transfer (N, 9) at points (N, 3): the mean of discs near by that look the same way.
-
-    A single disc's is as rough as the cells in which its occlusion was found, and Gaussians have left their discs.
-    """
-    places = np.column_stack([cover.gaussians.means, ALIKE_M * cover.normals])
-    _, near = cKDTree(places).query(np.column_stack([points, ALIKE_M * normals]), k=min(NEAR, len(places)))
-    return cover.transfer[near].mean(1)
+def _turned_outward(cover: Surfels, surface: Array) -> Surfels:
+    means, normals = (part.astype(np.float64) for part in (cover.gaussians.means, cover.normals))
+    return replace(cover, normals=outward_normals(means, normals, surface).astype(np.float32))
 
 
 def _pictures(asset: ArticulatedAsset, rng: np.random.Generator) -> list[_Picture]:

@@ -25,8 +25,8 @@ DIRECTIONS: Final = 96
 CELLS: Final = 64
 # And of a body that is known by its Gaussians alone, which lie less dense.
 BODY_CELLS: Final = 32
-# Light that comes back from the walls of a cavity, as a share of what they block.
-BOUNCE: Final = 0.25
+# Share of the light on the walls of a cavity that they send back.
+BOUNCE: Final = 0.5
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -100,17 +100,19 @@ def sphere_directions(count: int) -> Array:
     return np.stack([ring * np.cos(angle), ring * np.sin(angle), z], 1)
 
 
-def estimate_transfer(points: Array, normals: Array, surface: Array) -> tuple[NDArray[np.float32], Array]:
-    """Transfer (N, 9) of points among the surface's own occlusion, and their unit normals (N, 3).
+def outward_normals(points: Array, normals: Array, surface: Array) -> Array:
+    """Unit normals (N, 3), turned round where their side is closed in while the other is open.
 
-    A normal whose side is closed in while the other side is open is turned round: meshes may
-    be wound either way. `surface` has dense points (M, 3) on everything that occludes, same frame.
+    Meshes may be wound either way. `surface` has dense points (M, 3) on everything that occludes, same frame.
     """
     solid = _Solid(surface, CELLS)
-    sides = [_transfer(points, sign * normals, solid) for sign in (1.0, -1.0)]
-    turned = (sides[0][1] < 0.1) & (sides[1][1] > 0.3)
-    transfer = np.where(turned[:, None], sides[1][0], sides[0][0])
-    return transfer.astype(np.float32), np.where(turned[:, None], -normals, normals)
+    front, back = (_transfer(points, sign * normals, solid)[1] for sign in (1.0, -1.0))
+    return np.where(((front < 0.1) & (back > 0.3))[:, None], -normals, normals)
+
+
+def estimate_transfer(points: Array, normals: Array, surface: Array) -> tuple[Array, Array]:
+    """Transfer (N, 9) of points past a surface, as above, and the share (N,) of the sky that is open to them."""
+    return _transfer(points, normals, _Solid(surface, CELLS))
 
 
 def transfer_past(points: Array, normals: Array, body: Array) -> Array:
@@ -126,16 +128,18 @@ def open_past(points: Array, directions: Array, body: Array) -> Array:
 
 def _transfer(points: Array, normals: Array, solid: "_Solid") -> tuple[Array, Array]:
     """Transfer (N, 9) and the share (N,) of the sky that is open, weighted with the cosine."""
-    transfer, seen = np.zeros((len(points), 9)), np.zeros(len(points))
+    passed, blocked, seen = np.zeros((len(points), 9)), np.zeros((len(points), 9)), np.zeros(len(points))
     directions = sphere_directions(DIRECTIONS)
     for direction, values in zip(directions, sh_basis(directions, 2), strict=True):
         cosine = normals @ direction
         facing = np.flatnonzero(cosine > 0)
-        open_ = ~solid.blocks(points[facing] + 1.8 * solid.cell * normals[facing], direction)
-        weight = cosine[facing] * np.where(open_, 1.0, BOUNCE) * 4 / DIRECTIONS
-        transfer[facing] += weight[:, None] * values
-        seen[facing] += open_ * cosine[facing] * 4 / DIRECTIONS
-    return transfer, seen
+        stopped = solid.blocks(points[facing] + 1.8 * solid.cell * normals[facing], direction)
+        weight = cosine[facing] * 4 / DIRECTIONS
+        passed[facing] += (weight * ~stopped)[:, None] * values
+        blocked[facing] += (weight * stopped)[:, None] * values
+        seen[facing] += weight * ~stopped
+    # Walls of a cavity are about as dark as the cavity is closed.
+    return passed + BOUNCE * seen[:, None] * blocked, seen
 
 
 class _Solid:

@@ -21,7 +21,6 @@ from aomgen.core.transforms import quat_from_matrix
 from aomgen.core.values import Array, freeze_arrays
 from aomgen.errors import AssetError
 from aomgen.io.images import resize
-from aomgen.splatting.surfaces import estimate_transfer
 
 # Candidates drawn for each disc that is kept; more gives a more even spread.
 OVERSAMPLING: Final = 5
@@ -83,29 +82,19 @@ class _Candidates:
 
 
 def surfels_of(meshes: Sequence[Mesh], count: int, rng: np.random.Generator) -> Surfels:
-    """Cover the meshes of one rigid link, which shade each other, with discs: `count` within about a third.
+    """Cover the meshes of one rigid link with discs, each of which sees the whole sky: `count` within about a third.
+
+    Not checked: normals are those of the triangles, outward only where the meshes are wound so.
 
     Raises:
         AssetError: The meshes have no surface.
     """
-    kept, radii, surface = _covered(meshes, count, rng)
-    transfer, normals = estimate_transfer(kept.points, kept.normals, surface)
-    return _discs(kept, normals, radii, transfer)
+    kept, radii = _covered(meshes, count, rng)
+    return _discs(kept, radii)
 
 
-def open_surfels_of(meshes: Sequence[Mesh], count: int, rng: np.random.Generator) -> Surfels:
-    """As `surfels_of`, several times faster: every disc sees the whole sky on its side.
-
-    Not checked: normals are those of the triangles, outward only where the meshes are wound so.
-    """
-    kept, radii, _ = _covered(meshes, count, rng)
-    return _discs(kept, kept.normals, radii, open_transfer(kept.normals))
-
-
-def _covered(
-    meshes: Sequence[Mesh], count: int, rng: np.random.Generator
-) -> tuple[_Candidates, Array, Array]:
-    """Places of discs, their radii, and dense points (M, 3) on everything."""
+def _covered(meshes: Sequence[Mesh], count: int, rng: np.random.Generator) -> tuple[_Candidates, Array]:
+    """Places of discs and their radii."""
     areas = np.array([face_normals_areas(mesh.vertices, mesh.faces)[1].sum() for mesh in meshes])
     total = float(areas.sum())
     if not total > 0:
@@ -116,13 +105,12 @@ def _covered(
         for mesh, area in zip(meshes, areas, strict=True)
         if area > 0
     ]
-    surface = np.concatenate([part.points for part in parts])
     fine_area = sum(part.fine.mean() * area for part, area in zip(parts, areas[areas > 0], strict=True))
     radius = guess * float(np.sqrt(1 + (FINER**-2 - 1) * fine_area / total))
     parts = _uncovered(parts, radius)
     # A mesh is thinned alone: a sticker must not lose its discs to the wall it lies on.
     chosen = [_thinned(part, radius, rng) for part in parts]
-    return _joined([part for part, _ in chosen]), np.concatenate([radii for _, radii in chosen]), surface
+    return _joined([part for part, _ in chosen]), np.concatenate([radii for _, radii in chosen])
 
 
 def _candidates(mesh: Mesh, count: int, radius: float, rng: np.random.Generator) -> _Candidates:
@@ -224,7 +212,7 @@ def _joined(parts: list[_Candidates]) -> _Candidates:
     )
 
 
-def _discs(kept: _Candidates, normals: Array, radii: Array, transfer: NDArray[np.float32]) -> Surfels:
+def _discs(kept: _Candidates, radii: Array) -> Surfels:
     """Gaussians with axes along the crease, across it, and along the normal."""
     across = kept.crease_directions
     R = np.stack([np.cross(across, kept.normals), across, kept.normals], -1)
@@ -240,9 +228,9 @@ def _discs(kept: _Candidates, normals: Array, radii: Array, transfer: NDArray[np
     )
     return Surfels(
         gaussians=gaussians,
-        normals=normals.astype(np.float32),
+        normals=kept.normals.astype(np.float32),
         albedo_linear=linear_from_srgb(kept.colors_srgb).astype(np.float32),
-        transfer=transfer,
+        transfer=open_transfer(kept.normals),
         roughness=kept.roughness.astype(np.float32),
         metallic=kept.metallic.astype(np.float32),
     )

@@ -7,7 +7,7 @@ from aomgen.core.mesh import Mesh
 from aomgen.core.transforms import matrix_from_rotvec
 from aomgen.errors import AssetError
 from aomgen.splatting.rasterizer import render
-from aomgen.splatting.surfaces import estimate_transfer
+from aomgen.splatting.surfaces import estimate_transfer, outward_normals
 from aomgen.splatting.surfels import crease_edges, surfels_of
 
 QUAD = np.array([[0, 1, 2], [0, 2, 3]])
@@ -83,9 +83,10 @@ def test_only_borders_and_sharp_edges_are_creases():
 def test_transfer_of_an_open_surface_is_the_clamped_cosine():
     points = np.random.default_rng(0).uniform((-0.2, -0.2, 0), (0.2, 0.2, 0), (400, 3))
     normals = np.tile([0, 0, 1.0], (400, 1))
-    transfer, turned = estimate_transfer(points, normals, points)
+    transfer, seen = estimate_transfer(points, normals, points)
     np.testing.assert_allclose(transfer, open_transfer(normals), atol=0.05)
-    np.testing.assert_array_equal(turned, normals)
+    np.testing.assert_allclose(seen, 1, atol=0.05)
+    np.testing.assert_array_equal(outward_normals(points, normals, points), normals)
 
 
 def test_the_floor_of_a_box_is_darker_than_its_lid():
@@ -102,6 +103,14 @@ def test_the_floor_of_a_box_is_darker_than_its_lid():
     light = hemisphere_light((1, 1, 1), (0, 0, 0))
     inside, above = shaded_srgb(np.full((2, 3), 0.8), transfer, light.radiance_sh)
     assert inside.mean() < 0.85 * above.mean()
+
+
+def test_normals_that_look_into_a_closed_box_are_turned():
+    rng = np.random.default_rng(0)
+    points = rng.normal(size=(200_000, 3))
+    points /= np.linalg.norm(points, axis=1, keepdims=True)
+    inward = outward_normals(points[:50], -points[:50], points)
+    np.testing.assert_array_equal(inward, points[:50])
 
 
 def test_light_turns_the_other_way_when_the_body_turns():

@@ -1,0 +1,76 @@
+"""How much of the light the links of an asset keep from each other and from themselves, over the joint's range."""
+
+from collections.abc import Sequence
+from typing import Annotated, Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from aomgen.core.asset import ArticulatedAsset
+from aomgen.core.mesh import Mesh, face_normals_areas, sample_surface
+from aomgen.core.transforms import apply, invert
+from aomgen.core.values import Array
+from aomgen.splatting.surfaces import estimate_transfer
+from aomgen.splatting.surfels import Surfels
+
+# Joint values, as shares of the range.
+STATES: Final = (0.0, 0.5, 1.0)
+# Points on each link that are in the way of light.
+POINTS: Final = 100_000
+# Occlusion is found at every so many discs, and is a mean over so many of these, among which another direction
+# counts as so much distance, [m].
+THINNED, NEAR, ALIKE_M = 2, 8, 0.2
+# What is open in no state counts alike in all.
+CLOSED: Final = 1e-3
+
+
+class Occlusion(NamedTuple):
+    """Transfer (N, 9), see `core.light`, of places on a link that look along unit normals (N, 3)."""
+
+    points: Annotated[Array, "N 3"]
+    normals: Annotated[Array, "N 3"]
+    transfer: Annotated[Array, "N 9"]
+
+    def at(self, points: NDArray, normals: NDArray) -> NDArray[np.float32]:
+        """Transfer (M, 9) of other places: the mean of those near by that look the same way.
+
+        A single one's is as rough as the cells in which its occlusion was found.
+        """
+        places = np.column_stack([self.points, ALIKE_M * self.normals])
+        _, near = cKDTree(places).query(
+            np.column_stack([points, ALIKE_M * normals]), k=min(NEAR, len(places))
+        )
+        return self.transfer[near].mean(1).astype(np.float32)
+
+
+def find_occlusion(
+    asset: ArticulatedAsset, links: Sequence[Surfels], surfaces: Sequence[Array]
+) -> list[Occlusion]:
+    """Occlusion of the static and the moving link, discs and dense points (M, 3) of each, own frame.
+
+    What is closed in is not seen: of several joint values those count more at which a disc is open to the sky.
+    """
+    motions = [asset.joint.motion(share * asset.joint.upper) for share in STATES]
+    found = []
+    for k, link in enumerate(links):
+        points, normals = (
+            part[::THINNED].astype(np.float64) for part in (link.gaussians.means, link.normals)
+        )
+        transfers, shares = [], []
+        for motion in motions:
+            other = apply(motion if k == 0 else invert(motion), surfaces[1 - k])
+            transfer, seen = estimate_transfer(points, normals, np.concatenate([surfaces[k], other]))
+            transfers.append(transfer)
+            shares.append(seen + CLOSED)
+        weights = np.array(shares) / np.sum(shares, 0)
+        found.append(Occlusion(points, normals, np.einsum("sn,snk->nk", weights, np.array(transfers))))
+    return found
+
+
+def dense_points(meshes: Sequence[Mesh], rng: np.random.Generator) -> Array:
+    """Points (M, 3) spread evenly over the meshes of a link."""
+    areas = np.array([face_normals_areas(mesh.vertices, mesh.faces)[1].sum() for mesh in meshes])
+    counts = np.ceil(POINTS * areas / areas.sum()).astype(int)
+    chosen = [(mesh, count) for mesh, count in zip(meshes, counts, strict=True) if count]
+    return np.concatenate([sample_surface(mesh.vertices, mesh.faces, n, rng)[0] for mesh, n in chosen])
