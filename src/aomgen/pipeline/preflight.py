@@ -8,11 +8,12 @@ from aomgen.assets.choice import asset_file, is_made, make_asset, open_assets, s
 from aomgen.capture.capture_check import check_capture
 from aomgen.core.asset import ArticulatedAsset
 from aomgen.core.episode import NEW_CAMERA
-from aomgen.core.project import Project
+from aomgen.core.project import Project, split_light
 from aomgen.core.recording import Capture
 from aomgen.errors import BackendError, ConfigError, StorageError
 from aomgen.io.artifact import read_json
 from aomgen.io.atomic import write_json
+from aomgen.io.hdr_image import read_environment
 from aomgen.io.schema import suggest
 from aomgen.io.video import probe_video
 from aomgen.pipeline.manifest import MANIFEST, text_digest
@@ -41,6 +42,7 @@ def check_project(project: Project, capture: Capture) -> tuple[str, ...]:
     """
     _check_cameras(project, capture)
     assets = open_assets(project.assets)
+    _check_light(project.light)
     require_room(project.out)
     checked = check_capture(capture)
     _check_robot_cameras(project, checked.robot)
@@ -153,6 +155,12 @@ def _check_cameras(project: Project, capture: Capture) -> None:
     for name in project.params.get("episodes", {}).get("cameras", ()):
         if name not in known:
             raise ConfigError("episodes.cameras", f"'{name}' is no camera", suggest(str(name), known))
+
+
+def _check_light(light: str) -> None:
+    head, path = split_light(light)
+    if not head:
+        read_environment(Path(path))
 
 
 def _check_robot_cameras(project: Project, robot: RobotModel) -> None:

@@ -15,16 +15,18 @@ from aomgen.core.demonstration import EpisodeScene, RecordedObject, SupportPlane
 from aomgen.core.parts import surface_points
 from aomgen.core.plan import FittedAsset, Rejection
 from aomgen.core.progress import Progress
+from aomgen.core.project import SCAN_LIGHT, Project, split_light
 from aomgen.core.transforms import apply
 from aomgen.core.values import Array
 from aomgen.errors import EstimationError
 from aomgen.io.artifact import save_artifact
+from aomgen.io.hdr_image import read_environment
 from aomgen.io.images import read_image
 from aomgen.replacement.asset_surfels import asset_surfels
 from aomgen.replacement.correspondence import RecordedContact, recorded_contact
 from aomgen.replacement.fitting import FitParams, fit_asset
 from aomgen.replacement.free_table import support_plane
-from aomgen.replacement.light_estimation import SceneLight, estimate_light
+from aomgen.replacement.light_estimation import SceneLight, estimate_light, light_of_map
 from aomgen.replacement.mosaic import Photograph
 from aomgen.replacement.obstacles import find_obstacles
 from aomgen.replacement.old_shadow import MAX_GAIN
@@ -52,8 +54,9 @@ def run(results: Results, folder: Path, progress: Progress) -> dict[str, Any]:
     cleared = clear_object(results.twin, results.robot, views, np.random.default_rng(project.seed))
     progress(0.3, "light")
     support = support_plane(cleared)
-    light = _light_at_object(results, cleared)
-    background = _things_in_light(results, cleared, light)
+    scan_light = _light_at_object(results, cleared)
+    background = _things_in_light(results, cleared, scan_light)
+    light = light_of_assets(results.project, scan_light)
     (folder / BACKGROUND_FOLDER).mkdir()
     save_artifact(folder / BACKGROUND_FOLDER, "twin", background)
     obstacles = find_obstacles(
@@ -102,6 +105,15 @@ def _light_at_object(results: Results, cleared: Cleared) -> SceneLight:
         _eyes(results),
         np.random.default_rng(results.project.seed),
     )
+
+
+def light_of_assets(project: Project, scan_light: SceneLight) -> SceneLight:
+    """The light that a project chooses for its assets, when that of the scan at their place is known."""
+    head, path = split_light(project.light)
+    if head == SCAN_LIGHT:
+        return scan_light
+    around = read_environment(Path(path)).turned(np.radians(project.light_yaw_deg))
+    return light_of_map(around, scan_light, "file")
 
 
 def _things_in_light(results: Results, cleared: Cleared, light: SceneLight) -> Twin:
