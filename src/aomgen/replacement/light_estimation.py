@@ -59,7 +59,7 @@ class SceneLight(NamedTuple):
     Attributes:
         light: Where the object stands, in the colors in which pictures show it on a grey surface.
         color_loss: Share of a color's distance from grey that the camera's tone curve takes, 0..1.
-        source: "robot", or "scene" when too little of the robot was seen, or "file" of an HDRI.
+        source: "robot", or "scene" when too little of the robot was seen, or "file" or "diffusion" of a map.
     """
 
     light: Light

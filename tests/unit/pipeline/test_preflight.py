@@ -101,11 +101,16 @@ def project_of(capture: Path, out: Path, **choices) -> Project:
     return Project(capture=capture, out=out, assets=("microwave:1",), **choices)
 
 
-def test_light_that_cannot_be_read(small_capture, tmp_path):
-    with pytest.raises(MissingFileError, match=r"room\.hdr: is missing; set `light` to"):
-        preflight.check_project(
-            project_of(small_capture, tmp_path, light=str(tmp_path / "room.hdr")), read_capture(small_capture)
-        )
+@pytest.mark.parametrize(
+    ("light", "words"),
+    [
+        ("room.hdr", r"room\.hdr: is missing; set `light` to"),
+        ("diffusion:weights", r"weights/model_index\.json: is missing; save a diffusion pipeline"),
+    ],
+)
+def test_light_that_cannot_be_read(small_capture, tmp_path, light, words):
+    with pytest.raises(MissingFileError, match=words):
+        preflight.check_project(project_of(small_capture, tmp_path, light=light), read_capture(small_capture))
 
 
 def test_images_of_another_shape(small_capture, tmp_path):
