@@ -33,7 +33,7 @@ class EnvironmentMap:
         """Solid angle (H,) of a pixel of each row, [sr]; 4 pi over all pixels."""
         height, width = self.radiance_linear.shape[:2]
         borders = np.cos(np.linspace(0, np.pi, height + 1))
-        return (borders[:-1] - borders[1:]) * (2 * np.pi / width)
+        return np.asarray((borders[:-1] - borders[1:]) * (2 * np.pi / width), np.float64)
 
     def light(self) -> Light:
         """Its first nine harmonics."""
@@ -65,12 +65,12 @@ def map_directions(height: int, width: int) -> Array:
 
 def _polar_angles(height: int) -> Array:
     """Angle (H,) of each row from straight up, [rad]."""
-    return (np.arange(height) + 0.5) * (np.pi / height)
+    return np.asarray((np.arange(height) + 0.5) * (np.pi / height), np.float64)
 
 
 def _longitudes(width: int) -> Array:
     """Angle (W,) of each column from +x towards +y, [rad]."""
-    return np.pi - (np.arange(width) + 0.5) * (2 * np.pi / width)
+    return np.asarray(np.pi - (np.arange(width) + 0.5) * (2 * np.pi / width), np.float64)
 
 
 def _unit(polar: ArrayLike, longitudes: Array) -> Array:

@@ -118,6 +118,7 @@ def tiny_pipeline(folder: Path) -> None:
     ).save_pretrained(folder, safe_serialization=True)
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not has_diffusers, reason="needs the extra `diffusion`")
 def test_a_saved_pipeline_paints_balls_and_gives_an_environment(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
