@@ -51,7 +51,8 @@ class EnvironmentMap:
         shift = angle_rad * self.radiance_linear.shape[1] / (2 * np.pi)
         whole = int(np.floor(shift))
         near, far = (np.roll(self.radiance_linear, -step, axis=1) for step in (whole, whole + 1))
-        return EnvironmentMap(radiance_linear=near + np.float32(shift - whole) * (far - near))
+        mixed = near + (shift - whole) * (far - near)
+        return EnvironmentMap(radiance_linear=mixed.astype(np.float32))
 
     def scaled(self, gain: float) -> "EnvironmentMap":
         """Made brighter by a factor."""
