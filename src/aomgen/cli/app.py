@@ -108,7 +108,8 @@ def check(
         project = read_project(path)
         check_params(project)
         capture = read_capture(project.capture)
-        warnings = check_project(project, capture) + machine_warnings(project.segmenter, capture)
+        warnings = check_project(project, capture)
+        warnings += machine_warnings(project.segmenter, capture, project.light)
         print(f"{path}: fine")
     else:
         capture = read_capture(path.parent if path.name == "capture.toml" else path)

@@ -63,6 +63,10 @@ class Camera:
             height=height,
         )
 
+    def cropped(self, left: int, top: int, side: int) -> "Camera":
+        """The camera of a square of the image, [px]."""
+        return replace(self, cx=self.cx - left, cy=self.cy - top, width=side, height=side)
+
     def narrowed(self, width: int) -> "Camera":
         """The same view, at most `width` pixels wide."""
         share = min(1.0, width / self.width)

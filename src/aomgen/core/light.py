@@ -66,6 +66,12 @@ def turned_radiance(radiance_sh: ArrayLike, R_world_body: ArrayLike) -> Array:
     return np.concatenate([constant, *turned], -2)
 
 
+def project_radiance(directions: ArrayLike, solid_angles: ArrayLike, radiance: ArrayLike) -> Array:
+    """Harmonics (9, ...) of radiance (D, ...) from unit directions (D, 3) of solid angles (D,) or one for all, [sr]."""
+    weighted = sh_basis(directions, 2) * np.asarray(solid_angles)[..., None]
+    return np.asarray(weighted.T @ np.asarray(radiance), np.float64)
+
+
 def hemisphere_light(sky: ArrayLike, ground: ArrayLike) -> Light:
     """Light of two half spheres: radiance (3,) from above and from below, bands 0 and 1."""
     sky, ground = np.asarray(sky, np.float64), np.asarray(ground, np.float64)

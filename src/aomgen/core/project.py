@@ -5,6 +5,8 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
+# What a project's `light` starts with when it names no file: the scan's own light, and a network's folder.
+SCAN_LIGHT, DIFFUSION_LIGHT = "scan", "diffusion:"
 # Videos halve the resolution of colors, so their sides are even.
 Side = Annotated[int, Field(ge=64, le=4096, multiple_of=2)]
 
@@ -19,6 +21,9 @@ class Project(BaseModel):
         assets: Assets that replace the object, `category:seed` or a USD path.
         poses: Verified episodes wanted for each asset.
         adapt: How asset and motion are brought together; see `replacement.fitting`.
+        light: What lights new objects: "scan", the light found in the scene; the path of an HDRI; or
+            "diffusion:FOLDER", see `replacement.diffusion_light`.
+        light_yaw_deg: Turn of an HDRI about the vertical, counterclockwise as seen from above.
         image_size: Size of the episodes' images, [px].
         iterations: Training steps.
         gaussians: Cap on the number of Gaussians in the scene.
@@ -38,6 +43,8 @@ class Project(BaseModel):
     assets: tuple[str, ...] = Field(default=(), min_length=0)
     poses: int = Field(default=6, ge=1, le=10_000)
     adapt: Literal["trajectory", "object", "auto"] = "trajectory"
+    light: str = Field(default=SCAN_LIGHT, min_length=1)
+    light_yaw_deg: float = Field(default=0.0, ge=-360, le=360)
     image_size: tuple[Side, Side] = (320, 240)
     iterations: int = Field(default=1200, ge=10, le=200_000)
     gaussians: int = Field(default=100_000, ge=1_000, le=3_000_000)
@@ -46,3 +53,11 @@ class Project(BaseModel):
     motion_method: Literal["aomotion", "paper"] = "aomotion"
     parts_method: Literal["closed_form", "saga"] = "closed_form"
     params: dict[str, dict[str, Any]] = Field(default_factory=dict)
+
+
+def split_light(light: str) -> tuple[str, str]:
+    """A project's `light` as `SCAN_LIGHT`, `DIFFUSION_LIGHT` or nothing, and the path behind that, if any."""
+    if light == SCAN_LIGHT:
+        return SCAN_LIGHT, ""
+    head = DIFFUSION_LIGHT if light.startswith(DIFFUSION_LIGHT) else ""
+    return head, light.removeprefix(head)

@@ -8,11 +8,12 @@ from aomgen.assets.choice import asset_file, is_made, make_asset, open_assets, s
 from aomgen.capture.capture_check import check_capture
 from aomgen.core.asset import ArticulatedAsset
 from aomgen.core.episode import NEW_CAMERA
-from aomgen.core.project import Project
+from aomgen.core.project import DIFFUSION_LIGHT, SCAN_LIGHT, Project, split_light
 from aomgen.core.recording import Capture
-from aomgen.errors import BackendError, ConfigError, StorageError
+from aomgen.errors import BackendError, ConfigError, MissingFileError, StorageError
 from aomgen.io.artifact import read_json
 from aomgen.io.atomic import write_json
+from aomgen.io.hdr_image import read_environment
 from aomgen.io.schema import suggest
 from aomgen.io.video import probe_video
 from aomgen.pipeline.manifest import MANIFEST, text_digest
@@ -28,6 +29,8 @@ IMAGE_WIDTH = 320
 MAX_STRETCH = 0.05
 # The paper's alignment takes a box around the robot on so many images.
 PAPER_ROBOT_BOXES = 2
+# What diffusers writes beside the networks of a pipeline.
+DIFFUSION_INDEX = "model_index.json"
 # Made to learn how a category opens; one that opens both ways shows it within these.
 CATEGORY_SEEDS = range(4)
 OPENS = {"revolute": "turns", "prismatic": "slides"}
@@ -41,6 +44,7 @@ def check_project(project: Project, capture: Capture) -> tuple[str, ...]:
     """
     _check_cameras(project, capture)
     assets = open_assets(project.assets)
+    _check_light(project.light)
     require_room(project.out)
     checked = check_capture(capture)
     _check_robot_cameras(project, checked.robot)
@@ -71,16 +75,17 @@ def preflight(
     missing = [stage.name for stage in stages if not (same and stage.name in done)]
     if missing:
         require_room(project.out)
-        require_environment(missing, project.segmenter, has_masks=bool(capture.mask_folders))
+        has_masks = bool(capture.mask_folders)
+        require_environment(missing, project.segmenter, has_masks=has_masks, light=project.light)
     if not same:
         write_json(file, {"digest": digest, "warnings": warnings})
     return warnings
 
 
-def machine_warnings(segmenter: str, capture: Capture) -> tuple[str, ...]:
+def machine_warnings(segmenter: str, capture: Capture, light: str = SCAN_LIGHT) -> tuple[str, ...]:
     """What this machine lacks for a run; another machine may have it, so nothing is refused."""
     try:
-        require_environment(EVERYTHING, segmenter, has_masks=bool(capture.mask_folders))
+        require_environment(EVERYTHING, segmenter, has_masks=bool(capture.mask_folders), light=light)
     except BackendError as error:
         return (f"a run on this machine would stop: {error}",)
     return ()
@@ -153,6 +158,18 @@ def _check_cameras(project: Project, capture: Capture) -> None:
     for name in project.params.get("episodes", {}).get("cameras", ()):
         if name not in known:
             raise ConfigError("episodes.cameras", f"'{name}' is no camera", suggest(str(name), known))
+
+
+def _check_light(light: str) -> None:
+    head, path = split_light(light)
+    if not head:
+        read_environment(Path(path))
+    elif head == DIFFUSION_LIGHT and not (Path(path) / DIFFUSION_INDEX).is_file():
+        raise MissingFileError(
+            Path(path) / DIFFUSION_INDEX,
+            "is missing",
+            "save a diffusion pipeline there, see docs/replacement.md",
+        )
 
 
 def _check_robot_cameras(project: Project, robot: RobotModel) -> None:

@@ -7,7 +7,7 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from aomgen.core.project import Project
+from aomgen.core.project import Project, split_light
 from aomgen.errors import ConfigError, MissingFileError
 from aomgen.io.atomic import write_text
 from aomgen.io.schema import complaint, flatten
@@ -22,6 +22,8 @@ seed = {seed}                  # same seed, same episodes
 assets = {assets}              # category:seed of a made asset, or the path of a USD file
 poses = {poses}                # verified episodes wanted for each asset
 adapt = {adapt}              # "trajectory": the asset keeps its size; "object": it is scaled to the motion; "auto": scaled where that fits
+light = {light}              # of new objects: "scan", or the path of an HDRI (.hdr), or "diffusion:FOLDER"
+light_yaw_deg = {light_yaw_deg}       # turn of an HDRI about the vertical, counterclockwise from above
 
 image_size = {image_size}      # width and height of the episodes' images [px]
 iterations = {iterations}      # training steps of the scene's Gaussians
@@ -51,11 +53,13 @@ def read_project(path: Path) -> Project:
         raise ConfigError(path, *complaint(error, Project)) from error
     base = path.parent.resolve()
     assets = tuple(str((base / item).resolve()) if Path(item).suffix else item for item in project.assets)
+    head, light = split_light(project.light)
     return project.model_copy(
         update={
             "capture": (base / project.capture).resolve(),
             "out": (base / project.out).resolve(),
             "assets": assets,
+            "light": head + str((base / light).resolve()) if light else head,
         }
     )
 
@@ -75,6 +79,8 @@ def write_project(path: Path, project: Project) -> None:
     values["assets"] = [
         _below(base, Path(item)) if Path(item).is_absolute() else item for item in project.assets
     ]
+    head, light = split_light(project.light)
+    values["light"] = head + _below(base, Path(light)) if light else head
     params = flatten(values.pop("params"))
     text = TEMPLATE.format(**{name: _toml(value) for name, value in values.items()})
     if params:

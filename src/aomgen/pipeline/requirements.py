@@ -8,6 +8,7 @@ import sys
 from collections.abc import Callable, Collection
 from pathlib import Path
 
+from aomgen.core.project import DIFFUSION_LIGHT, SCAN_LIGHT
 from aomgen.errors import AomgenError, BackendError, StorageError
 from aomgen.robots.model_renderer import REMEDY as GL_REMEDY
 from aomgen.segmentation.sam2_weights import find_sam2
@@ -21,9 +22,10 @@ MODULES = {
 }
 MOBILE_SAM = (("onnxruntime",), "pip install 'aomgen[reconstruct]'")
 SAM2 = (("torch", "transformers", "safetensors"), "pip install 'aomgen[sam2]'")
+DIFFUSION = (("torch", "diffusers", "transformers", "safetensors"), "pip install 'aomgen[diffusion]'")
 # Stages that draw the robot's outlines with OpenGL.
 DRAWS_ROBOT = ("alignment", "parts", "motion", "twin")
-EVERYTHING = (*MODULES, *DRAWS_ROBOT)
+EVERYTHING = (*MODULES, *DRAWS_ROBOT, "replacement")
 # A context can abort the whole process when the driver is broken, so it is tried in a child.
 GL_PROBE = "from aomgen.robots.model_renderer import offscreen_context; offscreen_context(8, 8).free()"
 # A driver takes about a second; one that hangs never ends, [s].
@@ -32,7 +34,9 @@ GL_TIMEOUT_S = 60.0
 MIN_FREE = 250 << 20
 
 
-def require_environment(stages: Collection[str], segmenter: str, *, has_masks: bool) -> None:
+def require_environment(
+    stages: Collection[str], segmenter: str, *, has_masks: bool, light: str = SCAN_LIGHT
+) -> None:
     """Refuse to start what this machine cannot finish: the stages that are still to be made.
 
     Raises:
@@ -50,6 +54,8 @@ def require_environment(stages: Collection[str], segmenter: str, *, has_masks: b
         else:
             find_sam2(segmenter)
             _require_modules(*SAM2)
+    if "replacement" in stages and light.startswith(DIFFUSION_LIGHT):
+        _require_modules(*DIFFUSION)
     problem = gl_problem() if set(DRAWS_ROBOT) & set(stages) else ""
     if problem:
         raise BackendError("OpenGL", problem, GL_REMEDY)

@@ -10,7 +10,7 @@ from aomgen.assets.choice import asset_file
 from aomgen.capture.label_images import demo_mask_files
 from aomgen.capture.read import read_capture
 from aomgen.core.progress import Progress
-from aomgen.core.project import Project
+from aomgen.core.project import Project, split_light
 from aomgen.core.recording import Capture
 from aomgen.errors import ConfigError
 from aomgen.executors import require_cluster
@@ -138,7 +138,7 @@ STAGES: tuple[Stage, ...] = (
         folder="07_replacement",
         title="removing the object, fitting assets",
         needs=("capture", "assets", "structure", "alignment", "motion", "twin"),
-        settings=("assets", "adapt", "seed", "image_size"),
+        settings=("assets", "adapt", "light", "light_yaw_deg", "seed", "image_size"),
         version=14,
         weight=11,
         function=_lazily("replacement.stage"),
@@ -199,7 +199,7 @@ def run_pipeline(project: Project, display: Display, *, until: str = "", **machi
     if machine.get("ray") and "episodes" in [stage.name for stage in wanted]:
         require_cluster(machine["ray"])
     capture = read_capture(project.capture)
-    inputs = {"capture": capture_digest(capture), "assets": assets_digest(project.assets)}
+    inputs = {"capture": capture_digest(capture), "assets": assets_digest(project.assets, project.light)}
     for sentence in preflight(project, capture, inputs, wanted):
         # Warnings about the input appear where it is read first.
         display.warn(STAGES[0], sentence)
@@ -225,7 +225,8 @@ def capture_digest(capture: Capture) -> str:
     return files_digest(files)
 
 
-def assets_digest(specs: Sequence[str]) -> str:
-    """Digest of the USD files among the assets of a project, not of what they refer to."""
+def assets_digest(specs: Sequence[str], light: str) -> str:
+    """Digest of the USD files among the assets of a project, not of what they refer to, and of its light's file."""
     found = [named[0] for named in map(asset_file, specs) if named is not None]
+    found.append(Path(split_light(light)[1]))
     return files_digest([file for file in found if file.is_file()])

@@ -14,6 +14,7 @@ from scipy.optimize import least_squares
 from scipy.spatial import cKDTree
 
 from aomgen.conventions import BACKGROUND, ROBOT, linear_from_srgb, srgb_from_linear
+from aomgen.core.environment_map import EnvironmentMap
 from aomgen.core.gaussians import SH_C0, Gaussians
 from aomgen.core.light import Light, cosine_answer, hemisphere_light
 from aomgen.core.mesh import face_normals_areas, sample_surface
@@ -58,7 +59,7 @@ class SceneLight(NamedTuple):
     Attributes:
         light: Where the object stands, in the colors in which pictures show it on a grey surface.
         color_loss: Share of a color's distance from grey that the camera's tone curve takes, 0..1.
-        source: "robot", or "scene" when too little of the robot was seen.
+        source: "robot", or "scene" when too little of the robot was seen, or "file" or "diffusion" of a map.
     """
 
     light: Light
@@ -166,8 +167,19 @@ def radiance_around(around: Probe, unseen: Array, loss: float) -> Array:
 
 def limit_light(light: Light) -> Light:
     """The light with the brightness of a level white surface inside `LIMITS`."""
-    level = float(light.irradiance(np.array([[0, 0, 1.0]])).mean())
+    level = _level(light)
     return light.scaled(np.clip(level, *LIMITS) / max(level, 1e-6))
+
+
+def light_of_map(around: EnvironmentMap, scan: SceneLight, source: str) -> SceneLight:
+    """The light of a map, as bright on a level surface and with as much color lost as the light found in a scan."""
+    light = _positive(lose_color(around.light().radiance_sh, scan.color_loss))
+    return SceneLight(light.scaled(_level(scan.light) / _level(light)), scan.color_loss, source)
+
+
+def _level(light: Light) -> float:
+    """Brightness of a level white surface, linear, mean of the channels."""
+    return float(light.irradiance(np.array([[0, 0, 1.0]])).mean())
 
 
 def _positive(coefficients: Array) -> Light:

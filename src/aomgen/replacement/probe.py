@@ -8,7 +8,7 @@ import numpy as np
 from aomgen.conventions import linear_from_srgb
 from aomgen.core.camera import Camera
 from aomgen.core.gaussians import Gaussians
-from aomgen.core.sh import sh_basis
+from aomgen.core.light import project_radiance
 from aomgen.core.transforms import transform
 from aomgen.core.values import Array, freeze_arrays
 from aomgen.splatting.rasterizer import render
@@ -43,9 +43,7 @@ class Probe:
 
     def project(self, radiance: Array) -> Array:
         """Harmonics (9, ...) of radiance (D, ...)."""
-        return np.asarray(
-            (sh_basis(self.directions, 2) * self.solid_angles[:, None]).T @ radiance, np.float64
-        )
+        return project_radiance(self.directions, self.solid_angles, radiance)
 
 
 def probe_light(world: Gaussians, place: Array) -> Probe:

@@ -15,16 +15,19 @@ from aomgen.core.demonstration import EpisodeScene, RecordedObject, SupportPlane
 from aomgen.core.parts import surface_points
 from aomgen.core.plan import FittedAsset, Rejection
 from aomgen.core.progress import Progress
+from aomgen.core.project import DIFFUSION_LIGHT, SCAN_LIGHT, split_light
 from aomgen.core.transforms import apply
 from aomgen.core.values import Array
 from aomgen.errors import EstimationError
 from aomgen.io.artifact import save_artifact
+from aomgen.io.hdr_image import read_environment
 from aomgen.io.images import read_image
 from aomgen.replacement.asset_surfels import asset_surfels
 from aomgen.replacement.correspondence import RecordedContact, recorded_contact
+from aomgen.replacement.diffusion_light import central_photograph, environment_of_photograph
 from aomgen.replacement.fitting import FitParams, fit_asset
 from aomgen.replacement.free_table import support_plane
-from aomgen.replacement.light_estimation import SceneLight, estimate_light
+from aomgen.replacement.light_estimation import SceneLight, estimate_light, light_of_map
 from aomgen.replacement.mosaic import Photograph
 from aomgen.replacement.obstacles import find_obstacles
 from aomgen.replacement.old_shadow import MAX_GAIN
@@ -52,8 +55,9 @@ def run(results: Results, folder: Path, progress: Progress) -> dict[str, Any]:
     cleared = clear_object(results.twin, results.robot, views, np.random.default_rng(project.seed))
     progress(0.3, "light")
     support = support_plane(cleared)
-    light = _light_at_object(results, cleared)
-    background = _things_in_light(results, cleared, light)
+    scan_light = _light_at_object(results, cleared)
+    background = _things_in_light(results, cleared, scan_light)
+    light = light_of_assets(results, scan_light, central_photograph(views, _middle(cleared)))
     (folder / BACKGROUND_FOLDER).mkdir()
     save_artifact(folder / BACKGROUND_FOLDER, "twin", background)
     obstacles = find_obstacles(
@@ -92,16 +96,34 @@ def run(results: Results, folder: Path, progress: Progress) -> dict[str, Any]:
 
 def _light_at_object(results: Results, cleared: Cleared) -> SceneLight:
     """The light in the middle of where the recorded object stood."""
-    support = cleared.support
-    middle = np.append((support.low + support.high) / 2, support.top / 2)
     return estimate_light(
         results.twin,
         results.robot,
         cleared.shadowed,
-        apply(support.T_world_plane, middle),
+        _middle(cleared),
         _eyes(results),
         np.random.default_rng(results.project.seed),
     )
+
+
+def light_of_assets(results: Results, scan_light: SceneLight, view: Photograph) -> SceneLight:
+    """The light that a project chooses for its assets.
+
+    Args:
+        results: Of the stages before.
+        scan_light: What the scan and the robot show of it.
+        view: A photograph that shows the assets' place.
+    """
+    project = results.project
+    head, path = split_light(project.light)
+    if head == SCAN_LIGHT:
+        return scan_light
+    if head == DIFFUSION_LIGHT:
+        world = posed(results.twin, results.robot, results.twin.scan_state)
+        around = environment_of_photograph(Path(path), view, world, project.seed)
+        return light_of_map(around, scan_light, "diffusion")
+    around = read_environment(Path(path)).turned(np.radians(project.light_yaw_deg))
+    return light_of_map(around, scan_light, "file")
 
 
 def _things_in_light(results: Results, cleared: Cleared, light: SceneLight) -> Twin:
@@ -115,6 +137,13 @@ def _things_in_light(results: Results, cleared: Cleared, light: SceneLight) -> T
     gain = np.ones((len(twin.gaussians), 1))
     gain[twin.of_scene] = 1 / np.maximum(cast.factors(scene, T_world_plane), MAX_GAIN**-SRGB_POWER)
     return replace(twin, gaussians=twin.gaussians.brightened(gain))
+
+
+def _middle(cleared: Cleared) -> Array:
+    """Where the middle of the recorded object was (3,), world frame."""
+    support = cleared.support
+    middle = np.append((support.low + support.high) / 2, support.top / 2)
+    return apply(support.T_world_plane, middle)
 
 
 def _eyes(results: Results) -> Array:

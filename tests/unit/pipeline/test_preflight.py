@@ -101,6 +101,18 @@ def project_of(capture: Path, out: Path, **choices) -> Project:
     return Project(capture=capture, out=out, assets=("microwave:1",), **choices)
 
 
+@pytest.mark.parametrize(
+    ("light", "words"),
+    [
+        ("room.hdr", r"room\.hdr: is missing; set `light` to"),
+        ("diffusion:weights", r"weights/model_index\.json: is missing; save a diffusion pipeline"),
+    ],
+)
+def test_light_that_cannot_be_read(small_capture, tmp_path, light, words):
+    with pytest.raises(MissingFileError, match=words):
+        preflight.check_project(project_of(small_capture, tmp_path, light=light), read_capture(small_capture))
+
+
 def test_images_of_another_shape(small_capture, tmp_path):
     stretched = project_of(small_capture, tmp_path, image_size=(256, 256))
     (sentence,) = preflight.check_project(stretched, read_capture(small_capture))
@@ -182,7 +194,9 @@ def test_raw_pictures_beside_their_copies_and_hidden_files(small_copy):
 def test_an_edited_asset_file_is_another_input(tmp_path: Path) -> None:
     path = tmp_path / "drawer.usda"
     write_usd(make_asset("drawer", 1), path)
-    before = assets_digest(["drawer:1", str(path)])
+    before = assets_digest(["drawer:1", str(path)], "scan")
     path.write_text(path.read_text().replace("handle_axis = (1", "handle_axis = (0.999"))
-    assert assets_digest(["drawer:1", str(path)]) != before
-    assert assets_digest(["drawer:2"]) == assets_digest([])
+    assert assets_digest(["drawer:1", str(path)], "scan") != before
+    with_light = assets_digest(["drawer:1"], str(path))
+    assert with_light != assets_digest(["drawer:1"], "scan")
+    assert assets_digest(["drawer:2"], "scan") == assets_digest([], "scan")

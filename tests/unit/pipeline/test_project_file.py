@@ -19,10 +19,14 @@ def test_round_trip(tmp_path):
         poses=9,
         image_size=(256, 192),
         motion_method="paper",
+        light=str(tmp_path / "light" / "room.hdr"),
+        light_yaw_deg=-30.0,
     )
     write_project(tmp_path / "project.toml", project)
     assert read_project(tmp_path / "project.toml") == project
-    assert 'motion_method = "paper"' in (tmp_path / "project.toml").read_text()
+    text = (tmp_path / "project.toml").read_text()
+    assert 'motion_method = "paper"' in text
+    assert 'light = "light/room.hdr" ' in text
 
 
 @pytest.mark.parametrize(
@@ -71,10 +75,12 @@ def test_wrong_choices(tmp_path, line, words):
 def test_paths_are_taken_from_the_file(tmp_path):
     (tmp_path / "project.toml").write_text(
         "format = 1\ncapture = 'a'\nout = '../b'\nassets = ['drawer:2', 'usd/door.usda']\n"
+        "light = 'diffusion:weights'\n"
     )
     project = read_project(tmp_path / "project.toml")
     assert project.capture == tmp_path.resolve() / "a"
     assert project.out == tmp_path.resolve().parent / "b"
+    assert project.light == f"diffusion:{tmp_path.resolve() / 'weights'}"
     assert project.assets == ("drawer:2", str(tmp_path.resolve() / "usd" / "door.usda"))
 
 

@@ -31,6 +31,17 @@ def test_weights(tmp_path, monkeypatch):
         requirements.require_environment(["parts"], "sam2-large", has_masks=True)
 
 
+def test_the_extra_of_light_from_a_photograph(monkeypatch):
+    monkeypatch.setattr(requirements, "gl_problem", lambda: "")
+    found = requirements.importlib.util.find_spec
+    monkeypatch.setattr(
+        requirements.importlib.util, "find_spec", lambda name: None if name == "diffusers" else found(name)
+    )
+    requirements.require_environment(["replacement"], "auto", has_masks=True)
+    with pytest.raises(BackendError, match=r"diffusers: is not installed; pip install 'aomgen\[diffusion\]'"):
+        requirements.require_environment(["replacement"], "auto", has_masks=True, light="diffusion:weights")
+
+
 def test_no_opengl_driver(monkeypatch):
     monkeypatch.setattr(requirements, "GL_PROBE", "raise RuntimeError('no device')")
     with pytest.raises(BackendError, match="OpenGL: RuntimeError: no device; install libegl1"):

@@ -2,15 +2,18 @@ import numpy as np
 import pytest
 
 from aomgen.conventions import ROBOT
+from aomgen.core.environment_map import EnvironmentMap, map_directions
 from aomgen.core.gaussians import Gaussians
-from aomgen.core.light import cosine_answer
+from aomgen.core.light import cosine_answer, hemisphere_light
 from aomgen.core.sh import sh_basis
 from aomgen.replacement.light_estimation import (
     LIMITS,
     REFLECTED,
     LitSamples,
+    SceneLight,
     estimate_light,
     fit_unseen,
+    light_of_map,
     lose_color,
     radiance_around,
 )
@@ -136,3 +139,17 @@ def test_harmonics_answer_as_a_cosine_does():
     )
     by_hand = np.maximum(normals @ directions.T, 0) @ radiance * 4 / 20_000
     np.testing.assert_allclose(cosine_answer(normals) @ around.project(radiance), by_hand, atol=0.01)
+
+
+@pytest.mark.parametrize(("gain", "loss"), [(1e-3, 0.0), (1e3, 0.4)])
+def test_a_map_is_as_bright_as_the_scene_and_keeps_its_directions_and_colors(gain, loss):
+    """A red lamp on the side of +y, under a grey sky."""
+    radiance = np.full((32, 64, 3), 0.5)
+    radiance[map_directions(32, 64) @ [0.0, 0.8, 0.6] > 0.95] += (20.0, 5.0, 5.0)
+    scan = SceneLight(hemisphere_light(np.ones(3), np.full(3, 0.4)), loss, "robot")
+    found = light_of_map(EnvironmentMap(radiance_linear=gain * radiance), scan, "file")
+    assert (found.color_loss, found.source) == (loss, "file")
+    answer = found.light.irradiance(AXES)
+    assert answer[2].mean() == pytest.approx(scan.light.irradiance(AXES)[2].mean())
+    assert answer[1, 0] > 3 * answer[4, 0] > 0
+    assert answer[1, 0] / answer[1, 1] == pytest.approx(1 + 1.3 * (1 - loss), abs=0.7)

@@ -1,0 +1,70 @@
+"""Light from all around, read off a picture of a mirroring ball.
+
+Source: Debevec 1998 (mirrored balls); Debevec & Malik 1997 (pictures of several exposures).
+"""
+
+from typing import Final
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.spatial import cKDTree
+
+from aomgen.conventions import linear_from_srgb
+from aomgen.core.camera import Camera
+from aomgen.core.environment_map import EnvironmentMap, map_directions
+from aomgen.core.values import Array
+
+# From the first to the second sRGB value of its brightest channel a pixel is more and more clipped.
+CLIPPED: Final = (0.8, 0.95)
+# Rows of the map: the ball of a usual picture has 256 pixels across.
+ROWS: Final = 256
+
+
+def merge_exposures(pictures_srgb: ArrayLike, exposures: ArrayLike) -> Array:
+    """Linear radiance (H, W, 3) of pictures of one view.
+
+    Args:
+        pictures_srgb: (E, H, W, 3), 0..1, brightest first.
+        exposures: Of each, (E,), in stops; radiance 1 is white at 0.
+    """
+    pictures = np.asarray(pictures_srgb, np.float64)
+    radiance = linear_from_srgb(pictures) / 2.0 ** np.reshape(exposures, (-1, 1, 1, 1))
+    low, high = CLIPPED
+    merged = radiance[-1]
+    for picture, own in zip(pictures[-2::-1], radiance[-2::-1], strict=True):
+        clipped = np.clip((picture.max(-1, keepdims=True) - low) / (high - low), 0, 1)
+        merged = (1 - clipped) * own + clipped * merged
+    return merged
+
+
+def reflected_directions(camera: Camera) -> tuple[NDArray[np.bool_], Array]:
+    """Which pixels (H, W) of a square picture a ball covers that touches its borders, and what they mirror.
+
+    Returns:
+        The pixels, and for each of them the unit direction (N, 3), world frame, from which its light comes.
+    """
+    side, half = camera.width, camera.width // 2
+    rays = camera.directions()
+    rays /= np.linalg.norm(rays, axis=-1, keepdims=True)
+    edges = np.stack([rays[half, 0], rays[half, side - 1], rays[0, half], rays[side - 1, half]])
+    middle = edges.mean(0) / np.linalg.norm(edges.mean(0))
+    # The ball's distance is 1 and its radius the sine of the angle at which it is seen.
+    cosine = float((edges @ middle).mean())
+    radius, along = np.sqrt(1 - cosine**2), rays @ middle
+    inside = along > cosine
+    views, along = rays[inside], along[inside][:, None]
+    hits = (along - np.sqrt(along**2 - cosine**2)) * views
+    normals = (hits - middle) / radius
+    return inside, views - 2 * np.einsum("ni,ni->n", views, normals)[:, None] * normals
+
+
+def unwrap_ball(radiance_linear: Array, camera: Camera) -> EnvironmentMap:
+    """The light around a mirroring ball that touches the borders of a square picture (S, S, 3).
+
+    What is right behind the ball is not seen in it and taken from its outline.
+    """
+    inside, directions = reflected_directions(camera)
+    wanted = map_directions(ROWS, 2 * ROWS)
+    nearest = cKDTree(directions).query(wanted.reshape(-1, 3))[1]
+    radiance = radiance_linear[inside][nearest].reshape(wanted.shape)
+    return EnvironmentMap(radiance_linear=radiance.astype(np.float32))
