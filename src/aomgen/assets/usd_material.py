@@ -42,7 +42,9 @@ _SLOTS: Final = {
     COLOR: _Slot(
         preview="diffuseColor",
         numbers=("diffuse_color_constant", "diffuse_reflection_color", "glass_color", "base_color"),
-        textures=dict.fromkeys(("diffuse_texture", "albedo_texture", "diffuse_reflection_color_image"), "rgb"),
+        textures=dict.fromkeys(
+            ("diffuse_texture", "albedo_texture", "diffuse_reflection_color_image"), "rgb"
+        ),
     ),
     "opacity": _Slot(preview="opacity", numbers=("opacity_constant",), textures={"opacity_texture": MONO}),
     "roughness": _Slot(
@@ -100,9 +102,7 @@ def read_material(material: Any, folder: Path, fallback: Material) -> Material:
     color = _value(shader, _SLOTS[COLOR])
     base = replace(fallback, opacity=GLASS_OPACITY) if _is_glass(shader) else fallback
     found = {name: _value(shader, _SLOTS[name]) for name in NUMBERS}
-    numbers = {
-        name: float(getattr(base, name) if value is None else value) for name, value in found.items()
-    }
+    numbers = {name: float(getattr(base, name) if value is None else value) for name, value in found.items()}
     images = {name: _read_slot(shader, name, numbers, folder) for name in _SLOTS}
     numbers["opacity"], images["opacity"] = _cut_out(shader, numbers["opacity"], images["opacity"])
     maps = {name: image for name, image in images.items() if image is not None}

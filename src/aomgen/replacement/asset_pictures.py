@@ -1,5 +1,6 @@
 """Pictures of an asset's meshes in their own colors, without light: what its Gaussians are fitted to."""
 
+from dataclasses import replace
 from typing import Final
 
 import mujoco
@@ -9,6 +10,7 @@ from numpy.typing import NDArray
 from aomgen.assets.mjcf import VISUAL_GROUP, add_asset
 from aomgen.core.asset import ArticulatedAsset
 from aomgen.core.camera import Camera
+from aomgen.core.mesh import Mesh
 from aomgen.core.values import Array
 from aomgen.robots.model_renderer import ModelRenderer, depth_of
 
@@ -29,9 +31,13 @@ class AssetRenderer(ModelRenderer):
         """
         spec = mujoco.MjSpec()
         spec.compiler.degree = False
-        add_asset(spec, asset, np.eye(4), damping=0.0, frictionloss=0.0, visual=True)
-        meshes = [mesh for link in (asset.static, asset.moving) for mesh in link.meshes]
-        self._see_through = any(mesh.see_through for mesh in meshes)
+        static, moving = (
+            replace(link, meshes=tuple(map(_drawn_twice, link.meshes)))
+            for link in (asset.static, asset.moving)
+        )
+        drawn = replace(asset, static=static, moving=moving)
+        add_asset(spec, drawn, np.eye(4), damping=0.0, frictionloss=0.0, visual=True)
+        self._see_through = any(mesh.see_through for mesh in (*static.meshes, *moving.meshes))
         if self._see_through:
             spec.worldbody.add_geom(
                 type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[BACKDROP_M, 0, 0], rgba=[1, 1, 1, 1],
@@ -69,6 +75,16 @@ class AssetRenderer(ModelRenderer):
         blended = self.draw_values(camera, [theta], blending, nothing=False)[0]
         rgba = np.concatenate([colors / np.float32(255), np.clip(1 - shone, 0, 1)], -1, dtype=np.float32)
         return rgba, normals * ~blended[..., None]
+
+
+def _drawn_twice(mesh: Mesh) -> Mesh:
+    """The mesh with such opacity that two layers are as opaque as it: MuJoCo blends what is clear twice."""
+    if not mesh.see_through:
+        return mesh
+    maps = dict(mesh.maps)
+    if "opacity" in maps:
+        maps["opacity"] = np.round(255 * (1 - np.sqrt(1 - maps["opacity"] / 255))).astype(np.uint8)
+    return replace(mesh, opacity=1 - np.sqrt(1 - mesh.opacity), maps=maps)
 
 
 def _normals(points: Array, camera: Camera) -> NDArray[np.float32]:

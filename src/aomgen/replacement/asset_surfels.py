@@ -218,7 +218,8 @@ def _gradients(
     """Gradients of the squared error of a picture's colors and cover, and of normals if asked for, by name."""
     leaves, poses = parameters.leaves(), _link_poses(asset, picture.theta)
     parts = PartTensors(
-        indices=torch.tensor(surface.links, dtype=torch.int32), Ts_world_part=torch.tensor(poses, dtype=torch.float32)
+        indices=torch.tensor(surface.links, dtype=torch.int32),
+        Ts_world_part=torch.tensor(poses, dtype=torch.float32),
     )
     features = None
     if with_normals:

@@ -223,7 +223,9 @@ def _bilinear(texture: Array, uv: Array) -> Array:
     height, width = texture.shape[:2]
     inside = np.where((uv < 0) | (uv > 1), uv - np.floor(uv), uv)
     places = np.stack([(1 - inside[:, 1]) * height - 0.5, inside[:, 0] * width - 0.5])
-    channels = [map_coordinates(texture[..., k], places, order=1, mode="nearest") for k in range(texture.shape[2])]
+    channels = [
+        map_coordinates(texture[..., k], places, order=1, mode="nearest") for k in range(texture.shape[2])
+    ]
     return np.stack(channels, 1)
 
 
