@@ -181,9 +181,8 @@ def _color_texture(mesh: Mesh) -> NDArray[np.uint8]:
     if opacity is None:
         return mesh.texture_srgb
     height, width = np.maximum(mesh.texture_srgb.shape[:2], opacity.shape)
-    color = (
-        mesh.texture_srgb if mesh.texture_srgb.size else np.uint8(np.round(255 * mesh.color_srgb))[None, None]
-    )
+    plain = np.round(255 * mesh.color_srgb).astype(np.uint8).reshape(1, 1, 3)
+    color = mesh.texture_srgb if mesh.texture_srgb.size else plain
     return np.dstack([resize(np.ascontiguousarray(image), width, height) for image in (color, opacity)])
 
 

@@ -140,7 +140,8 @@ def _bend_transfer(
 ) -> NDArray[np.float32]:
     """Transfer (N, 9) with normals bent: changed as that of an open surface, as far as it is open."""
     open_ = np.clip(transfer[:, :1] / SH_C0, 0, 1)
-    return transfer + open_ * (open_transfer(bend_normals(normals, bends)) - open_transfer(normals))
+    change = open_transfer(bend_normals(normals, bends)) - open_transfer(normals)
+    return (transfer + open_ * change).astype(np.float32)
 
 
 def _pictures(asset: ArticulatedAsset, rng: np.random.Generator) -> list[_Picture]:

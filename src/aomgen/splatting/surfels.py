@@ -132,11 +132,8 @@ def _covered(
     dense = _joined(parts)
     hiding = dense.points[dense.opacity > HIDES]
     surface = hiding if len(hiding) else dense.points
-    fine_area = sum(
-        part.fine.mean() * area
-        for part, area in zip(parts, areas[areas > 0], strict=True)
-        if len(part.points)
-    )
+    fine_shares = [part.fine.mean() if len(part.fine) else 0.0 for part in parts]
+    fine_area = float(np.dot(fine_shares, areas[areas > 0]))
     radius = guess * float(np.sqrt(1 + (FINER**-2 - 1) * fine_area / total))
     parts = _uncovered(parts, radius)
     # A mesh is thinned alone: a sticker must not lose its discs to the wall it lies on.

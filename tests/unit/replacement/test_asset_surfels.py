@@ -32,14 +32,14 @@ def fitted(asset: ArticulatedAsset) -> tuple[Surfels, Surfels]:
     return small_fit(asset)
 
 
-def small_fit(asset: ArticulatedAsset) -> tuple[Surfels, Surfels]:
+def small_fit(asset: ArticulatedAsset, pictures: int = 24, size: int = SIZE) -> tuple[Surfels, Surfels]:
     """A small one, as far as small pictures tell."""
     with pytest.MonkeyPatch.context() as patch:
         for name, value in {
             "DISCS": 8000,
             "MAX_GAUSSIANS": 12000,
-            "PICTURES": 24,
-            "PICTURE_PX": SIZE,
+            "PICTURES": pictures,
+            "PICTURE_PX": size,
         }.items():
             patch.setattr(module, name, value)
         return asset_surfels(asset, np.random.default_rng(0))
@@ -101,7 +101,7 @@ def test_what_lies_behind_a_window_shows_through(asset: ArticulatedAsset) -> Non
         truth = renderer.draw(camera, theta)
     block = slice(SIZE // 2 - 4, SIZE // 2 + 4)
     np.testing.assert_allclose(truth[block, block, 3], 0.64, atol=0.02)
-    static, moving = small_fit(clear)
+    static, moving = small_fit(clear, 40, 2 * SIZE)
     posed = concatenate([static.gaussians, moving.gaussians.transformed(asset.joint.motion(theta))])
     drawn = render(posed, camera)
     np.testing.assert_allclose(drawn.alpha[block, block].mean(), 0.64, atol=0.06)
