@@ -5,12 +5,13 @@ from typing import Final
 
 import mujoco
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from aomgen.core.asset import ArticulatedAsset, AssetLink
 from aomgen.core.joint import JointType
 from aomgen.core.mesh import Mesh
 from aomgen.core.transforms import apply, quat_from_matrix
+from aomgen.io.images import resize
 
 # Standard gravity as MuJoCo's default has it, [m/s^2].
 GRAVITY: Final = 9.81
@@ -26,6 +27,8 @@ HOLDING_SOLIMP: Final = (0.9999, 0.9999, 0.001, 0.5, 2.0)
 NO_LOAD: Final = 1e-3
 # MuJoCo's usual geom groups: 2 is drawn, 3 is for collision only and hidden.
 VISUAL_GROUP, COLLIDER_GROUP = 2, 3
+# MuJoCo heeds the alpha of a texture where the color's own alpha says that something shows through.
+BLENDED: Final = 0.99
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -147,7 +150,8 @@ def add_visual_mesh(spec: mujoco.MjSpec, body: mujoco.MjsBody, mesh: Mesh, name:
     """Add one textured mesh without contacts or mass to a body; vertices are in the body frame."""
     corners = mesh.vertices[mesh.faces].reshape(-1, 3)
     faces = np.arange(len(corners)).reshape(-1, 3)
-    textured = mesh.texture_srgb.size > 0
+    texture = _color_texture(mesh)
+    textured = texture.size > 0
     coordinates = {}
     if textured:
         # MuJoCo's v points down.
@@ -157,17 +161,29 @@ def add_visual_mesh(spec: mujoco.MjSpec, body: mujoco.MjsBody, mesh: Mesh, name:
         name=name, uservert=corners.ravel(), userface=faces.ravel().astype(np.int32), **coordinates
     )
     item.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL
-    material = spec.add_material(name=name, rgba=[1, 1, 1, 1] if textured else [*mesh.color_srgb, 1.0])
+    opacity = BLENDED if "opacity" in mesh.maps else mesh.opacity
+    material = spec.add_material(name=name, rgba=[*([1, 1, 1] if textured else mesh.color_srgb), opacity])
     material.specular = float(0.15 + 0.35 * mesh.metallic)
     material.shininess = float(1.0 - mesh.roughness) * 0.6
     material.metallic, material.roughness = mesh.metallic, mesh.roughness
     if textured:
-        height, width, channels = mesh.texture_srgb.shape
+        height, width, channels = texture.shape
         kind = mujoco.mjtTexture.mjTEXTURE_2D
         image = spec.add_texture(name=name, type=kind, width=width, height=height, nchannel=channels)
-        image.data = np.ascontiguousarray(mesh.texture_srgb).tobytes()
+        image.data = np.ascontiguousarray(texture).tobytes()
         material.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = name
     add_visual_geom(body, name)
+
+
+def _color_texture(mesh: Mesh) -> NDArray[np.uint8]:
+    """Texture (H, W, 3), with opacity (H, W, 4) where a map says it; empty without either."""
+    opacity = mesh.maps.get("opacity")
+    if opacity is None:
+        return mesh.texture_srgb
+    height, width = np.maximum(mesh.texture_srgb.shape[:2], opacity.shape)
+    plain = np.round(255 * mesh.color_srgb).astype(np.uint8).reshape(1, 1, 3)
+    color = mesh.texture_srgb if mesh.texture_srgb.size else plain
+    return np.dstack([resize(np.ascontiguousarray(image), width, height) for image in (color, opacity)])
 
 
 def add_visual_geom(body: mujoco.MjsBody, name: str) -> None:

@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from aomgen.assets.procedural.shapes import NO_TEXTURE
+from aomgen.assets.procedural.shapes import NO_TEXTURE, Material
 from aomgen.assets.settle import choose_joint
 from aomgen.core.asset import ArticulatedAsset, AssetLink, BoxCollider
 from aomgen.core.joint import Joint
@@ -21,6 +21,7 @@ from aomgen.io.mujoco_model import LEAST_INERTIA, LEAST_MASS, compile_model, par
 from aomgen.io.robot_xml import read_robot_xml
 
 SUFFIXES = (".urdf", ".xml", ".mjcf")
+_COLOR_ROLES = [mujoco.mjtTextureRole.mjTEXROLE_RGB.value, mujoco.mjtTextureRole.mjTEXROLE_RGBA.value]
 _OPENING = (mujoco.mjtJoint.mjJNT_HINGE.value, mujoco.mjtJoint.mjJNT_SLIDE.value)
 
 
@@ -132,23 +133,29 @@ def _mesh(model: mujoco.MjModel, data: mujoco.MjData, geom: int) -> Mesh:
     place = transform(matrix_from_quat(data.xquat[body]), data.xpos[body])
     meshed = model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_MESH
     name = model.mesh(number).name if meshed else model.geom(geom).name
-    texture = _texture(model, material)
-    uvs = _uvs(model, number) if meshed and texture.size else np.zeros((0, 3, 2))
-    return Mesh(
-        name=name or f"geom_{geom}",
-        vertices=apply(place, vertices),
-        faces=faces,
-        uvs=uvs,
-        texture_srgb=texture if len(uvs) else NO_TEXTURE,
-        color_srgb=np.clip(texture.mean((0, 1)) / 255 * rgba[:3] if texture.size else rgba[:3], 0, 1),
-    )
+    uvs = _uvs(model, number) if meshed else np.zeros((0, 3, 2))
+    surface = _material(rgba, _texture(model, material))
+    return surface.mesh(name or f"geom_{geom}", apply(place, vertices), faces, uvs)
+
+
+def _material(rgba: NDArray[np.float32], texture: NDArray[np.uint8]) -> Material:
+    """A color (4,), 0..1, which multiplies a texture (H, W, 3 or 4) if there is one."""
+    if not texture.size:
+        r, g, b, opacity = np.clip(rgba, 0, 1).tolist()
+        return Material(color_srgb=(r, g, b), opacity=opacity)
+    channels = texture.shape[-1]
+    pixels = (texture * np.clip(rgba[:channels], 0, 1)).round().astype(np.uint8)
+    opacity = float(np.clip(rgba[3], 0, 1))
+    if channels == 4 and pixels[..., 3].min() < 255:
+        return Material(texture_srgb=pixels[..., :3], maps={"opacity": pixels[..., 3]})
+    return Material(texture_srgb=pixels[..., :3], opacity=opacity)
 
 
 def _texture(model: mujoco.MjModel, material: int) -> NDArray[np.uint8]:
-    """The color texture (H, W, 3) of a material; of a cube its first face."""
+    """The color texture (H, W, 3 or 4) of a material; of a cube its first face."""
     if material < 0:
         return NO_TEXTURE
-    number = int(model.mat_texid[material].max())
+    number = int(model.mat_texid[material, _COLOR_ROLES].max())
     if number < 0:
         return NO_TEXTURE
     width, height, channels = (
@@ -156,7 +163,8 @@ def _texture(model: mujoco.MjModel, material: int) -> NDArray[np.uint8]:
     )
     start = int(model.tex_adr[number])
     pixels = model.tex_data[start : start + width * height * channels].reshape(height, width, channels)
-    return np.ascontiguousarray(pixels[:width, :, :3])
+    color = pixels[:width] if channels >= 3 else np.repeat(pixels[:width, :, :1], 3, -1)
+    return np.ascontiguousarray(color)
 
 
 def _uvs(model: mujoco.MjModel, mesh: int) -> Array:

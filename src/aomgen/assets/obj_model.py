@@ -1,5 +1,6 @@
 """Articulated objects in OBJ, with a JSON file beside them that says which groups move, and how."""
 
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -10,13 +11,14 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
 
 from aomgen.assets.box_cover import face_components
-from aomgen.assets.procedural.shapes import NO_TEXTURE
+from aomgen.assets.procedural.shapes import NO_TEXTURE, Material
 from aomgen.assets.settle import choose_joint
 from aomgen.core.asset import ArticulatedAsset, AssetLink
 from aomgen.core.joint import Joint
-from aomgen.core.mesh import Mesh
+from aomgen.core.mesh import NORMAL_MAP, Mesh
 from aomgen.errors import AssetError, LimitExceededError, MalformedFileError, MissingFileError
 from aomgen.io.artifact import read_json
+from aomgen.io.images import opacity_of, read_image
 from aomgen.io.paths import find_inside
 from aomgen.io.schema import complaint
 
@@ -26,6 +28,9 @@ MAX_BYTES = 256 << 20
 COMPONENT = "#component:min_"
 # Rotation that turns Y up into Z up, with the front, +z, towards -y.
 _Z_UP = np.array([[1.0, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1]])
+# Keywords of MTL, in small letters, and what they say.
+_NUMBERS = {"d": "opacity", "pr": "roughness", "pm": "metallic"}
+_MAPS = {"map_d": "opacity", "map_pr": "roughness", "map_pm": "metallic", "norm": NORMAL_MAP}
 Three = Annotated[tuple[FiniteFloat, ...], Field(min_length=3, max_length=3)]
 
 
@@ -118,32 +123,41 @@ def _read_meshes(path: Path) -> list[Mesh]:
         raise MissingFileError(path, "is missing", "check the path of the asset")
     if not path.stat().st_size <= MAX_BYTES:
         raise LimitExceededError(path, f"is larger than {MAX_BYTES} bytes")
-    _check_files(path)
+    textures = _find_textures(path)
     try:
         scene = trimesh.load_scene(path, split_objects=True, split_groups=True, process=False)
     except (ValueError, IndexError, KeyError, NotImplementedError) as error:
         raise MalformedFileError(path, f"is not an OBJ file ({error})", "export it again") from error
-    meshes = [_mesh(name, item) for name, item in scene.geometry.items() if isinstance(item, trimesh.Trimesh)]
+    meshes = [
+        _mesh(name, item, textures)
+        for name, item in scene.geometry.items()
+        if isinstance(item, trimesh.Trimesh)
+    ]
     if not meshes:
         raise MalformedFileError(path, "has no triangles", "export it again")
     return meshes
 
 
-def _check_files(path: Path) -> None:
-    """Refuse materials and textures that are missing or lie outside; trimesh would go on without them."""
-    folder = path.parent
+def _find_textures(path: Path) -> dict[str, Path]:
+    """Files of all textures by the last word of the name that the materials give them.
+
+    Raises:
+        UnsafePathError, MissingFileError: Materials or textures lie outside or are missing; trimesh would go on
+            without them.
+    """
+    folder, found = path.parent, dict[str, Path]()
     for library in _named(path, "mtllib"):
         file = find_inside(folder, [folder], [library], named_by=path)
-        for texture in _named(file, "map_"):
-            find_inside(folder, [folder], [texture, texture.split()[-1]], named_by=file)
+        for texture in [name for keyword in ("map_", "norm") for name in _named(file, keyword)]:
+            last = texture.split()[-1]
+            found[last] = find_inside(folder, [folder], [texture, last], named_by=file)
+    return found
 
 
 def _named(path: Path, keyword: str) -> list[str]:
     """What follows a keyword, or those that begin so, at the beginning of a line."""
-    lines = path.read_text("utf-8", errors="replace").splitlines()
-    return [
-        line.split(None, 1)[1].strip() for line in lines if line.startswith(keyword) and len(line.split()) > 1
-    ]
+    lines = [line.split(None, 1) for line in path.read_text("utf-8", errors="replace").splitlines()]
+    return [words[1].strip() for words in lines if len(words) > 1 and words[0].startswith(keyword)]
 
 
 def _sorted_meshes(meshes: list[Mesh], groups: tuple[str, ...]) -> tuple[list[Mesh], list[Mesh]]:
@@ -175,18 +189,41 @@ def _with_faces(mesh: Mesh, chosen: NDArray[np.bool_]) -> Mesh:
     return replace(mesh, vertices=mesh.vertices[used], faces=faces.reshape(-1, 3), uvs=uvs)
 
 
-def _mesh(name: str, item: trimesh.Trimesh) -> Mesh:
+def _mesh(name: str, item: trimesh.Trimesh, textures: dict[str, Path]) -> Mesh:
     used, faces = np.unique(item.faces, return_inverse=True)
     material, uv = getattr(item.visual, "material", None), getattr(item.visual, "uv", None)
     image = getattr(material, "image", None)
-    textured = image is not None and uv is not None
-    texture = np.asarray(image.convert("RGB")) if image is not None and textured else NO_TEXTURE
     color = np.array(getattr(material, "diffuse", (128, 128, 128, 255)), np.float64)[:3] / 255
-    return Mesh(
-        name=name,
-        vertices=np.asarray(item.vertices, np.float64)[used],
-        faces=faces.reshape(-1, 3),
-        uvs=np.asarray(uv, np.float64)[item.faces] if textured else np.zeros((0, 3, 2)),
-        texture_srgb=texture,
-        color_srgb=texture.mean((0, 1)) / 255 if textured else color,
+    surface = Material(
+        texture_srgb=NO_TEXTURE if image is None or uv is None else np.asarray(image.convert("RGB")),
+        color_srgb=(color[0], color[1], color[2]),
+        **_read_values(getattr(material, "kwargs", {}), textures),
     )
+    uvs = np.zeros((0, 3, 2)) if uv is None else np.asarray(uv, np.float64)[item.faces]
+    return surface.mesh(name, np.asarray(item.vertices, np.float64)[used], faces.reshape(-1, 3), uvs)
+
+
+def _read_values(statements: Mapping[str, list[str]], textures: dict[str, Path]) -> dict[str, Any]:
+    """Opacity, roughness and metallic as arguments of a `Material`, from an MTL's words by their keyword."""
+    values: dict[str, Any] = {"maps": {}}
+    for keyword, name in _NUMBERS.items():
+        if keyword in statements:
+            values[name] = _number(keyword, statements[keyword][-1])
+    if "tr" in statements and "d" not in statements:
+        values["opacity"] = 1 - _number("tr", statements["tr"][-1])
+    for keyword, name in _MAPS.items():
+        if keyword in statements:
+            image = read_image(textures[statements[keyword][-1]], "RGBA")
+            picked = {"opacity": opacity_of(image), NORMAL_MAP: image[..., :3]}
+            values["maps"][name] = picked.get(name, image[..., 0])
+    return values
+
+
+def _number(keyword: str, word: str) -> float:
+    try:
+        value = float(word)
+    except ValueError:
+        value = np.nan
+    if not 0 <= value <= 1:
+        raise MalformedFileError(f"{keyword} {word}", "is not a number from 0 to 1", "correct the MTL file")
+    return value

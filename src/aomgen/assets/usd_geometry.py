@@ -144,21 +144,9 @@ def _meshes(prim: Any, place: Array, name: str, folder: Path) -> list[Mesh]:
     for suffix, bound, chosen in _pieces(prim, owners):
         material, _ = UsdShade.MaterialBindingAPI(bound).ComputeBoundMaterial()
         surface = read_material(material, folder, base) if material else base
-        texture = surface.texture_srgb
-        textured = texture.size > 0 and len(uvs) > 0
         used, faces = np.unique(indices[corners[chosen]], return_inverse=True)
-        meshes.append(
-            Mesh(
-                name=name + suffix,
-                vertices=vertices[used],
-                faces=faces.reshape(-1, 3),
-                uvs=uvs[chosen] if textured else uvs[:0],
-                texture_srgb=texture if textured else np.zeros((0, 0, 3), np.uint8),
-                color_srgb=np.asarray(texture.mean((0, 1)) / 255 if texture.size else surface.color_srgb),
-                roughness=surface.roughness,
-                metallic=surface.metallic,
-            )
-        )
+        uvs_of_faces = uvs[chosen] if len(uvs) else uvs
+        meshes.append(surface.mesh(name + suffix, vertices[used], faces.reshape(-1, 3), uvs_of_faces))
     return meshes
 
 

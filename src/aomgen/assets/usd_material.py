@@ -1,35 +1,82 @@
-"""What a USD material looks like: base color, texture, roughness, metallic."""
+"""What a USD material looks like: base color, opacity, roughness, metallic, normals, as numbers or textures."""
 
-import io
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image, UnidentifiedImageError
 
 from aomgen.assets.procedural.shapes import NO_TEXTURE, Material
 from aomgen.conventions import srgb_from_linear
-from aomgen.errors import (
-    AssetError,
-    LimitExceededError,
-    MalformedFileError,
-    MissingFileError,
-    UnsafePathError,
-)
-from aomgen.io.images import MAX_PIXELS, read_image
+from aomgen.core.mesh import NORMAL_MAP, NUMBERS
+from aomgen.errors import AssetError, MissingFileError, UnsafePathError
+from aomgen.io.images import decode_image, opacity_of, read_image
 
-# Input names of UsdPreviewSurface first, then of Omniverse's MDL shaders (OmniPBR, OmniGlass).
-_COLOR_INPUTS = (
-    "diffuseColor",
-    "diffuse_color_constant",
-    "diffuse_reflection_color",
-    "glass_color",
-    "base_color",
-)
-_TEXTURE_INPUTS = ("diffuse_texture", "albedo_texture", "diffuse_reflection_color_image")
-_ROUGHNESS_INPUTS = ("roughness", "reflection_roughness_constant")
-_METALLIC_INPUTS = ("metallic", "metallic_constant")
+# What glass shows of its own color: Omniverse's shader for it has no opacity.
+GLASS_OPACITY: Final = 0.2
+COLOR: Final = "color"
+# Stands for the channels that `opacity_of` chooses.
+MONO: Final = "mono"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Slot:
+    """Where a material says one of its properties.
+
+    Attributes:
+        preview: Input of UsdPreviewSurface; a texture is connected to it.
+        numbers: Inputs of Omniverse's MDL shaders (OmniPBR, OmniGlass) that hold it for the whole surface.
+        textures: Theirs that name a texture, with the channels that hold it.
+        influence: Theirs that says how much the texture counts beside the number.
+    """
+
+    preview: str
+    numbers: tuple[str, ...] = ()
+    textures: Mapping[str, str] = field(default_factory=dict)
+    influence: str = ""
+
+
+_SLOTS: Final = {
+    COLOR: _Slot(
+        preview="diffuseColor",
+        numbers=("diffuse_color_constant", "diffuse_reflection_color", "glass_color", "base_color"),
+        textures=dict.fromkeys(
+            ("diffuse_texture", "albedo_texture", "diffuse_reflection_color_image"), "rgb"
+        ),
+    ),
+    "opacity": _Slot(preview="opacity", numbers=("opacity_constant",), textures={"opacity_texture": MONO}),
+    "roughness": _Slot(
+        preview="roughness",
+        numbers=("reflection_roughness_constant", "frosting_roughness"),
+        textures={"ORM_texture": "g", "reflectionroughness_texture": "r"},
+        influence="reflection_roughness_texture_influence",
+    ),
+    "metallic": _Slot(
+        preview="metallic",
+        numbers=("metallic_constant",),
+        textures={"ORM_texture": "b", "metallic_texture": "r"},
+        influence="metallic_texture_influence",
+    ),
+    NORMAL_MAP: _Slot(preview="normal", textures={"normalmap_texture": "rgb"}, influence="bump_factor"),
+}
+# These count unless the input beside them says no.
+_SWITCHES: Final = {
+    "opacity_constant": "enable_opacity",
+    "opacity_texture": "enable_opacity",
+    "ORM_texture": "enable_ORM_texture",
+}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Texture:
+    """A texture file, an Sdf.AssetPath, and the values made of it: channels times scale plus bias, in 0..1."""
+
+    file: Any
+    channels: str
+    scale: Any = 1.0
+    bias: Any = 0.0
 
 
 def plain_material(color_linear: Any) -> Material:
@@ -52,13 +99,20 @@ def read_material(material: Any, folder: Path, fallback: Material) -> Material:
     shader = _surface(material)
     if shader is None:
         return fallback
-    color = _value(shader, _COLOR_INPUTS)
-    roughness, metallic = _value(shader, _ROUGHNESS_INPUTS), _value(shader, _METALLIC_INPUTS)
-    return Material(
-        texture_srgb=_texture(shader, folder),
+    color = _value(shader, _SLOTS[COLOR])
+    base = replace(fallback, opacity=GLASS_OPACITY) if _is_glass(shader) else fallback
+    found = {name: _value(shader, _SLOTS[name]) for name in NUMBERS}
+    numbers = {name: float(getattr(base, name) if value is None else value) for name, value in found.items()}
+    images = {name: _read_slot(shader, name, numbers, folder) for name in _SLOTS}
+    numbers["opacity"], images["opacity"] = _cut_out(shader, numbers["opacity"], images["opacity"])
+    maps = {name: image for name, image in images.items() if image is not None}
+    texture = maps.pop(COLOR, NO_TEXTURE)
+    return replace(
+        fallback,
+        texture_srgb=texture,
         color_srgb=fallback.color_srgb if color is None else plain_material(color).color_srgb,
-        roughness=fallback.roughness if roughness is None else float(roughness),
-        metallic=fallback.metallic if metallic is None else float(metallic),
+        maps=maps,
+        **numbers,
     )
 
 
@@ -70,48 +124,103 @@ def _surface(material: Any) -> Any | None:
     return None
 
 
-def _value(shader: Any, names: tuple[str, ...]) -> Any | None:
-    for name in names:
-        item = shader.GetInput(name)
-        value = item.Get() if item else None
-        if value is not None:
-            return value
+def _is_glass(shader: Any) -> bool:
+    return str(shader.GetSourceAssetSubIdentifier("mdl")).startswith("OmniGlass")
+
+
+def _input(shader: Any, name: str) -> Any | None:
+    """Value of an input; None where there is none or where it is switched off."""
+    switch = _SWITCHES.get(name)
+    if switch is not None and _input(shader, switch) in (False, 0):
+        return None
+    item = shader.GetInput(name) if name else None
+    return item.Get() if item else None
+
+
+def _value(shader: Any, slot: _Slot) -> Any | None:
+    found = (_input(shader, name) for name in (slot.preview, *slot.numbers))
+    return next((value for value in found if value is not None), None)
+
+
+def _find_texture(shader: Any, name: str, number: float) -> _Texture | None:
+    """The texture of a property, which counts beside a number or the normal of a flat surface."""
+    from pxr import UsdShade
+
+    slot = _SLOTS[name]
+    for key, channels in slot.textures.items():
+        file = _input(shader, key)
+        if file is not None and file.path:
+            influence = _input(shader, slot.influence)
+            share = np.array(1.0 if influence is None else influence)
+            alone = np.array([0.5, 0.5, 1.0]) if name == NORMAL_MAP else number
+            return _Texture(file=file, channels=channels, scale=share, bias=(1 - share) * alone)
+    item = shader.GetInput(slot.preview)
+    for source in item.GetConnectedSources()[0] if item else []:
+        node = UsdShade.Shader(source.source.GetPrim())
+        file = _input(node, "file") if node else None
+        if file is not None:
+            return _connected(node, file, name, str(source.sourceName))
     return None
 
 
-def _texture(shader: Any, folder: Path) -> NDArray[np.uint8]:
-    from pxr import UsdShade
+def _connected(node: Any, file: Any, name: str, output: str) -> _Texture:
+    """What an output of a UsdUVTexture gives a property."""
+    if name == COLOR:
+        return _Texture(file=file, channels="rgb")
+    normal = name == NORMAL_MAP
+    channels = "rgb" if normal else output[:1]
+    if not channels or channels not in "rgba":
+        raise AssetError(node.GetPath(), f"gives {name} its output '{output}'", "connect r, g, b or a")
+    scale, bias = _input(node, "scale"), _input(node, "bias")
+    if normal and scale is None:
+        return _Texture(file=file, channels=channels)
+    picked = ["rgba".index(channel) for channel in channels]
+    factor = np.array((1, 1, 1, 1) if scale is None else scale, np.float64)[picked]
+    offset = np.array((0, 0, 0, 0) if bias is None else bias, np.float64)[picked]
+    if normal:
+        factor, offset = factor / 2, (offset + 1) / 2
+    return _Texture(file=file, channels=channels, scale=factor, bias=offset)
 
-    for name in _TEXTURE_INPUTS:
-        item = shader.GetInput(name)
-        if item and item.Get() is not None and item.Get().path:
-            return _read_texture(item.Get(), folder)
-    item = shader.GetInput("diffuseColor")
-    sources = item.GetConnectedSources()[0] if item else []
-    for source in sources:
-        node = UsdShade.Shader(source.source.GetPrim())
-        file = node.GetInput("file") if node else None
-        if file and file.Get() is not None:
-            return _read_texture(file.Get(), folder)
-    return NO_TEXTURE
+
+def _read_slot(
+    shader: Any, name: str, numbers: Mapping[str, float], folder: Path
+) -> NDArray[np.uint8] | None:
+    """Image (H, W) or (H, W, 3) of a property; None where no texture says it."""
+    texture = _find_texture(shader, name, numbers.get(name, 0.0))
+    if texture is None:
+        return None
+    image = _read_texture(texture.file, folder)
+    if texture.channels == MONO:
+        values = opacity_of(image)[..., None]
+    else:
+        values = image[..., ["rgba".index(channel) for channel in texture.channels]]
+    if np.any(texture.scale != 1) or np.any(texture.bias != 0):
+        values = (values * texture.scale + 255 * texture.bias).clip(0, 255).round().astype(np.uint8)
+    return values if values.shape[-1] > 1 else values[..., 0]
+
+
+def _cut_out(
+    shader: Any, number: float, image: NDArray[np.uint8] | None
+) -> tuple[float, NDArray[np.uint8] | None]:
+    """Opacity all or nothing where the material has a threshold; no image where it would be opaque."""
+    limit = _input(shader, "opacityThreshold") or _input(shader, "opacity_threshold") or 0.0
+    if limit > 0:
+        number = float(number >= limit)
+        image = None if image is None else np.where(image >= 255 * limit, 255, 0).astype(np.uint8)
+    return (1.0, None) if image is not None and image.min() == 255 else (number, image)
 
 
 def _read_texture(asset_path: Any, folder: Path) -> NDArray[np.uint8]:
-    """Texture (H, W, 3) of an Sdf.AssetPath, which must not leave `folder`."""
+    """Texture (H, W, 4) of an Sdf.AssetPath, which must not leave `folder`."""
     if "[" in (asset_path.resolvedPath or asset_path.path):
-        return _packaged(asset_path, folder)
+        return _read_packaged(asset_path, folder)
     given = Path(asset_path.resolvedPath or asset_path.path)
     place = (given if given.is_absolute() else folder / given).resolve()
     _require_inside(place, folder, asset_path.path)
-    return read_image(place)
+    return read_image(place, "RGBA")
 
 
-def _require_inside(place: Path, folder: Path, name: str) -> None:
-    if not place.is_relative_to(folder.resolve()):
-        raise UnsafePathError(name, "lies outside the asset's folder", "copy it beside the asset")
-
-
-def _packaged(asset_path: Any, folder: Path) -> NDArray[np.uint8]:
+def _read_packaged(asset_path: Any, folder: Path) -> NDArray[np.uint8]:
     from pxr import Ar
 
     resolved = asset_path.resolvedPath
@@ -119,13 +228,12 @@ def _packaged(asset_path: Any, folder: Path) -> NDArray[np.uint8]:
     asset = Ar.GetResolver().OpenAsset(Ar.ResolvedPath(resolved)) if resolved else None
     if not asset:
         raise MissingFileError(asset_path.path, "is missing in the package", "export the package again")
-    try:
-        image = Image.open(io.BytesIO(bytes(asset.GetBuffer())))
-        if not image.width * image.height <= MAX_PIXELS:
-            raise LimitExceededError(asset_path.path, f"has {image.width} x {image.height} pixels")
-        return np.asarray(image.convert("RGB"))
-    except (UnidentifiedImageError, OSError, ValueError) as error:
-        raise MalformedFileError(asset_path.path, "is not an image", "export the package again") from error
+    return decode_image(bytes(asset.GetBuffer()), Path(asset_path.path), "RGBA")
+
+
+def _require_inside(place: Path, folder: Path, name: str) -> None:
+    if not place.is_relative_to(folder.resolve()):
+        raise UnsafePathError(name, "lies outside the asset's folder", "copy it beside the asset")
 
 
 def check_layers(stage: Any, folder: Path) -> None:

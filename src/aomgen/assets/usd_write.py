@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from aomgen.assets.mjcf import (
     ARMATURE,
@@ -21,7 +22,7 @@ from aomgen.assets.mjcf import (
 )
 from aomgen.conventions import linear_from_srgb
 from aomgen.core.asset import ArticulatedAsset, AssetLink, BoxCollider
-from aomgen.core.mesh import Mesh
+from aomgen.core.mesh import NORMAL_MAP, NUMBERS, Mesh
 from aomgen.core.transforms import quat_from_matrix
 from aomgen.core.values import Array
 from aomgen.io.atomic import write_bytes
@@ -39,7 +40,7 @@ def write_usd(asset: ArticulatedAsset, path: Path) -> None:
     """Write an asset as one USD file and a folder of textures beside it.
 
     It stands at joint value 0. Metres, Z up, joint limits in degrees (revolute) or metres, colors linear,
-    texture paths relative: `<stem>_textures/<link>_<mesh>.png`. Handle point, handle axis, category
+    texture paths relative: `<stem>_textures/<link>_<mesh>.png`, maps with their name behind it. Handle point, handle axis, category
     and credit are custom attributes `aomgen:handle_point` ... `aomgen:credit` of the root.
     The joint has the nominal resistance of `mjcf.RESISTANCES`; all that verification tries are in
     `aomgen:verified_damping` and `aomgen:verified_frictionloss`. The path ends in .usda (text) or .usdc.
@@ -121,38 +122,56 @@ class _Writer:
                 "st", Sdf.ValueTypeNames.TexCoord2fArray, UsdGeom.Tokens.faceVarying
             )
             primvar.Set(Vt.Vec2fArray.FromNumpy(np.ascontiguousarray(mesh.uvs.reshape(-1, 2), np.float32)))
-        material = self._material(
-            mesh, f"{link_path}/materials/{name}", f"{_identifier(link_name)}_{name}.png"
-        )
+        files = f"{_identifier(link_name)}_{name}"
+        material = self._material(mesh, f"{link_path}/materials/{name}", files)
         UsdShade.MaterialBindingAPI.Apply(item.GetPrim()).Bind(material)
 
-    def _material(self, mesh: Mesh, path: str, file_name: str) -> Any:
+    def _material(self, mesh: Mesh, path: str, files: str) -> Any:
+        """A UsdPreviewSurface; the files of its textures begin with `files`."""
         from pxr import Gf, Sdf, UsdShade
 
         kinds = Sdf.ValueTypeNames
         material = UsdShade.Material.Define(self.stage, path)
         shader = UsdShade.Shader.Define(self.stage, f"{path}/surface")
         shader.CreateIdAttr("UsdPreviewSurface")
-        shader.CreateInput("roughness", kinds.Float).Set(float(mesh.roughness))
-        shader.CreateInput("metallic", kinds.Float).Set(float(mesh.metallic))
+        inputs = {name: shader.CreateInput(name, kinds.Float) for name in NUMBERS}
+        for name, item in inputs.items():
+            item.Set(float(getattr(mesh, name)))
         diffuse = shader.CreateInput("diffuseColor", kinds.Color3f)
         diffuse.Set(Gf.Vec3f(*(float(c) for c in linear_from_srgb(mesh.color_srgb))))
         material.CreateSurfaceOutput().ConnectToSource(shader.ConnectableAPI(), "surface")
-        if not mesh.texture_srgb.size:
-            return material
-        write_bytes(self.textures / file_name, encode_png(mesh.texture_srgb))
-        reader = UsdShade.Shader.Define(self.stage, f"{path}/st")
-        reader.CreateIdAttr("UsdPrimvarReader_float2")
-        reader.CreateInput("varname", kinds.String).Set("st")
-        texture = UsdShade.Shader.Define(self.stage, f"{path}/texture")
-        texture.CreateIdAttr("UsdUVTexture")
-        texture.CreateInput("file", kinds.Asset).Set(Sdf.AssetPath(f"./{self.textures.name}/{file_name}"))
-        texture.CreateInput("sourceColorSpace", kinds.Token).Set("sRGB")
-        texture.CreateInput("wrapS", kinds.Token).Set("repeat")
-        texture.CreateInput("wrapT", kinds.Token).Set("repeat")
-        texture.CreateInput("st", kinds.Float2).ConnectToSource(reader.ConnectableAPI(), "result")
-        diffuse.ConnectToSource(texture.ConnectableAPI(), "rgb")
+        if len(mesh.uvs):
+            reader = UsdShade.Shader.Define(self.stage, f"{path}/st")
+            reader.CreateIdAttr("UsdPrimvarReader_float2")
+            reader.CreateInput("varname", kinds.String).Set("st")
+        if mesh.texture_srgb.size:
+            texture = self._texture(mesh.texture_srgb, path, "texture", files)
+            texture.CreateInput("sourceColorSpace", kinds.Token).Set("sRGB")
+            diffuse.ConnectToSource(texture.ConnectableAPI(), "rgb")
+        for name, image in mesh.maps.items():
+            texture = self._texture(image, path, name, f"{files}.{name}")
+            texture.CreateInput("sourceColorSpace", kinds.Token).Set("raw")
+            if name == NORMAL_MAP:
+                texture.CreateInput("scale", kinds.Float4).Set(Gf.Vec4f(2, 2, 2, 1))
+                texture.CreateInput("bias", kinds.Float4).Set(Gf.Vec4f(-1, -1, -1, 0))
+                inputs[name] = shader.CreateInput(name, kinds.Normal3f)
+            inputs[name].ConnectToSource(texture.ConnectableAPI(), "rgb" if name == NORMAL_MAP else "r")
         return material
+
+    def _texture(self, image: NDArray[np.uint8], path: str, name: str, file: str) -> Any:
+        """A node that reads an image, which is written beside the stage."""
+        from pxr import Sdf, UsdShade
+
+        kinds = Sdf.ValueTypeNames
+        write_bytes(self.textures / f"{file}.png", encode_png(image))
+        node = UsdShade.Shader.Define(self.stage, f"{path}/{name}")
+        node.CreateIdAttr("UsdUVTexture")
+        node.CreateInput("file", kinds.Asset).Set(Sdf.AssetPath(f"./{self.textures.name}/{file}.png"))
+        node.CreateInput("wrapS", kinds.Token).Set("repeat")
+        node.CreateInput("wrapT", kinds.Token).Set("repeat")
+        reader = UsdShade.Shader(self.stage.GetPrimAtPath(f"{path}/st"))
+        node.CreateInput("st", kinds.Float2).ConnectToSource(reader.ConnectableAPI(), "result")
+        return node
 
     def _collider(self, collider: BoxCollider, link_path: str) -> None:
         from pxr import Gf, UsdGeom, UsdPhysics, UsdShade

@@ -1,13 +1,18 @@
-"""Triangle meshes with an optional texture."""
+"""Triangle meshes with an optional texture and maps of what else a material says."""
 
-from dataclasses import dataclass
-from typing import Annotated
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import Annotated, Final
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from aomgen.core.transforms import apply
 from aomgen.core.values import Array, Vector3, freeze_arrays
+
+# What a map may say instead of the number of that name, and the map that bends normals in the plane of the texture coordinates.
+NUMBERS: Final = ("opacity", "roughness", "metallic")
+NORMAL_MAP: Final = "normal"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -21,7 +26,8 @@ class Mesh:
         uvs: Texture coordinates of the face corners (F, 3, 2), v up; empty (0, 3, 2) without.
         texture_srgb: (H, W, 3) uint8; empty (0, 0, 3) without, then `color_srgb` holds.
         color_srgb: Base color (3,), 0..1.
-        roughness, metallic: UsdPreviewSurface's parameters, 0..1.
+        roughness, metallic, opacity: UsdPreviewSurface's parameters, 0..1; of a map its mean.
+        maps: Images uint8 by name: (H, W) of `NUMBERS`, (H, W, 3) of `NORMAL_MAP`, which holds (normal + 1) / 2.
     """
 
     name: str
@@ -33,20 +39,22 @@ class Mesh:
     roughness: float = 0.6
     metallic: float = 0.0
 
-    __post_init__ = freeze_arrays
+    opacity: float = 1.0
+    maps: Mapping[str, NDArray[np.uint8]] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        freeze_arrays(self)
+        for image in self.maps.values():
+            image.flags.writeable = False
+
+    @property
+    def see_through(self) -> bool:
+        """Whether something behind it shows."""
+        return self.opacity < 1
 
     def transformed(self, S: ArrayLike) -> "Mesh":
         """Moved by a rigid transform or a similarity (4, 4)."""
-        return Mesh(
-            name=self.name,
-            vertices=apply(S, self.vertices),
-            faces=self.faces,
-            uvs=self.uvs,
-            texture_srgb=self.texture_srgb,
-            color_srgb=self.color_srgb,
-            roughness=self.roughness,
-            metallic=self.metallic,
-        )
+        return replace(self, vertices=apply(S, self.vertices))
 
 
 def face_normals_areas(vertices: Array, faces: NDArray[np.int64]) -> tuple[Array, Array]:

@@ -2,6 +2,7 @@
 
 import io
 from pathlib import Path
+from typing import Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +13,9 @@ from aomgen.io.atomic import write_bytes
 
 # Largest image decoded, [px]: above those of usual cameras.
 MAX_PIXELS = 100_000_000
+# Pillow cuts values of 16 bits at 255 instead of scaling them by this.
+SCALE_16_BITS: Final = 257
+Mode = Literal["RGB", "RGBA"]
 
 
 def image_size(path: Path) -> tuple[int, int]:
@@ -25,31 +29,40 @@ def image_size(path: Path) -> tuple[int, int]:
         return (image.height, image.width) if turned else (image.width, image.height)
 
 
-def read_image(path: Path) -> NDArray[np.uint8]:
-    """Image (H, W, 3) uint8 sRGB, EXIF rotation applied.
+def read_image(path: Path, mode: Mode = "RGB") -> NDArray[np.uint8]:
+    """Image (H, W, 3 or 4) uint8 sRGB, EXIF rotation applied.
 
     Raises:
         MissingFileError, MalformedFileError, LimitExceededError: As their names say.
     """
     with open_image(path) as image:
-        return _pixels(image, path)
+        return _pixels(image, path, mode)
 
 
-def decode_image(data: bytes, where: Path) -> NDArray[np.uint8]:
-    """Image (H, W, 3) uint8 sRGB of the bytes of an image file; `where` names the file that holds them.
+def decode_image(data: bytes, where: Path, mode: Mode = "RGB") -> NDArray[np.uint8]:
+    """Image (H, W, 3 or 4) uint8 sRGB of the bytes of an image file; `where` names the file that holds them.
 
     Raises:
         MalformedFileError, LimitExceededError: As their names say.
     """
     with _checked(io.BytesIO(data), where) as image:
-        return _pixels(image, where)
+        return _pixels(image, where, mode)
 
 
-def _pixels(image: Image.Image, where: Path) -> NDArray[np.uint8]:
+def _pixels(image: Image.Image, where: Path, mode: Mode) -> NDArray[np.uint8]:
     try:
-        return np.asarray(ImageOps.exif_transpose(image).convert("RGB"))
+        turned = ImageOps.exif_transpose(image)
+        if turned.mode.startswith("I"):
+            turned = Image.fromarray((np.asarray(turned) // SCALE_16_BITS).clip(0, 255).astype(np.uint8))
+        return np.asarray(turned.convert(mode))
     except (OSError, ValueError) as error:
         raise MalformedFileError(where, f"cannot be decoded ({error})", "export it again") from error
+
+
+def opacity_of(image_rgba: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """Opacity (H, W) that an image (H, W, 4) holds: its alpha, or its brightness where all of that is opaque."""
+    alpha = image_rgba[..., 3]
+    return alpha if alpha.min() < 255 else image_rgba[..., :3].mean(-1).astype(np.uint8)
 
 
 def read_labels(path: Path) -> NDArray[np.uint8]:
@@ -70,7 +83,7 @@ def read_labels(path: Path) -> NDArray[np.uint8]:
 
 
 def encode_png(image: NDArray[np.uint8]) -> bytes:
-    """PNG bytes of an image (H, W, 3) or label image (H, W), uint8."""
+    """PNG bytes of an image (H, W, 3 or 4) or of one channel (H, W), uint8."""
     buffer = io.BytesIO()
     Image.fromarray(image).save(buffer, "PNG")
     return buffer.getvalue()

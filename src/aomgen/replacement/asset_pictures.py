@@ -1,5 +1,6 @@
 """Pictures of an asset's meshes in their own colors, without light: what its Gaussians are fitted to."""
 
+from dataclasses import replace
 from typing import Final
 
 import mujoco
@@ -9,11 +10,14 @@ from numpy.typing import NDArray
 from aomgen.assets.mjcf import VISUAL_GROUP, add_asset
 from aomgen.core.asset import ArticulatedAsset
 from aomgen.core.camera import Camera
+from aomgen.core.mesh import Mesh
 from aomgen.core.values import Array
 from aomgen.robots.model_renderer import ModelRenderer, depth_of
 
 # Cosine between the normals of two corners of a pixel that lie on one face; length of a mean normal of such pixels.
 FLAT: Final = 0.99
+# A white sphere, [m], tells how much shows through; it is drawn only then, as a group of its own.
+BACKDROP_M, BACKDROP_GROUP = 15.0, 4
 
 
 class AssetRenderer(ModelRenderer):
@@ -27,7 +31,18 @@ class AssetRenderer(ModelRenderer):
         """
         spec = mujoco.MjSpec()
         spec.compiler.degree = False
-        add_asset(spec, asset, np.eye(4), damping=0.0, frictionloss=0.0, visual=True)
+        static, moving = (
+            replace(link, meshes=tuple(map(_drawn_twice, link.meshes)))
+            for link in (asset.static, asset.moving)
+        )
+        drawn = replace(asset, static=static, moving=moving)
+        add_asset(spec, drawn, np.eye(4), damping=0.0, frictionloss=0.0, visual=True)
+        self._see_through = any(mesh.see_through for mesh in (*static.meshes, *moving.meshes))
+        if self._see_through:
+            spec.worldbody.add_geom(
+                type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[BACKDROP_M, 0, 0], rgba=[1, 1, 1, 1],
+                group=BACKDROP_GROUP, contype=0, conaffinity=0,
+            )  # fmt: skip
         model = spec.compile()
         light = model.vis.headlight
         light.ambient[:], light.diffuse[:], light.specular[:] = 1.0, 0.0, 0.0
@@ -47,10 +62,29 @@ class AssetRenderer(ModelRenderer):
     def draw_surface(self, camera: Camera, theta: float) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """The same, and unit normals (H, W, 3) towards the camera, asset frame; zero at edges and where nothing is."""
         colors, buffer = self._render(camera, [theta], ids=False)
-        covered = (buffer > 0)[..., None]
-        rgba = np.concatenate([colors * covered / np.float32(255), covered], -1, dtype=np.float32)
+        solid = (buffer > 0)[..., None]
         points = camera.center + camera.directions() * depth_of(buffer)[..., None]
-        return rgba, _normals(points, camera) * covered
+        normals = _normals(points, camera) * solid
+        if not self._see_through:
+            return np.concatenate([colors * solid / np.float32(255), solid], -1, dtype=np.float32), normals
+        self._option.geomgroup[BACKDROP_GROUP] = 1
+        before_white, _ = self._render(camera, [theta], ids=False)
+        self._option.geomgroup[BACKDROP_GROUP] = 0
+        shone = (before_white.astype(np.float32) - colors).mean(-1, keepdims=True) / 255
+        blending = self.model.mat_rgba[self.model.geom_matid, 3] < 1
+        blended = self.draw_values(camera, [theta], blending, nothing=False)[0]
+        rgba = np.concatenate([colors / np.float32(255), np.clip(1 - shone, 0, 1)], -1, dtype=np.float32)
+        return rgba, normals * ~blended[..., None]
+
+
+def _drawn_twice(mesh: Mesh) -> Mesh:
+    """The mesh with such opacity that two layers are as opaque as it: MuJoCo blends what is clear twice."""
+    if not mesh.see_through:
+        return mesh
+    maps = dict(mesh.maps)
+    if "opacity" in maps:
+        maps["opacity"] = np.round(255 * (1 - np.sqrt(1 - maps["opacity"] / 255))).astype(np.uint8)
+    return replace(mesh, opacity=1 - np.sqrt(1 - mesh.opacity), maps=maps)
 
 
 def _normals(points: Array, camera: Camera) -> NDArray[np.float32]:

@@ -17,10 +17,11 @@ from aomgen.conventions import linear_from_srgb
 from aomgen.core.asset import ArticulatedAsset
 from aomgen.core.camera import Camera, look_at
 from aomgen.core.gaussians import SH_C0, concatenate
+from aomgen.core.light import open_transfer
 from aomgen.core.transforms import apply
 from aomgen.core.values import Array
 from aomgen.replacement.asset_pictures import FLAT, AssetRenderer
-from aomgen.replacement.joint_occlusion import dense_points, find_occlusion
+from aomgen.replacement.joint_occlusion import find_occlusion
 from aomgen.splatting.compute import NativeCompute
 from aomgen.splatting.differentiable import CpuRasterizer, GaussianTensors, PartTensors, RasterOptions
 from aomgen.splatting.optimizer import (
@@ -33,10 +34,12 @@ from aomgen.splatting.optimizer import (
     relocate_and_grow,
 )
 from aomgen.splatting.surfaces import outward_normals
-from aomgen.splatting.surfels import Surfels, surfels_of
+from aomgen.splatting.surfels import OPACITY, Surfels, bend_normals, hiding_points, surfels_of
 from aomgen.splatting.training import one_torch_thread
 from aomgen.twin.twin import move_bodies
 
+# Points on each link that are in the way of light.
+POINTS: Final = 100_000
 # Discs before the fit, half on each link, and the most there are after it.
 DISCS, MAX_GAUSSIANS = 30_000, 58_000
 # Fitted to so many pictures of this size, [px], each used at full and at half size in turns.
@@ -73,6 +76,18 @@ class _Picture:
     normals: Tensor
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Surface:
+    """Where Gaussians (N) come from: their links, unit normals, and whether nothing shines through."""
+
+    links: NDArray[np.int64]
+    normals: NDArray[np.float32]
+    opaque: NDArray[np.bool_]
+
+    def select(self, which: NDArray[np.int64]) -> "_Surface":
+        return _Surface(links=self.links[which], normals=self.normals[which], opaque=self.opaque[which])
+
+
 def asset_surfels(asset: ArticulatedAsset, rng: np.random.Generator) -> tuple[Surfels, Surfels]:
     """An asset's static and moving link as Gaussians that look like its meshes from all around.
 
@@ -81,32 +96,36 @@ def asset_surfels(asset: ArticulatedAsset, rng: np.random.Generator) -> tuple[Su
         BackendError: No OpenGL driver works, or the splatting engine is missing.
     """
     meshes = (asset.static.meshes, asset.moving.meshes)
-    surfaces = [dense_points(items, rng) for items in meshes]
+    solids = [hiding_points(items, POINTS, rng) for items in meshes]
     covers = [
-        _turned_outward(surfels_of(items, DISCS // 2, rng), surface)
-        for items, surface in zip(meshes, surfaces, strict=True)
+        _turned_outward(surfels_of(items, DISCS // 2, rng), solid)
+        for items, solid in zip(meshes, solids, strict=True)
     ]
     links = np.repeat([0, 1], [len(cover.gaussians) for cover in covers])
     discs = concatenate([cover.gaussians for cover in covers])
-    discs = replace(discs, opacities=np.full(len(discs), START_OPACITY, np.float32))
+    opaque = discs.opacities >= OPACITY
+    discs = replace(discs, opacities=np.minimum(discs.opacities, START_OPACITY))
     with one_torch_thread():
         normals = np.concatenate([cover.normals for cover in covers])
-        parameters, sources = _fit(asset, parameters_of(discs, 0), links, normals, _pictures(asset, rng), rng)
+        surface = _Surface(links=links, normals=normals, opaque=opaque)
+        parameters, sources = _fit(asset, parameters_of(discs, 0), surface, _pictures(asset, rng), rng)
     gaussians, count = gaussians_of(parameters), len(covers[0].gaussians)
     albedo = linear_from_srgb(np.clip(0.5 + SH_C0 * gaussians.sh[:, 0], 0, 1)).astype(np.float32)
     fitted = []
     for link, (cover, occlusion) in enumerate(
-        zip(covers, find_occlusion(asset, covers, surfaces), strict=True)
+        zip(covers, find_occlusion(asset, covers, solids), strict=True)
     ):
         mine = np.flatnonzero(links[sources] == link)
         of_cover = sources[mine] - count * link
-        normals = cover.normals[of_cover]
+        normals, bends = cover.normals[of_cover], cover.bends[of_cover]
+        transfer = occlusion.at(gaussians.means[mine], normals)
         fitted.append(
             Surfels(
                 gaussians=gaussians.select(mine),
                 normals=normals,
+                bends=bends,
                 albedo_linear=albedo[mine],
-                transfer=occlusion.at(gaussians.means[mine], normals),
+                transfer=_bend_transfer(transfer, normals, bends),
                 roughness=cover.roughness[of_cover],
                 metallic=cover.metallic[of_cover],
             )
@@ -117,6 +136,15 @@ def asset_surfels(asset: ArticulatedAsset, rng: np.random.Generator) -> tuple[Su
 def _turned_outward(cover: Surfels, surface: Array) -> Surfels:
     means, normals = (part.astype(np.float64) for part in (cover.gaussians.means, cover.normals))
     return replace(cover, normals=outward_normals(means, normals, surface).astype(np.float32))
+
+
+def _bend_transfer(
+    transfer: NDArray[np.float32], normals: NDArray[np.float32], bends: NDArray[np.float32]
+) -> NDArray[np.float32]:
+    """Transfer (N, 9) with normals bent: changed as that of an open surface, as far as it is open."""
+    open_ = np.clip(transfer[:, :1] / SH_C0, 0, 1)
+    change = open_transfer(bend_normals(normals, bends)) - open_transfer(normals)
+    return (transfer + open_ * change).astype(np.float32)
 
 
 def _pictures(asset: ArticulatedAsset, rng: np.random.Generator) -> list[_Picture]:
@@ -149,13 +177,12 @@ def _pictures(asset: ArticulatedAsset, rng: np.random.Generator) -> list[_Pictur
 def _fit(
     asset: ArticulatedAsset,
     parameters: Parameters,
-    links: NDArray[np.int64],
-    normals: NDArray[np.float32],
+    surface: _Surface,
     pictures: list[_Picture],
     rng: np.random.Generator,
 ) -> tuple[Parameters, NDArray[np.int64]]:
     """Fitted Gaussians of links 0 and 1 in the asset's frame at joint value 0, and the disc that each comes from."""
-    compute, sources = NativeCompute(), np.arange(len(links))
+    compute, sources = NativeCompute(), np.arange(len(surface.links))
     distance = float(np.median([np.linalg.norm(item.camera.center) for item in pictures]))
     step_m = STEP_PX * distance / (FOCAL * PICTURE_PX)
     steps, added = ROUNDS * len(pictures), MAX_GAUSSIANS - len(parameters)
@@ -163,15 +190,15 @@ def _fit(
         for place, index in enumerate(rng.permutation(len(pictures))):
             step = turn * len(pictures) + place
             picture = pictures[index] if step % 2 else _halved(pictures[index])
-            of_faces = normals[sources] if step % NORMAL_EVERY == 1 else None
-            gradients = _gradients(asset, parameters, links[sources], of_faces, picture)
+            with_normals = step % NORMAL_EVERY == 1
+            gradients = _gradients(asset, parameters, surface.select(sources), picture, with_normals)
             decay = DECAY ** (step / steps)
             parameters.step(gradients, parameter_rates(RATES, step_m * decay, decay, 0), compute)
             parameters.values["sh"].clamp_(-0.5 / SH_C0, 0.5 / SH_C0)
         if turn in GROW_AFTER:
             # What no picture shows has had no gradient.
             unseen = (parameters.squares["sh"].amax((1, 2)) == 0).numpy()
-            shares = _shares(asset, parameters, links[sources], pictures, rng)
+            shares = _shares(asset, parameters, surface.links[sources], pictures, rng)
             count = MAX_GAUSSIANS - added * (GROW_AFTER[-1] - turn) // len(GROW_AFTER)
             parameters, rows = relocate_and_grow(parameters, shares, count, MIN_OPACITY, rng, unseen)
             sources = sources[rows]
@@ -188,24 +215,26 @@ def _halved(picture: _Picture) -> _Picture:
 def _gradients(
     asset: ArticulatedAsset,
     parameters: Parameters,
-    links: NDArray[np.int64],
-    normals: NDArray[np.float32] | None,
+    surface: _Surface,
     picture: _Picture,
+    with_normals: bool,
 ) -> dict[str, Tensor]:
-    """Gradients of the squared error of a picture's colors and cover, and of normals if there are any, by name."""
+    """Gradients of the squared error of a picture's colors and cover, and of normals if asked for, by name."""
     leaves, poses = parameters.leaves(), _link_poses(asset, picture.theta)
     parts = PartTensors(
-        indices=torch.tensor(links, dtype=torch.int32), Ts_world_part=torch.tensor(poses, dtype=torch.float32)
+        indices=torch.tensor(surface.links, dtype=torch.int32),
+        Ts_world_part=torch.tensor(poses, dtype=torch.float32),
     )
     features = None
-    if normals is not None:
+    if with_normals:
         means = leaves["means"].detach().numpy()
-        features = torch.tensor(_to_eye(means, poses[links], normals, picture.camera), dtype=torch.float32)
+        to_eye = _to_eye(means, poses[surface.links], surface.normals, picture.camera)
+        features = torch.tensor(to_eye, dtype=torch.float32)
     drawn = CpuRasterizer()(
         GaussianTensors(**leaves, features=features), picture.camera, RasterOptions(sh_degree=0), parts=parts
     )
     error = (drawn.rgb - picture.rgba[:3]).square().mean() + (drawn.alpha - picture.rgba[3]).square().mean()
-    error = error - OPAQUE * leaves["logit_opacities"].sigmoid().mean()
+    error = error - OPAQUE * (leaves["logit_opacities"].sigmoid() * torch.tensor(surface.opaque)).mean()
     if drawn.features is not None:
         one_face = picture.normals.square().sum(0) > 0
         away = (drawn.features.permute(2, 0, 1) - picture.normals) * one_face

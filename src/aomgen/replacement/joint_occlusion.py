@@ -8,7 +8,6 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from aomgen.core.asset import ArticulatedAsset
-from aomgen.core.mesh import Mesh, face_normals_areas, sample_surface
 from aomgen.core.transforms import apply, invert
 from aomgen.core.values import Array
 from aomgen.splatting.surfaces import estimate_transfer
@@ -16,8 +15,6 @@ from aomgen.splatting.surfels import Surfels
 
 # Joint values, as shares of the range.
 STATES: Final = (0.0, 0.5, 1.0)
-# Points on each link that are in the way of light.
-POINTS: Final = 100_000
 # Occlusion is found at every so many discs, and is a mean over so many of these, among which another direction
 # counts as so much distance, [m].
 THINNED, NEAR, ALIKE_M = 2, 8, 0.2
@@ -45,7 +42,7 @@ class Occlusion(NamedTuple):
 
 
 def find_occlusion(
-    asset: ArticulatedAsset, links: Sequence[Surfels], surfaces: Sequence[Array]
+    asset: ArticulatedAsset, links: Sequence[Surfels], solids: Sequence[Array]
 ) -> list[Occlusion]:
     """Occlusion of the static and the moving link, discs and dense points (M, 3) of each, own frame.
 
@@ -59,18 +56,10 @@ def find_occlusion(
         )
         transfers, shares = [], []
         for motion in motions:
-            other = apply(motion if k == 0 else invert(motion), surfaces[1 - k])
-            transfer, seen = estimate_transfer(points, normals, np.concatenate([surfaces[k], other]))
+            other = apply(motion if k == 0 else invert(motion), solids[1 - k])
+            transfer, seen = estimate_transfer(points, normals, np.concatenate([solids[k], other]))
             transfers.append(transfer)
             shares.append(seen + CLOSED)
         weights = np.array(shares) / np.sum(shares, 0)
         found.append(Occlusion(points, normals, np.einsum("sn,snk->nk", weights, np.array(transfers))))
     return found
-
-
-def dense_points(meshes: Sequence[Mesh], rng: np.random.Generator) -> Array:
-    """Points (M, 3) spread evenly over the meshes of a link."""
-    areas = np.array([face_normals_areas(mesh.vertices, mesh.faces)[1].sum() for mesh in meshes])
-    counts = np.ceil(POINTS * areas / areas.sum()).astype(int)
-    chosen = [(mesh, count) for mesh, count in zip(meshes, counts, strict=True) if count]
-    return np.concatenate([sample_surface(mesh.vertices, mesh.faces, n, rng)[0] for mesh, n in chosen])

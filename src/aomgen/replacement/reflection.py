@@ -37,7 +37,7 @@ def show_in_light(surfels: Surfels, light: SceneLight, R_world_asset: Array) -> 
     share = REFLECTED * (1 - metallic) + metallic * colors
     # The constant part of an open surface's transfer is the constant harmonic.
     open_ = np.clip(surfels.transfer[:, :1] / SH_C0, 0, 1)
-    mirrored = _mirror(radiance, surfels.normals.astype(np.float64))
+    mirrored = _mirror(radiance, surfels.shading_normals.astype(np.float64))
     # Lobes of microfacets: a GGX width of the square of the roughness.
     blur = np.exp(-((BANDS * surfels.roughness[:, None].astype(np.float64) ** 2) ** 2))
     reflection = (share * open_)[:, None] * blur[..., None] * mirrored

@@ -9,14 +9,14 @@ from dataclasses import dataclass
 from typing import Annotated, Final
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from scipy.ndimage import map_coordinates
 from scipy.spatial import cKDTree
 
 from aomgen.conventions import linear_from_srgb
 from aomgen.core.gaussians import SH_C0, Gaussians, gaussians_of
 from aomgen.core.light import open_transfer
-from aomgen.core.mesh import Mesh, face_normals_areas, sample_surface
+from aomgen.core.mesh import NORMAL_MAP, NUMBERS, Mesh, face_normals_areas, sample_surface
 from aomgen.core.transforms import quat_from_matrix
 from aomgen.core.values import Array, freeze_arrays
 from aomgen.errors import AssetError
@@ -32,6 +32,8 @@ SPREAD: Final = 0.8
 THICKNESS: Final = 0.05
 # The most that the engine blends for one Gaussian: a surface hides what is behind it.
 OPACITY: Final = 0.99
+# A surface this opaque keeps light from what is behind it; one less opaque than the second is not there.
+HIDES, UNSEEN = 0.5, 0.02
 # Discs are this much finer where the texture changes or an edge is near.
 FINER: Final = 0.5
 # Difference of sRGB between a fine and a coarse look at the texture that counts as detail.
@@ -47,8 +49,9 @@ class Surfels:
     """Discs of one link.
 
     Attributes:
-        gaussians: N discs colored with their albedo, in the frame of the meshes.
+        gaussians: N discs colored with their albedo, as opaque as the meshes, in the frame of the meshes.
         normals: Unit, outward.
+        bends: What normal maps add to the normals, in the surface.
         albedo_linear: 0..1.
         transfer: See `core.light`.
         roughness, metallic: Of the meshes, 0..1.
@@ -56,12 +59,18 @@ class Surfels:
 
     gaussians: Annotated[Gaussians, "N"]
     normals: Annotated[NDArray[np.float32], "N 3"]
+    bends: Annotated[NDArray[np.float32], "N 3"]
     albedo_linear: Annotated[NDArray[np.float32], "N 3"]
     transfer: Annotated[NDArray[np.float32], "N 9"]
     roughness: Annotated[NDArray[np.float32], "N"]
     metallic: Annotated[NDArray[np.float32], "N"]
 
     __post_init__ = freeze_arrays
+
+    @property
+    def shading_normals(self) -> NDArray[np.float32]:
+        """Unit normals (N, 3) that light falls on."""
+        return bend_normals(self.normals, self.bends)
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,9 +79,11 @@ class _Candidates:
 
     points: Array
     normals: Array
+    bends: Array
     crease_distances: Array
     crease_directions: Array
     colors_srgb: Array
+    opacity: Array
     roughness: Array
     metallic: Array
     fine: NDArray[np.bool_]
@@ -93,6 +104,20 @@ def surfels_of(meshes: Sequence[Mesh], count: int, rng: np.random.Generator) -> 
     return _discs(kept, radii)
 
 
+def hiding_points(meshes: Sequence[Mesh], count: int, rng: np.random.Generator) -> Array:
+    """Some `count` points (M, 3) spread evenly over what light does not pass; over all of it where it passes everything."""
+    areas = np.array([face_normals_areas(mesh.vertices, mesh.faces)[1].sum() for mesh in meshes])
+    hiding, passing = [], []
+    for mesh, share in zip(meshes, areas / areas.sum(), strict=True):
+        if share > 0:
+            points, *places = sample_surface(mesh.vertices, mesh.faces, int(np.ceil(count * share)), rng)
+            opacity = _sampled(mesh, *places, 0.0, mesh.maps.get("opacity"), [mesh.opacity])[:, 0]
+            hiding.append(points[opacity > HIDES])
+            passing.append(points)
+    found = np.concatenate(hiding)
+    return found if len(found) else np.concatenate(passing)
+
+
 def _covered(meshes: Sequence[Mesh], count: int, rng: np.random.Generator) -> tuple[_Candidates, Array]:
     """Places of discs and their radii."""
     areas = np.array([face_normals_areas(mesh.vertices, mesh.faces)[1].sum() for mesh in meshes])
@@ -105,7 +130,10 @@ def _covered(meshes: Sequence[Mesh], count: int, rng: np.random.Generator) -> tu
         for mesh, area in zip(meshes, areas, strict=True)
         if area > 0
     ]
-    fine_area = sum(part.fine.mean() * area for part, area in zip(parts, areas[areas > 0], strict=True))
+    if not any(len(part.points) for part in parts):
+        raise AssetError("mesh", "is wholly transparent", "check the opacity of its materials")
+    fine_shares = [part.fine.mean() if len(part.fine) else 0.0 for part in parts]
+    fine_area = float(np.dot(fine_shares, areas[areas > 0]))
     radius = guess * float(np.sqrt(1 + (FINER**-2 - 1) * fine_area / total))
     parts = _uncovered(parts, radius)
     # A mesh is thinned alone: a sticker must not lose its discs to the wall it lies on.
@@ -117,42 +145,84 @@ def _candidates(mesh: Mesh, count: int, radius: float, rng: np.random.Generator)
     # Twice as many where every second one may fall into a finer class.
     points, face_ids, weights = sample_surface(mesh.vertices, mesh.faces, 2 * count, rng)
     distances, directions = crease_distances(mesh.vertices, mesh.faces, face_ids, points)
-    colors = _colors(mesh, face_ids, weights, radius * FINER)
-    coarse = _colors(mesh, face_ids, weights, radius * 3)
+    places = mesh, face_ids, weights
+    color = {"image": mesh.texture_srgb, "else_value": mesh.color_srgb}
+    colors = _sampled(*places, radius * FINER, **color)
+    opacity, roughness, metallic = (
+        _sampled(*places, radius * FINER, mesh.maps.get(name), [getattr(mesh, name)])[:, 0]
+        for name in NUMBERS
+    )
     normals, _ = face_normals_areas(mesh.vertices, mesh.faces)
-    return _Candidates(
+    detailed = np.abs(colors - _sampled(*places, radius * 3, **color)).max(1) > DETAIL
+    if "opacity" in mesh.maps:
+        coarse = _sampled(*places, radius * 3, mesh.maps["opacity"], [1.0])[:, 0]
+        detailed |= np.abs(opacity - coarse) > DETAIL
+    found = _Candidates(
         points=points,
         normals=normals[face_ids],
+        bends=_bends(mesh, face_ids, weights, radius * FINER),
         crease_distances=distances,
         crease_directions=directions,
         colors_srgb=colors,
-        roughness=np.full(len(points), mesh.roughness),
-        metallic=np.full(len(points), mesh.metallic),
-        fine=(np.abs(colors - coarse).max(1) > DETAIL) | (distances < radius * FINER),
+        opacity=opacity,
+        roughness=roughness,
+        metallic=metallic,
+        fine=detailed | (distances < radius * FINER),
     )
+    return found.select(opacity > UNSEEN) if mesh.see_through else found
 
 
-def _colors(mesh: Mesh, face_ids: NDArray[np.int64], weights: Array, footprint: float) -> Array:
-    """Base color (N, 3), sRGB 0..1, averaged over about `footprint` [m]."""
-    if not mesh.texture_srgb.size or not len(mesh.uvs):
-        return np.broadcast_to(mesh.color_srgb, (len(face_ids), 3))
-    height, width = mesh.texture_srgb.shape[:2]
+def _bends(mesh: Mesh, face_ids: NDArray[np.int64], weights: Array, footprint: float) -> Array:
+    """What a normal map adds to normals (N, 3), in the plane of the face; shorter than 1."""
+    if NORMAL_MAP not in mesh.maps:
+        return np.zeros((len(face_ids), 3))
+    local = 2 * _sampled(mesh, face_ids, weights, footprint, mesh.maps[NORMAL_MAP], [0.5, 0.5, 1.0]) - 1
+    local /= np.maximum(np.linalg.norm(local, axis=1, keepdims=True), 1e-6)
+    edges = np.diff(mesh.vertices[mesh.faces[face_ids]], axis=1)
+    steps = np.diff(mesh.uvs[face_ids], axis=1)
+    # Columns are the directions in space of the texture's u and v.
+    along = np.einsum("nkd,nkc->ndc", edges, np.linalg.pinv(steps).transpose(0, 2, 1))
+    along /= np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-12)
+    return np.einsum("ndc,nc->nd", along, local[:, :2])
+
+
+def bend_normals(normals: NDArray[np.floating], bends: NDArray[np.floating]) -> NDArray[np.floating]:
+    """Unit normals (N, 3) with what a normal map adds to them."""
+    bent = normals * np.sqrt(1 - np.minimum((bends**2).sum(-1, keepdims=True), 1)) + bends
+    return bent / np.linalg.norm(bent, axis=-1, keepdims=True)
+
+
+def _sampled(
+    mesh: Mesh,
+    face_ids: NDArray[np.int64],
+    weights: Array,
+    footprint: float,
+    image: NDArray[np.uint8] | None,
+    else_value: ArrayLike,
+) -> Array:
+    """Values (N, C), 0..1, of an image at points on faces, averaged over about `footprint` [m]; else one value."""
+    value = np.asarray(else_value)
+    if image is None or not image.size or not len(mesh.uvs):
+        return np.broadcast_to(value, (len(face_ids), len(value)))
+    height, width = image.shape[:2]
     a, b, c = (mesh.uvs[:, k] * (width, height) for k in range(3))
     (ux, uy), (vx, vy) = (b - a).T, (c - a).T
     texels = 0.5 * np.abs(ux * vy - uy * vx).sum()
     area = face_normals_areas(mesh.vertices, mesh.faces)[1].sum()
     shrink = max(footprint * np.sqrt(max(texels, 1e-9) / area), 1.0)
-    small = resize(mesh.texture_srgb, max(round(width / shrink), 1), max(round(height / shrink), 1))
+    small = resize(image, max(round(width / shrink), 1), max(round(height / shrink), 1))
     uv = np.einsum("nk,nkd->nd", weights, mesh.uvs[face_ids])
-    return _bilinear(small / 255.0, uv)
+    return _bilinear(small.reshape(*small.shape[:2], -1) / 255.0, uv)
 
 
 def _bilinear(texture: Array, uv: Array) -> Array:
-    """Texture values (N, 3) at uv (N, 2), v up; it repeats outside 0..1."""
+    """Texture values (N, C) at uv (N, 2), v up; it repeats outside 0..1."""
     height, width = texture.shape[:2]
     inside = np.where((uv < 0) | (uv > 1), uv - np.floor(uv), uv)
     places = np.stack([(1 - inside[:, 1]) * height - 0.5, inside[:, 0] * width - 0.5])
-    channels = [map_coordinates(texture[..., k], places, order=1, mode="nearest") for k in range(3)]
+    channels = [
+        map_coordinates(texture[..., k], places, order=1, mode="nearest") for k in range(texture.shape[2])
+    ]
     return np.stack(channels, 1)
 
 
@@ -169,6 +239,7 @@ def _uncovered(parts: list[_Candidates], radius: float) -> list[_Candidates]:
     height = np.einsum("nkd,nd->nk", joined.points[near] - joined.points[:, None], joined.normals)
     parallel = np.abs(np.einsum("nkd,nd->nk", joined.normals[near], joined.normals)) > PARALLEL
     covers = np.isfinite(distances) & (owners[near] != owners[:, None]) & parallel & (height > radius * 1e-3)
+    covers &= joined.opacity[near] > HIDES
     covered = covers.any(1)
     kept = [part.select(~covered[owners == i]) for i, part in enumerate(parts)]
     return [part for part in kept if len(part.points)]
@@ -223,12 +294,13 @@ def _discs(kept: _Candidates, radii: Array) -> Surfels:
         means=kept.points,
         quats=quat_from_matrix(R),
         scales=scales,
-        opacities=np.full(len(radii), OPACITY),
+        opacities=np.minimum(kept.opacity, OPACITY),
         sh=((kept.colors_srgb - 0.5) / SH_C0)[:, None],
     )
     return Surfels(
         gaussians=gaussians,
         normals=kept.normals.astype(np.float32),
+        bends=kept.bends.astype(np.float32),
         albedo_linear=linear_from_srgb(kept.colors_srgb).astype(np.float32),
         transfer=open_transfer(kept.normals),
         roughness=kept.roughness.astype(np.float32),

@@ -133,6 +133,23 @@ def test_an_obj_comes_closed_upright_in_metres_with_texture_and_credit(obj: Path
     assert read_usd(tmp_path / "made" / "chest.usda").credit == "A. Maker, CC0"
 
 
+def test_an_obj_keeps_opacity_as_a_number_or_a_texture(obj: Path) -> None:
+    library = obj.parent / "chest.mtl"
+    library.write_text("newmtl plain\nTr 0.75\n\nnewmtl wood\nmap_Kd wood.png\n\tmap_d -clamp on cut.png\n")
+    Image.new("LA", (8, 8), (255, 102)).save(obj.parent / "cut.png")
+    asset = import_model(obj)
+    lid = next(mesh for mesh in asset.moving.meshes if mesh.name.startswith("lid_top"))
+    assert asset.static.meshes[0].opacity == pytest.approx(0.25)
+    assert (lid.maps["opacity"].max(), lid.opacity) == (102, pytest.approx(0.4))
+    library.write_text("newmtl plain\nd glass\n")
+    with pytest.raises(MalformedFileError, match=r"d glass.*from 0 to 1"):
+        import_model(obj)
+    (obj.parent / "cut.png").unlink()
+    library.write_text("newmtl wood\nmap_d cut.png\n")
+    with pytest.raises(MissingFileError, match=r"cut\.png"):
+        import_model(obj)
+
+
 def test_an_mjcf_with_two_joints_opens_the_named_one(tmp_path: Path) -> None:
     file = written(tmp_path / "cupboard.xml", MJCF)
     with pytest.raises(AssetError, match=r"2 revolute or prismatic joints.*hinge, slide"):
@@ -150,8 +167,9 @@ def test_an_mjcf_with_two_joints_opens_the_named_one(tmp_path: Path) -> None:
 
 
 def test_a_urdf_keeps_colors_and_masses(tmp_path: Path) -> None:
-    asset = import_model(written(tmp_path / "chest.urdf", URDF))
+    asset = import_model(written(tmp_path / "chest.urdf", URDF.replace("0.1 0.1 1", "0.1 0.1 0.4")))
     np.testing.assert_allclose(asset.static.meshes[0].color_srgb, [0.8, 0.1, 0.1], atol=1e-6)
+    assert asset.static.meshes[0].opacity == pytest.approx(0.4)
     assert (asset.static.mass, asset.moving.mass) == (pytest.approx(3), pytest.approx(1))
     assert check_asset(asset) == []
     larger = import_model(tmp_path / "chest.urdf", scale=2.0, category="drawer")

@@ -1,5 +1,7 @@
 """Assets as Gaussians look like their meshes."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.spatial import cKDTree
@@ -9,6 +11,7 @@ from aomgen.core.asset import ArticulatedAsset
 from aomgen.core.camera import Camera, look_at
 from aomgen.core.gaussians import Gaussians, concatenate
 from aomgen.core.mesh import sample_surface
+from aomgen.core.transforms import apply
 from aomgen.replacement import asset_surfels as module
 from aomgen.replacement.asset_pictures import AssetRenderer
 from aomgen.replacement.asset_surfels import asset_surfels
@@ -26,13 +29,17 @@ def asset() -> ArticulatedAsset:
 
 @pytest.fixture(scope="module")
 def fitted(asset: ArticulatedAsset) -> tuple[Surfels, Surfels]:
+    return small_fit(asset)
+
+
+def small_fit(asset: ArticulatedAsset, pictures: int = 24, size: int = SIZE) -> tuple[Surfels, Surfels]:
     """A small one, as far as small pictures tell."""
     with pytest.MonkeyPatch.context() as patch:
         for name, value in {
             "DISCS": 8000,
             "MAX_GAUSSIANS": 12000,
-            "PICTURES": 24,
-            "PICTURE_PX": SIZE,
+            "PICTURES": pictures,
+            "PICTURE_PX": size,
         }.items():
             patch.setattr(module, name, value)
         return asset_surfels(asset, np.random.default_rng(0))
@@ -79,6 +86,28 @@ def test_gaussians_stay_on_the_link_that_they_belong_to(
         assert np.quantile(distances, 0.99) < 0.02
         assert np.allclose(np.linalg.norm(surfels.normals, axis=1), 1, atol=1e-4)
     assert len(fitted[0].gaussians) + len(fitted[1].gaussians) <= 12_000
+
+
+def test_what_lies_behind_a_window_shows_through(asset: ArticulatedAsset) -> None:
+    """The door's panes, one behind the other, each let 60 % through: 36 % of a white background."""
+    meshes = tuple(replace(m, opacity=0.4) if "window" in m.name else m for m in asset.moving.meshes)
+    clear = replace(asset, moving=replace(asset.moving, meshes=meshes))
+    theta, middle = 1.5, np.mean([m.vertices.mean(0) for m in meshes if "window" in m.name], 0)
+    middle = apply(asset.joint.motion(theta), middle)
+    # Along the front, past the body.
+    eye = middle + [0.9 * np.sign(middle[0]), 0.0, 0.0]
+    camera = replace(view(0.0), T_world_cam=look_at(eye, middle))
+    with AssetRenderer(clear, SIZE) as renderer:
+        truth = renderer.draw(camera, theta)
+    block = slice(SIZE // 2 - 4, SIZE // 2 + 4)
+    np.testing.assert_allclose(truth[block, block, 3], 0.64, atol=0.02)
+    static, moving = small_fit(clear, 40, 2 * SIZE)
+    posed = concatenate([static.gaussians, moving.gaussians.transformed(asset.joint.motion(theta))])
+    drawn = render(posed, camera)
+    np.testing.assert_allclose(drawn.alpha[block, block].mean(), 0.64, atol=0.1)
+    np.testing.assert_allclose(
+        drawn.rgb[block, block].mean((0, 1)), truth[block, block, :3].mean((0, 1)), atol=0.03
+    )
 
 
 def test_what_is_lit_is_what_was_fitted(fitted: tuple[Surfels, Surfels]) -> None:

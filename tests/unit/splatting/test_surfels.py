@@ -1,10 +1,12 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from aomgen.core.camera import Camera, look_at
 from aomgen.core.light import Light, hemisphere_light, open_transfer, shaded_srgb
 from aomgen.core.mesh import Mesh
-from aomgen.core.transforms import matrix_from_rotvec
+from aomgen.core.transforms import matrix_from_rotvec, transform
 from aomgen.errors import AssetError
 from aomgen.splatting.rasterizer import render
 from aomgen.splatting.surfaces import estimate_transfer, outward_normals
@@ -72,6 +74,41 @@ def test_a_sticker_hides_the_wall_right_behind_it():
     surfels = surfels_of([plate(), sticker], 4000, np.random.default_rng(0))
     drawn = render(surfels.gaussians, camera_above())
     np.testing.assert_allclose(drawn.rgb[55:65, 55:65] / drawn.alpha[55:65, 55:65, None], 1.0, atol=0.05)
+
+
+def test_a_map_of_opacity_cuts_holes_and_a_window_hides_nothing():
+    texture = np.full((64, 64, 3), 255, np.uint8)
+    opacity = np.full((64, 64), 255, np.uint8)
+    opacity[16:48, 16:48] = 0
+    cut = replace(plate(texture=texture), maps={"opacity": opacity}, opacity=0.75)
+    middle = np.abs(surfels_of([cut], 4000, np.random.default_rng(0)).gaussians.means[:, :2]).max(1)
+    assert middle.min() > 0.09
+    window = replace(plate(0.1, z=0.0005), opacity=0.3)
+    surfels = surfels_of([plate(), window], 4000, np.random.default_rng(0)).gaussians
+    inside = np.abs(surfels.means[:, :2]).max(1) < 0.04
+    assert set(np.round(surfels.opacities[inside], 2).tolist()) == {np.float32(0.3), np.float32(0.99)}
+    with pytest.raises(AssetError, match="transparent"):
+        surfels_of([replace(plate(), opacity=0.0)], 100, np.random.default_rng(0))
+
+
+def test_maps_of_roughness_and_normals_hold_where_they_lie():
+    """Normals lean by 37 degrees towards the texture's u on the left, and towards its v on the right."""
+    left = np.arange(64) < 32
+    normal = np.where(left[None, :, None], [0.6, 0, 0.8], [0, 0.6, 0.8]) * np.ones((64, 1, 1))
+    maps = {
+        "roughness": np.tile(np.where(left, 51, 204).astype(np.uint8), (64, 1)),
+        "normal": np.round((normal + 1) / 2 * 255).astype(np.uint8),
+    }
+    mesh = replace(plate(texture=np.full((64, 64, 3), 99, np.uint8)), maps=maps)
+    R = matrix_from_rotvec([0.3, -0.5, 0.9])
+    surfels = surfels_of([mesh.transformed(transform(R, np.zeros(3)))], 3000, np.random.default_rng(0))
+    x = (surfels.gaussians.means @ R)[:, 0]
+    # Either side of a lone sheet may be the outer one.
+    outward = np.sign(surfels.normals @ R[:, 2])[:, None]
+    for side, value, lean in ((x < -0.02, 0.2, [0.6, 0, 0.8]), (x > 0.02, 0.8, [0, 0.6, 0.8])):
+        np.testing.assert_allclose(surfels.roughness[side], value, atol=0.01)
+        want = np.array(lean) * np.where([1, 1, 0], 1, outward[side])
+        np.testing.assert_allclose(surfels.shading_normals[side] @ R, want, atol=0.02)
 
 
 def test_only_borders_and_sharp_edges_are_creases():

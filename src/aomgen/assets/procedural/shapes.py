@@ -1,6 +1,6 @@
 """Boxes, rods, discs and printed panels with texture coordinates, from which makers build links."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import product
 
@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from aomgen.core.asset import BoxCollider
-from aomgen.core.mesh import Mesh
+from aomgen.core.mesh import NUMBERS, Mesh
 from aomgen.core.transforms import transform
 from aomgen.core.values import Array
 
@@ -27,7 +27,8 @@ class Material:
         texture_srgb: (H, W, 3) uint8; empty where `color_srgb` holds.
         color_srgb: (3,), 0..1.
         tile_m: Length of the texture's edge on planar-mapped parts, [m].
-        roughness, metallic: UsdPreviewSurface's parameters.
+        roughness, metallic, opacity: UsdPreviewSurface's parameters.
+        maps: Images that hold instead, see `Mesh`.
     """
 
     texture_srgb: NDArray[np.uint8] = field(default_factory=lambda: NO_TEXTURE)
@@ -35,6 +36,26 @@ class Material:
     tile_m: float = 0.6
     roughness: float = 0.6
     metallic: float = 0.0
+    opacity: float = 1.0
+    maps: Mapping[str, NDArray[np.uint8]] = field(default_factory=dict)
+
+    def mesh(self, name: str, vertices: Array, faces: NDArray[np.int64], uvs: Array) -> Mesh:
+        """Triangles that it covers; without texture coordinates (F, 3, 2) images become their means."""
+        texture, textured = self.texture_srgb, len(uvs) > 0
+        numbers = {
+            key: float(self.maps[key].mean() / 255) if key in self.maps else getattr(self, key)
+            for key in NUMBERS
+        }
+        return Mesh(
+            name=name,
+            vertices=vertices,
+            faces=faces,
+            uvs=uvs if texture.size or self.maps else np.zeros((0, 3, 2)),
+            texture_srgb=texture if textured else NO_TEXTURE,
+            color_srgb=np.asarray(texture.mean((0, 1)) / 255 if texture.size else self.color_srgb),
+            maps=self.maps if textured else {},
+            **numbers,
+        )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -167,14 +188,4 @@ def _quads_mesh(name: str, corners: Array, uvs: Array, surface: Material) -> Mes
 
 def _triangles_mesh(name: str, triangles: Array, uvs: Array, surface: Material) -> Mesh:
     vertices, inverse = np.unique(np.round(triangles.reshape(-1, 3), 9), axis=0, return_inverse=True)
-    textured = surface.texture_srgb.size > 0
-    return Mesh(
-        name=name,
-        vertices=vertices,
-        faces=inverse.reshape(-1, 3),
-        uvs=uvs if textured else np.zeros((0, 3, 2)),
-        texture_srgb=surface.texture_srgb,
-        color_srgb=np.asarray(surface.texture_srgb.mean((0, 1)) / 255 if textured else surface.color_srgb),
-        roughness=surface.roughness,
-        metallic=surface.metallic,
-    )
+    return surface.mesh(name, vertices, inverse.reshape(-1, 3), uvs)
