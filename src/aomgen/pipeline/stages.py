@@ -139,7 +139,7 @@ STAGES: tuple[Stage, ...] = (
         title="removing the object, fitting assets",
         needs=("capture", "assets", "structure", "alignment", "motion", "twin"),
         settings=("assets", "adapt", "seed", "image_size"),
-        version=13,
+        version=14,
         weight=11,
         function=_lazily("replacement.stage"),
     ),

@@ -5,19 +5,23 @@ from typing import Any
 
 import pytest
 
-from aomgen.assets.choice import make_asset
 from aomgen.errors import EstimationError
-from aomgen.replacement.correspondence import recorded_contact
 from aomgen.replacement.stage import fit_assets
-from recordings import recording
+from recordings import gripped_recording
 
 
 def fits(*specs: str) -> Any:
     """What comes of a project's assets when a microwave was recorded."""
-    demo, recorded = recording(make_asset("microwave", 1))
+    demo, recorded = gripped_recording("microwave")
     project = SimpleNamespace(assets=specs, adapt="object")
-    results: Any = SimpleNamespace(project=project, demonstration=demo, params=lambda stage, default: default)
-    return fit_assets(results, recorded_contact(demo, recorded, "opening"))
+    results: Any = SimpleNamespace(
+        project=project,
+        demonstration=demo,
+        motion=SimpleNamespace(direction="opening"),
+        recorded=SimpleNamespace(category="microwave"),
+        params=lambda stage, default: default,
+    )
+    return fit_assets(results, recorded)
 
 
 def test_an_asset_that_moves_otherwise_is_left_out_with_its_reason() -> None:
@@ -33,3 +37,8 @@ def test_a_project_of_which_no_asset_fits_is_refused() -> None:
 
 def test_a_project_without_assets_has_none() -> None:
     assert fits() == ([], {})
+
+
+def test_the_recorded_object_itself_stands_beside_other_assets() -> None:
+    fitted, _ = fits("original", "microwave:2")
+    assert [item.asset.name for item in fitted] == ["original", "microwave-2"]
