@@ -17,7 +17,6 @@ from aomgen.conventions import MOVING, STATIC
 from aomgen.core.asset import ArticulatedAsset, AssetLink
 from aomgen.core.boxes import QUANTILES
 from aomgen.core.demonstration import Demonstration, RecordedObject
-from aomgen.core.gaussians import concatenate
 from aomgen.core.joint import LIMIT_SHARE
 from aomgen.core.plan import FittedAsset
 from aomgen.core.transforms import apply, invert, transform
@@ -28,6 +27,8 @@ from aomgen.twin.twin import OBJECT, PART, Twin
 
 # A door or flap is taken to be this thick: through its window the scan shows what is behind it, [m].
 DOOR_M: Final = 0.03
+# Gaussians so far behind it are no part of it, [m].
+BEHIND_M: Final = 0.01
 # A handle is looked for so far around the held point across its bar, and so far along it, [m].
 AROUND_M, ALONG_M = 0.03, 0.15
 # It ends this far before the face that it stands on, [m].
@@ -39,6 +40,8 @@ LEAST_POINTS: Final = 30
 GAP_M: Final = 0.002
 # The joint ends a little beyond what the recording shows, as a share of it: farther nothing is known.
 BEYOND: Final = 1.001
+# Name of the collider of the moving part without its handle.
+PANEL: Final = "panel"
 
 
 def fit_original(
@@ -101,7 +104,7 @@ def _as_boxes(
             name=ORIGINAL,
             category=category,
             static=_link("body", around),
-            moving=_link("part", {"panel": panel, "handle_bar": handle}),
+            moving=_link("part", {PANEL: panel, "handle_bar": handle}),
             joint=joint,
             handle_point=handle.mean(0),
             handle_axis=np.eye(3)[bar],
@@ -110,14 +113,21 @@ def _as_boxes(
 
 
 def original_twin(background: Twin, recorded: Twin, fitted: FittedAsset) -> Twin:
-    """The cleared scene with the recorded Gaussians of the object as an asset's, in the colors of the scan."""
+    """The cleared scene with the recorded Gaussians of the object as an asset's, in the colors of the scan.
+
+    What was seen through a door's window stays with the body.
+    """
     T_asset_object = invert(fitted.T_world_asset) @ recorded.T_world_object
-    parts = [recorded.gaussians.select(recorded.labels == label) for label in (STATIC, MOVING)]
-    counts = [len(part) for part in parts]
+    which = np.isin(recorded.labels, (STATIC, MOVING))
+    own = recorded.gaussians.select(which).transformed(T_asset_object)
+    moving = recorded.labels[which] == MOVING
+    if fitted.asset.joint.type == "revolute":
+        panel = next(box for box in fitted.asset.moving.colliders if box.name == PANEL)
+        moving &= own.means[:, 1] < panel.corners[:, 1].max() + BEHIND_M
     return background.extended(
-        concatenate(parts).transformed(T_asset_object),
-        np.repeat([background.body(OBJECT), background.body(PART)], counts),
-        np.repeat([STATIC, MOVING], counts),
+        own,
+        np.where(moving, background.body(PART), background.body(OBJECT)).astype(np.int32),
+        np.where(moving, MOVING, STATIC).astype(np.uint8),
         joint=fitted.asset.joint,
         T_world_object=fitted.T_world_asset,
         scan_state=replace(background.scan_state, theta=0.0, T_world_object=fitted.T_world_asset),

@@ -7,11 +7,13 @@ import pytest
 
 from aomgen.assets.asset_check import check_asset
 from aomgen.assets.choice import make_asset, open_assets
+from aomgen.conventions import MOVING, STATIC
 from aomgen.core.plan import FittedAsset
 from aomgen.core.transforms import apply, matrix_from_rotvec, similarity, transform
 from aomgen.errors import AssetError, EstimationError
 from aomgen.replacement.correspondence import recorded_contact
-from aomgen.replacement.original import fit_original
+from aomgen.replacement.original import fit_original, original_twin
+from aomgen.twin.twin import posed
 from backwards import closing_of, scanned_open
 from recordings import PLACE, SCALE, YAW, gripped_recording
 
@@ -54,3 +56,17 @@ def test_an_object_that_was_scanned_open_is_refused() -> None:
 def test_the_recorded_object_is_named_once() -> None:
     with pytest.raises(AssetError, match="original"):
         open_assets(["original", "original"])
+
+
+def test_its_gaussians_stand_where_they_were_scanned_and_move_with_it(toy_scene) -> None:
+    recorded, found = toy_scene.twin, original("microwave")
+    background = recorded.select(~np.isin(recorded.labels, (STATIC, MOVING)))
+    twin = original_twin(background, recorded, found)
+    own, scanned = (np.isin(t.labels, (STATIC, MOVING)) for t in (twin, recorded))
+    before = posed(recorded, toy_scene.robot, recorded.scan_state).select(scanned)
+    again = posed(twin, toy_scene.robot, twin.scan_state).select(own)
+    np.testing.assert_allclose(again.means, before.means, atol=1e-5)
+    shift = transform(matrix_from_rotvec(np.array([0.0, 0.0, 0.4])), np.array([0.1, 0.0, 0.0]))
+    state = replace(twin.scan_state, T_world_object=shift @ twin.T_world_object)
+    moved = posed(twin, toy_scene.robot, state).select(own)
+    np.testing.assert_allclose(moved.means, apply(shift, before.means), atol=1e-5)
