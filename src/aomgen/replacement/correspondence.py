@@ -32,7 +32,7 @@ MIN_LEVEL: Final = 0.5
 MAX_FRONT_CORRECTION_RAD: Final = np.deg2rad(25.0)
 # Kept free at both ends of a handle's bar, so that the pads stay off its posts, [m].
 BAR_MARGIN_M: Final = 0.03
-# Fingers hold by no more than the length of their pads, and across nothing thicker than this, [m].
+# Fingers hold by no more than the length of their pads, [m].
 PAD_LENGTH_M: Final = 0.02
 # Colliders nearer to each other than this are one handle, [m].
 TOUCH_M: Final = 0.002
@@ -258,14 +258,17 @@ def _handle_spans(asset: ArticulatedAsset) -> tuple[Array, Array]:
     """
     moving = asset.moving.colliders
     named = [box for box in moving if box.name.startswith("handle")]
-    boxes = sorted(named or moving, key=lambda box: float(np.linalg.norm(_middle(box) - asset.handle_point)))
+    boxes = sorted(named or moving, key=lambda box: _distance(box, asset.handle_point))
     boxes = boxes if named else boxes[:1]
     heights = np.array([(box.corners - asset.handle_point) @ asset.handle_axis for box in boxes])
-    return np.array([_middle(box) for box in boxes]), np.stack([heights.min(1), heights.max(1)], 1)
+    middles = np.array([box.T_asset_box[:3, 3] for box in boxes])
+    return middles, np.stack([heights.min(1), heights.max(1)], 1)
 
 
-def _middle(box: BoxCollider) -> Array:
-    return np.asarray(box.T_asset_box[:3, 3], np.float64)
+def _distance(box: BoxCollider, point: Array) -> float:
+    """Distance of a point (3,) to a box, 0 inside, [m]."""
+    local = np.abs(box.T_asset_box[:3, :3].T @ (point - box.T_asset_box[:3, 3]))
+    return float(np.linalg.norm(np.maximum(local - box.half_extents, 0.0)))
 
 
 def mirror_asset(asset: ArticulatedAsset) -> ArticulatedAsset:

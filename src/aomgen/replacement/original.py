@@ -33,8 +33,9 @@ BEHIND_M: Final = 0.01
 AROUND_M, ALONG_M = 0.03, 0.15
 # It ends this far before the face that it stands on, [m].
 FACE_M: Final = 0.005
-# Shares of its points between which it lies; fewer points show no handle.
+# Shares of its points between which it lies.
 HANDLE_QUANTILES: Final = (0.05, 0.95)
+# Fewer points show no handle.
 LEAST_POINTS: Final = 30
 # Left free between the body and the part that it encloses, [m].
 GAP_M: Final = 0.002
