@@ -1,7 +1,10 @@
 """A recording of a hand that carries the handle of a made asset."""
 
+from dataclasses import replace
+
 import numpy as np
 
+from aomgen.assets.choice import make_asset
 from aomgen.core.asset import ArticulatedAsset
 from aomgen.core.demonstration import Demonstration, RecordedObject, SupportPlane
 from aomgen.core.mesh import sample_surface
@@ -43,3 +46,14 @@ def recording(
         points.append(apply(T, np.concatenate(vertices)))
     support = SupportPlane(height=PLACE[2], low_xy=[-np.inf] * 2, high_xy=[np.inf] * 2)
     return demo, RecordedObject(moving_points_world=points[0], static_points_world=points[1], support=support)
+
+
+def gripped_recording(category: str) -> tuple[Demonstration, RecordedObject]:
+    """A recording of a made asset whose hand holds the handle along its x, as real ones do."""
+    asset = make_asset(category, 1)
+    demo, recorded = recording(asset)
+    Ts = demo.Ts_world_ee.copy()
+    along = matrix_from_rotvec(np.array([0.0, 0.0, YAW])) @ asset.handle_axis
+    across = np.cross([np.sin(YAW), -np.cos(YAW), 0.0], along)
+    Ts[:, :3, :3] = np.stack([along, across, np.cross(along, across)], 1)
+    return replace(demo, Ts_world_ee=Ts), recorded

@@ -28,6 +28,9 @@ MAKERS: Final[dict[str, Maker]] = {
 # Made by name as well: drawers again, of another shape.
 OTHER_MAKERS: Final[dict[str, Maker]] = {"dresser": make_dresser}
 
+# Names the recorded object itself among the assets of a project; it is not known before it is reconstructed.
+ORIGINAL: Final = "original"
+
 
 def make_asset(category: str, seed: int) -> ArticulatedAsset:
     """A new asset of a category; the same seed gives the same asset.
@@ -98,7 +101,15 @@ def open_asset(spec: str) -> ArticulatedAsset:
     Raises:
         ConfigError, AssetError, InputError: See `load_asset`; also where it cannot be simulated and held.
     """
-    asset = load_asset(spec)
+    return require_usable(load_asset(spec))
+
+
+def require_usable(asset: ArticulatedAsset) -> ArticulatedAsset:
+    """The asset itself.
+
+    Raises:
+        AssetError: It cannot be simulated and held.
+    """
     problems = check_asset(asset)
     if problems:
         more = f" (and {len(problems) - 1} more)" if len(problems) > 1 else ""
@@ -107,20 +118,24 @@ def open_asset(spec: str) -> ArticulatedAsset:
 
 
 def open_assets(specs: Sequence[str]) -> list[ArticulatedAsset]:
-    """All assets of a project.
+    """All assets of a project but the recorded object itself.
 
     Raises:
         ConfigError, AssetError, InputError: See `open_asset`.
         AssetError: Two have one name, by which episodes tell them apart.
     """
-    opened: dict[str, tuple[str, ArticulatedAsset]] = {}
+    opened: dict[str, str] = {}
+    assets = []
     for spec in specs:
-        asset = open_asset(spec)
-        if asset.name in opened:
+        name = ORIGINAL
+        if spec != ORIGINAL:
+            assets.append(open_asset(spec))
+            name = assets[-1].name
+        if name in opened:
             raise AssetError(
                 "assets",
-                f"'{opened[asset.name][0]}' and '{spec}' are both named '{asset.name}'",
+                f"'{opened[name]}' and '{spec}' are both named '{name}'",
                 "name each asset once; a USD file is named by its default prim",
             )
-        opened[asset.name] = spec, asset
-    return [asset for _, asset in opened.values()]
+        opened[name] = spec
+    return assets

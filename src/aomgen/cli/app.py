@@ -137,7 +137,8 @@ def init(
     project: Annotated[Path, typer.Option(help="Project file to write.")] = Path("project.toml"),
     out: Annotated[Path, typer.Option(help="Where results will go.")] = Path("out"),
     assets: Annotated[
-        list[str] | None, typer.Option("--asset", help="category:seed or a USD file; repeat for several.")
+        list[str] | None,
+        typer.Option("--asset", help="category:seed, a USD file or original; repeat for several."),
     ] = None,
 ) -> None:
     """Write a project file with every choice spelled out, after checking capture and assets."""

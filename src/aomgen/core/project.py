@@ -18,7 +18,7 @@ class Project(BaseModel):
         capture: Folder of the capture.
         out: Folder of the results.
         seed: Seed of everything random from the twin onwards.
-        assets: Assets that replace the object, `category:seed` or a USD path.
+        assets: Assets that replace the object, `category:seed`, a USD path, or "original" for the recorded object itself.
         poses: Verified episodes wanted for each asset.
         adapt: How asset and motion are brought together; see `replacement.fitting`.
         light: What lights new objects: "scan", the light found in the scene; the path of an HDRI; or

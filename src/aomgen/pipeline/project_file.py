@@ -19,7 +19,7 @@ capture = {capture}          # folder with capture.toml
 out = {out}                  # where results go
 
 seed = {seed}                  # same seed, same episodes
-assets = {assets}              # category:seed of a made asset, or the path of a USD file
+assets = {assets}              # category:seed of a made asset, the path of a USD file, or "original"
 poses = {poses}                # verified episodes wanted for each asset
 adapt = {adapt}              # "trajectory": the asset keeps its size; "object": it is scaled to the motion; "auto": scaled where that fits
 light = {light}              # of new objects: "scan", or the path of an HDRI (.hdr), or "diffusion:FOLDER"

@@ -12,7 +12,8 @@ import numpy as np
 from scipy.optimize import isotonic_regression
 from scipy.signal import savgol_filter
 
-from aomgen.core.asset import ArticulatedAsset, AssetLink
+from aomgen.assets.asset_check import MAX_HANDLE_THICKNESS
+from aomgen.core.asset import ArticulatedAsset, AssetLink, BoxCollider
 from aomgen.core.boxes import QUANTILES, find_upright_axes
 from aomgen.core.demonstration import Demonstration, RecordedObject
 from aomgen.core.joint import Joint
@@ -31,6 +32,10 @@ MIN_LEVEL: Final = 0.5
 MAX_FRONT_CORRECTION_RAD: Final = np.deg2rad(25.0)
 # Kept free at both ends of a handle's bar, so that the pads stay off its posts, [m].
 BAR_MARGIN_M: Final = 0.03
+# Fingers hold by no more than the length of their pads, [m].
+PAD_LENGTH_M: Final = 0.02
+# Colliders nearer to each other than this are one handle, [m].
+TOUCH_M: Final = 0.002
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -96,10 +101,14 @@ def recorded_contact(demo: Demonstration, recorded: RecordedObject, direction: D
         closed = float(thetas[frames[0]])
         moving = apply(joint.motion(closed), moving)
         joint, thetas, times = replace(joint, axis=-joint.axis), closed - thetas, -times
-    path = demo.grasp_path_world[frames]
+    Ts_world_ee, grasp = demo.Ts_world_ee[frames], demo.grasp_ee
     # Both parts together are a box more often than a door with its handle is.
-    front = frontal(joint, path[0], np.concatenate([moving, recorded.static_points_world]))
+    held = apply(Ts_world_ee[0], grasp)
+    front = frontal(joint, held, np.concatenate([moving, recorded.static_points_world]))
     low, high = np.quantile(moving @ front.R_world_front, QUANTILES, axis=0)
+    R_front_ee = front.R_world_front.T @ Ts_world_ee[0, :3, :3]
+    beyond = way_to_rim(held @ front.R_world_front, R_front_ee, low, high)
+    path = apply(Ts_world_ee, (grasp + [0.0, 0.0, beyond])[None])
     size, since = high - low, times[frames] - times[frames[0]]
     return RecordedContact(
         direction=direction,
@@ -111,6 +120,25 @@ def recorded_contact(demo: Demonstration, recorded: RecordedObject, direction: D
         size=size,
         support_z=recorded.support.height,
     )
+
+
+def way_to_rim(held: Array, R_front_ee: Array, low: Array, high: Array) -> float:
+    """How far beyond a recorded held point (3,) the rim of a thin part begins, along the pads, [m]; 0 where no rim is held.
+
+    A rim lies between the pads, but where along them is the least known: the point is put on the part. Where the
+    part is thicker than fingers open, a handle is held that may lie off the part's box.
+
+    Args:
+        held: Recorded held point, upright front frame.
+        R_front_ee: The hand's orientation (3, 3) in that frame: z out of the palm, fingers close along y.
+        low, high: Corners of the part's box (3,), the same frame.
+    """
+    closing, approach = (np.where(np.abs(d) < 1e-9, 1e-9, d) for d in (R_front_ee[:, 1], R_front_ee[:, 2]))
+    if not np.min((high - low) / np.abs(closing)) <= MAX_HANDLE_THICKNESS:
+        return 0.0
+    ends = np.sort(np.stack([low - held, high - held]) / approach, axis=0)
+    enters, leaves = float(ends[0].max()), float(ends[1].min())
+    return enters if 0.0 < enters <= min(PAD_LENGTH_M, leaves) else 0.0
 
 
 def smooth_rise(thetas: Array) -> Array:
@@ -177,28 +205,70 @@ def opens_left(joint: Joint, held_point: Array, right: Array) -> bool:
     return _upright(joint) and bool((joint.origin - held_point) @ right < 0)
 
 
+def face_sides(joint: Joint, held_point: Array) -> list[int]:
+    """The two of right, inward and up along which a part's size is well scanned.
+
+    Width and height of what opens forward or sideways: of its depth the scan shows what is visible. Width and depth of a lid:
+    blur makes thin ones several times as thick.
+    """
+    return [0, 1] if np.linalg.norm(opening_direction(joint, held_point)[:2]) < MIN_LEVEL else [0, 2]
+
+
 def held_point_of(asset: ArticulatedAsset, recorded_share: Array) -> Array:
     """Point of an asset's moving part (3,), asset frame, part closed, that answers to the recorded held point.
 
-    That lies at a share 0..1 (3,) of the recorded part's cube along right, inward, up. The height along the bar of
-    the asset's handle is kept as far as the bar and the pads allow.
+    That lies at a share 0..1 (3,) of the recorded part's cube along right, inward, up. The height along the handle's
+    axis is kept as far as handle and pads allow.
 
-    Not checked: an asset whose handle is not a straight bar is held at `handle_point`.
+    Not checked: a bent handle's bar is taken to run along `handle_axis` everywhere.
     """
     low, high = asset.moving.bounds
     mapped = low + np.clip(recorded_share, 0, 1) * (high - low)
+    return slide_along_handle(asset, float((mapped - asset.handle_point) @ asset.handle_axis))
+
+
+def slide_along_handle(asset: ArticulatedAsset, along_m: float) -> Array:
+    """The place (3,) on the handle so far from `handle_point` along its axis as pads allow, asset frame.
+
+    Beyond the collider that holds `handle_point` the colliders of a bent handle are followed.
+    """
     reach = bar_reach(asset)
-    along = float(np.clip((mapped - asset.handle_point) @ asset.handle_axis, -reach, reach))
-    return asset.handle_point + along * asset.handle_axis
+    along = float(np.clip(along_m, -reach, reach))
+    middles, spans = _handle_spans(asset)
+    off = np.maximum(spans[:, 0] - along, along - spans[:, 1])
+    held = 0 if off[0] <= 0 else int(np.argmin(off))
+    bend = middles[held] - middles[0]
+    return asset.handle_point + bend + (along - bend @ asset.handle_axis) * asset.handle_axis
 
 
 def bar_reach(asset: ArticulatedAsset) -> float:
-    """How far from `handle_point` along the handle's bar a hand may hold, [m]; 0 without handle colliders."""
-    bar = asset.handle_bar
-    if bar is None:
-        return 0.0
-    half = float(np.abs((bar.corners - bar.T_asset_box[:3, 3]) @ asset.handle_axis).max())
-    return max(half - BAR_MARGIN_M, 0.0)
+    """How far from `handle_point` along the handle a hand may hold, [m]."""
+    _, spans = _handle_spans(asset)
+    low, high = spans[0]
+    for _ in spans:
+        joined = spans[(spans[:, 0] <= high + TOUCH_M) & (spans[:, 1] >= low - TOUCH_M)]
+        low, high = joined[:, 0].min(), joined[:, 1].max()
+    return max(float(min(-low, high)) - BAR_MARGIN_M, 0.0)
+
+
+def _handle_spans(asset: ArticulatedAsset) -> tuple[Array, Array]:
+    """Middles (B, 3) of the handle's boxes, nearest to `handle_point` first, and how far they reach along its axis.
+
+    The reach (B, 2) is from `handle_point`, [m]. Where no box is named a handle, the nearest moving one is taken.
+    """
+    moving = asset.moving.colliders
+    named = [box for box in moving if box.name.startswith("handle")]
+    boxes = sorted(named or moving, key=lambda box: _distance(box, asset.handle_point))
+    boxes = boxes if named else boxes[:1]
+    heights = np.array([(box.corners - asset.handle_point) @ asset.handle_axis for box in boxes])
+    middles = np.array([box.T_asset_box[:3, 3] for box in boxes])
+    return middles, np.stack([heights.min(1), heights.max(1)], 1)
+
+
+def _distance(box: BoxCollider, point: Array) -> float:
+    """Distance of a point (3,) to a box, 0 inside, [m]."""
+    local = np.abs(box.T_asset_box[:3, :3].T @ (point - box.T_asset_box[:3, 3]))
+    return float(np.linalg.norm(np.maximum(local - box.half_extents, 0.0)))
 
 
 def mirror_asset(asset: ArticulatedAsset) -> ArticulatedAsset:

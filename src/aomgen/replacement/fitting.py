@@ -21,9 +21,11 @@ from aomgen.core.values import Array
 from aomgen.replacement.correspondence import (
     RecordedContact,
     bar_reach,
+    face_sides,
     held_point_of,
     mirror_asset,
     opens_left,
+    slide_along_handle,
     smooth_rise,
 )
 
@@ -123,8 +125,8 @@ def _fit_scale(
     """
     held = held_point_of(asset, contact.held_share)
     low, high = asset.moving.bounds
-    # Height and width only: scanned depth of a part is what was visible.
-    ratio = float(np.exp(np.mean(np.log(contact.size[[0, 2]] / (high - low)[[0, 2]]))))
+    sides = face_sides(asset.joint, held)
+    ratio = float(np.exp(np.mean(np.log(contact.size[sides] / (high - low)[sides]))))
     R = matrix_from_rotvec(np.array([0.0, 0.0, contact.front.yaw]))
     first = contact.path_world[0] - R @ held * ratio
     noise = _NoiseAlong(bar=R @ asset.handle_axis, bar_m=ratio * bar_reach(asset), params=params)
@@ -228,10 +230,9 @@ def _shifted_along_bar(
     """The held point (3,) moved along the handle's bar to where the recorded path passes it."""
     moved = apply(motions, apply(T_world_asset, held)[None])
     bars = motions[:, :3, :3] @ (T_world_asset[:3, :3] @ asset.handle_axis)
-    reach = bar_reach(asset)
     now = float((held - asset.handle_point) @ asset.handle_axis)
     shift = float(np.median(np.einsum("ki,ki->k", path - moved, bars)))
-    return held + (np.clip(now + shift, -reach, reach) - now) * asset.handle_axis
+    return slide_along_handle(asset, now + shift)
 
 
 def face_thetas(joint: Joint, held_point: Array, path: Array) -> Array:

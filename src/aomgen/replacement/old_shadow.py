@@ -29,7 +29,7 @@ MAX_GAIN: Final = 4.0
 # Brightness is compared over so many cells of the shadow, a few widths of a grain.
 SMOOTH: Final = 1.5
 # Wood is by so much brighter in some places than on the whole, linear.
-GRAIN: Final = 1.2
+GRAIN: Final = 1.1
 # Fewer cells do not tell a shadow from the grain.
 MIN_CELLS: Final = 200
 

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from aomgen.assets.choice import open_asset
+from aomgen.assets.choice import ORIGINAL, open_asset, require_usable
 from aomgen.assets.doctor import Finding
 from aomgen.assets.usd_write import write_for_replay
 from aomgen.conventions import MOVING, SRGB_POWER, STATIC
@@ -23,7 +23,7 @@ from aomgen.io.artifact import save_artifact
 from aomgen.io.hdr_image import read_environment
 from aomgen.io.images import read_image
 from aomgen.replacement.asset_surfels import asset_surfels
-from aomgen.replacement.correspondence import RecordedContact, recorded_contact
+from aomgen.replacement.correspondence import recorded_contact
 from aomgen.replacement.diffusion_light import central_photograph, environment_of_photograph
 from aomgen.replacement.fitting import FitParams, fit_asset
 from aomgen.replacement.free_table import support_plane
@@ -31,6 +31,7 @@ from aomgen.replacement.light_estimation import SceneLight, estimate_light, ligh
 from aomgen.replacement.mosaic import Photograph
 from aomgen.replacement.obstacles import find_obstacles
 from aomgen.replacement.old_shadow import MAX_GAIN
+from aomgen.replacement.original import fit_original, original_twin
 from aomgen.replacement.reflection import show_in_light
 from aomgen.replacement.removal import Cleared, clear_object
 from aomgen.replacement.viewpoint import episode_cameras
@@ -63,15 +64,18 @@ def run(results: Results, folder: Path, progress: Progress) -> dict[str, Any]:
     obstacles = find_obstacles(
         cleared.surroundings, cleared.support, longest_reach(results.robot), results.configuration
     )
-    contact = contact_of(results, support)
-    fitted, rejected = fit_assets(results, contact)
+    fitted, rejected = fit_assets(results, recorded_object(results, support))
     for number, asset in enumerate(fitted):
         progress(0.4 + 0.5 * number / len(fitted), f"asset {asset.asset.name}")
         target = folder / ASSETS_FOLDER / f"{number:02d}"
         target.mkdir(parents=True)
         save_artifact(target, FITTED, asset)
         write_for_replay(asset.asset, target / ASSET_USD)
-        save_artifact(target, "twin", asset_twin(background, asset, light, project.seed + number))
+        if asset.asset.name == ORIGINAL:
+            twin = original_twin(background, results.twin, asset)
+        else:
+            twin = asset_twin(background, asset, light, project.seed + number)
+        save_artifact(target, "twin", twin)
     progress(0.9, "new viewpoint")
     scene = EpisodeScene(
         support=support,
@@ -151,27 +155,32 @@ def _eyes(results: Results) -> Array:
     return np.stack([camera.center for camera in results.scan_cameras.values()])
 
 
-def contact_of(results: Results, support: SupportPlane) -> RecordedContact:
-    """How a run's recorded object was held and moved, above a support plane."""
+def recorded_object(results: Results, support: SupportPlane) -> RecordedObject:
+    """Points of a run's recorded object, above a support plane."""
     moving, static = (
         surface_points(results.scene, results.parts.labels, label) for label in (MOVING, STATIC)
     )
-    recorded = RecordedObject(moving_points_world=moving, static_points_world=static, support=support)
-    return recorded_contact(results.demonstration, recorded, results.motion.direction)
+    return RecordedObject(moving_points_world=moving, static_points_world=static, support=support)
 
 
-def fit_assets(results: Results, contact: RecordedContact) -> tuple[list[FittedAsset], dict[str, Rejection]]:
+def fit_assets(results: Results, recorded: RecordedObject) -> tuple[list[FittedAsset], dict[str, Rejection]]:
     """The project's assets that the recorded motion fits, in the project's order, and why the others do not.
 
     Raises:
         EstimationError: None fits.
+        AssetError: The recorded object itself cannot be simulated and held.
     """
     project, params = results.project, results.params("replacement", FitParams())
-    joint_type = results.demonstration.joint.type
-    found = {
-        spec: fit_asset(open_asset(spec), contact, joint_type, project.adapt, params)
-        for spec in project.assets
-    }
+    demo = results.demonstration
+    contact = recorded_contact(demo, recorded, results.motion.direction)
+    found: dict[str, FittedAsset | Rejection] = {}
+    for spec in project.assets:
+        if spec == ORIGINAL:
+            original = fit_original(demo, contact, recorded, results.recorded.category)
+            require_usable(original.asset)
+            found[spec] = original
+        else:
+            found[spec] = fit_asset(open_asset(spec), contact, demo.joint.type, project.adapt, params)
     rejected = {spec: item for spec, item in found.items() if isinstance(item, Rejection)}
     fitted = [item for item in found.values() if not isinstance(item, Rejection)]
     if rejected and not fitted:
@@ -184,7 +193,8 @@ def fit_assets(results: Results, contact: RecordedContact) -> tuple[list[FittedA
 
 def examine_fit(results: Results, asset: ArticulatedAsset) -> Finding:
     """Whether an asset can take a run's recorded object's place, for `aomgen assets check`."""
-    contact = contact_of(results, results.episode_scene.support)
+    recorded = recorded_object(results, results.episode_scene.support)
+    contact = recorded_contact(results.demonstration, recorded, results.motion.direction)
     params = results.params("replacement", FitParams())
     joint_type = results.demonstration.joint.type
     found = fit_asset(asset, contact, joint_type, results.project.adapt, params)

@@ -9,14 +9,16 @@ from aomgen.assets.choice import make_asset
 from aomgen.core.asset import ArticulatedAsset
 from aomgen.core.joint import Joint
 from aomgen.core.plan import FittedAsset, Rejection
-from aomgen.core.transforms import apply
+from aomgen.core.transforms import apply, transform
 from aomgen.errors import EstimationError
 from aomgen.replacement.correspondence import (
+    bar_reach,
     frontal,
     held_point_of,
     mirror_asset,
     recorded_contact,
     smooth_rise,
+    way_to_rim,
 )
 from aomgen.replacement.fitting import FitParams, face_thetas, fit_asset
 from backwards import closing_of, scanned_open
@@ -237,3 +239,53 @@ def test_a_part_that_moves_straight_up_has_no_front() -> None:
     joint = Joint(type="prismatic", axis=[0, 0, 1], origin=[0, 0, 0], lower=0, upper=1)
     with pytest.raises(EstimationError, match="no front"):
         frontal(joint, np.zeros(3), np.zeros((0, 3)))
+
+
+def test_a_lid_held_at_its_rim_is_scaled_by_width_and_depth_and_not_by_its_blurred_thickness() -> None:
+    asset = make_asset("laptop", 1)
+    demo, recorded = recording(asset, noise_m=0.001)
+    blur = np.random.default_rng(1).normal(0, 0.006, recorded.moving_points_world.shape) * [0, 0, 1]
+    blurred = replace(recorded, moving_points_world=recorded.moving_points_world + blur)
+    result = fit_asset(
+        asset, recorded_contact(demo, blurred, "opening"), demo.joint.type, "object", FitParams()
+    )
+    assert isinstance(result, FittedAsset)
+    assert abs(result.scale - SCALE) < 0.03
+    assert result.residual_mm < 6.0
+
+
+def test_the_held_point_of_a_thin_part_is_put_on_its_rim_and_that_of_a_bar_is_left() -> None:
+    low, high = np.array([-0.15, 0.0, 0.02]), np.array([0.15, 0.22, 0.03])
+    # The fingers close upwards; the palm looks into the part.
+    R = np.stack([[-1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, 1.0, 0.0]], 1)
+    before = np.array([0.0, -0.012, 0.025])
+    assert way_to_rim(before, R, low, high) == pytest.approx(0.012)
+    assert way_to_rim(before + [0, 0.02, 0], R, low, high) == 0.0
+    assert way_to_rim(before - [0, 0.02, 0], R, low, high) == 0.0
+    assert way_to_rim(before, R, low, high + [0, 0, 0.1]) == 0.0
+
+
+def test_a_bent_handle_is_followed_along_its_colliders() -> None:
+    asset = make_asset("microwave", 0)
+    bar = asset.handle_bar
+    assert bar is not None
+    third, step = bar.half_extents * [1, 1, 1 / 3], 2 * bar.half_extents[2] / 3
+    T = bar.T_asset_box
+    pieces = tuple(
+        replace(
+            bar,
+            name=f"handle_{k}",
+            half_extents=third,
+            T_asset_box=transform(T[:3, :3], T[:3, 3] + [0, -0.01 * abs(k), k * step]),
+        )
+        for k in (-1, 0, 1)
+    )
+    moving = replace(
+        asset.moving,
+        colliders=(*pieces, *(b for b in asset.moving.colliders if not b.name.startswith("handle"))),
+    )
+    bent = replace(asset, moving=moving)
+    assert bar_reach(bent) == pytest.approx(bar_reach(asset))
+    for share, depth in ((0.5, 0.0), (2.0, -0.01)):
+        straight, held = (held_point_of(a, np.array([0.5, 0.5, share])) for a in (asset, bent))
+        np.testing.assert_allclose(held - straight, [0.0, depth, 0.0], atol=2e-3)

@@ -7,22 +7,26 @@ from typing import Any
 import numpy as np
 import pytest
 
-from aomgen.assets.choice import make_asset
 from aomgen.core.environment_map import map_directions
 from aomgen.core.light import hemisphere_light
 from aomgen.errors import EstimationError
-from aomgen.replacement.correspondence import recorded_contact
 from aomgen.replacement.light_estimation import SceneLight
 from aomgen.replacement.stage import fit_assets, light_of_assets
-from recordings import recording
+from recordings import gripped_recording
 
 
 def fits(*specs: str) -> Any:
     """What comes of a project's assets when a microwave was recorded."""
-    demo, recorded = recording(make_asset("microwave", 1))
+    demo, recorded = gripped_recording("microwave")
     project = SimpleNamespace(assets=specs, adapt="object")
-    results: Any = SimpleNamespace(project=project, demonstration=demo, params=lambda stage, default: default)
-    return fit_assets(results, recorded_contact(demo, recorded, "opening"))
+    results: Any = SimpleNamespace(
+        project=project,
+        demonstration=demo,
+        motion=SimpleNamespace(direction="opening"),
+        recorded=SimpleNamespace(category="microwave"),
+        params=lambda stage, default: default,
+    )
+    return fit_assets(results, recorded)
 
 
 def test_an_asset_that_moves_otherwise_is_left_out_with_its_reason() -> None:
@@ -62,3 +66,8 @@ def test_assets_are_in_the_light_of_the_scene_unless_a_file_is_named(tmp_path: P
     assert chosen(str(path)).source == "file"
     assert towards_x[0] > 2 * towards_x[1]
     np.testing.assert_allclose(towards_y[[1, 2]], towards_x[[0, 2]], rtol=1e-3)
+
+
+def test_the_recorded_object_itself_stands_beside_other_assets() -> None:
+    fitted, _ = fits("original", "microwave:2")
+    assert [item.asset.name for item in fitted] == ["original", "microwave-2"]

@@ -1,0 +1,118 @@
+"""How the pads of a hand that holds a fitted asset lie on its meshes, which physics does not see."""
+
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from aomgen.core.asset import ArticulatedAsset
+from aomgen.core.demonstration import Demonstration
+from aomgen.core.mesh import face_normals_areas, sample_surface
+from aomgen.core.plan import FittedAsset
+from aomgen.core.transforms import apply, invert
+from aomgen.core.values import Array
+from aomgen.episodes.planning import retarget
+from aomgen.episodes.retarget import DemonstratedMotion, RetargetedMotion
+from aomgen.robots.robot import FingerPad, RobotModel
+
+# Points of a surface lie about so far apart, and only those so near to the held point are looked at, [m].
+SPACING_M, NEAR_M = 1e-3, 0.06
+# What lies farther behind a pad's face is on the other side of the finger, [m].
+BEHIND_M: Final = 0.012
+# Halvings of the gripper's range until its value is known: to far below a tenth of a millimetre.
+HALVINGS: Final = 12
+# Points along each side of a box.
+BOX_STEPS: Final = 41
+
+
+# Pads that are farther off hold nothing, and that are deeper in cut into what is seen, [mm].
+MAX_GAP_MM, MAX_PENETRATION_MM = 3.0, 2.0
+
+
+class Grip(NamedTuple):
+    """The worst over the contact and over both fingers, [mm]; an infinite gap where nothing is between the pads.
+
+    `tried` grasps were looked at before it.
+    """
+
+    gap_mm: float
+    penetration_mm: float
+    tried: int = 0
+
+    @property
+    def holds(self) -> bool:
+        """Whether the pads lie on the meshes and not in them."""
+        return self.gap_mm <= MAX_GAP_MM and self.penetration_mm <= MAX_PENETRATION_MM
+
+
+def grip_on_meshes(fitted: FittedAsset, demo: Demonstration, robot: RobotModel) -> Grip:
+    """Close the pads on the colliders and measure them on the meshes.
+
+    Of the grasps that planning tries, in its order, the first that holds; else the first.
+    Not checked: whether the arm can be there, and the fingers beside their pads; planning does that, on colliders.
+    """
+    shown = DemonstratedMotion(demo)
+    boxes, surface = (_near(points(fitted.asset), fitted) for points in (_box_points, _mesh_points))
+    motions = retarget(fitted, shown, fitted.T_world_asset, robot, "aomgen")
+    grips = (_grip(motion, robot, boxes, surface)._replace(tried=k) for k, motion in enumerate(motions))
+    first = next(grips)
+    return first if first.holds else next((grip for grip in grips if grip.holds), first)
+
+
+def _grip(motion: RetargetedMotion, robot: RobotModel, boxes: Array, surface: Array) -> Grip:
+    """Of one grasp, on points of colliders and meshes (N, 3)."""
+    times, fitted = motion.shown.knots[2], motion.fitted
+    moved = fitted.T_world_asset @ fitted.asset.joint.motion(motion.thetas(times))
+    Ts_part_ee = invert(moved) @ motion.holding(times)
+    clearances = [_clearances(robot, T, _stalled(robot, T, boxes), surface) for T in Ts_part_ee]
+    low, high = np.min(clearances), np.max(clearances)
+    return Grip(gap_mm=1000 * max(float(high), 0.0), penetration_mm=1000 * max(-float(low), 0.0))
+
+
+def _stalled(robot: RobotModel, T_part_ee: Array, points: Array) -> float:
+    """Gripper value at which the pads, on average, touch points (N, 3)."""
+    opened, closed = 0.0, 1.0
+    for _ in range(HALVINGS):
+        middle = (opened + closed) / 2
+        touches = sum(_clearances(robot, T_part_ee, middle, points)) <= 0
+        opened, closed = (opened, middle) if touches else (middle, closed)
+    return opened
+
+
+def _clearances(robot: RobotModel, T_part_ee: Array, gripper: float, points: Array) -> list[float]:
+    """How far points (N, 3) before the pads are from the faces of these, below 0 inside, [m]."""
+    joints = np.zeros((1, len(robot.joint_names)))
+    bodies = T_part_ee @ invert(robot.ee_poses(joints)[0]) @ robot.link_poses(joints, gripper)[0]
+    return [_clearance(pad, bodies[pad.body] @ pad.T_body_pad, points) for pad in robot.pads]
+
+
+def _clearance(pad: FingerPad, T_part_pad: Array, points: Array) -> float:
+    local = apply(invert(T_part_pad), points)
+    heights = local[:, 2] - pad.half_extents[2]
+    before = (np.abs(local[:, :2]) <= pad.half_extents[:2]).all(1) & (heights > -BEHIND_M)
+    return float(heights[before].min(initial=np.inf))
+
+
+def _box_points(asset: ArticulatedAsset) -> Array:
+    """Points (N, 3) on what physics holds: the handle's boxes, or all of the part."""
+    handle = [box for box in asset.moving.colliders if box.name.startswith("handle")]
+    steps = np.linspace(-1, 1, BOX_STEPS)
+    cube = np.stack(np.meshgrid(steps, steps, steps), -1).reshape(-1, 3)
+    cube = cube[np.abs(cube).max(1) == 1]
+    return np.concatenate(
+        [apply(b.T_asset_box, cube * b.half_extents) for b in handle or asset.moving.colliders]
+    )
+
+
+def _mesh_points(asset: ArticulatedAsset) -> Array:
+    """Points (N, 3) all over the visible moving part."""
+    rng = np.random.default_rng(0)
+    points = []
+    for mesh in asset.moving.meshes:
+        area = face_normals_areas(mesh.vertices, mesh.faces)[1].sum()
+        count = int(area / SPACING_M**2) + 1
+        points += [sample_surface(mesh.vertices, mesh.faces, count, rng)[0], mesh.vertices]
+    return np.concatenate(points)
+
+
+def _near(points: Array, fitted: FittedAsset) -> Array:
+    return points[np.linalg.norm(points - fitted.contact_asset, axis=1) < NEAR_M]

@@ -1,0 +1,188 @@
+"""The recorded object itself as an asset: boxes from its points, the recovered joint, its own Gaussians.
+
+Source: AOMGen, sec. 4.3, "Pose Generalization", which moves the reconstructed object.
+"""
+
+from collections.abc import Mapping
+from dataclasses import replace
+from itertools import product
+from typing import Final
+
+import numpy as np
+
+from aomgen.assets.choice import ORIGINAL
+from aomgen.assets.procedural.shapes import AlignedBox, Material, boxes_mesh
+from aomgen.assets.settle import FALLBACK_DENSITY, cleared
+from aomgen.conventions import MOVING, STATIC
+from aomgen.core.asset import ArticulatedAsset, AssetLink
+from aomgen.core.boxes import QUANTILES
+from aomgen.core.demonstration import Demonstration, RecordedObject
+from aomgen.core.joint import LIMIT_SHARE
+from aomgen.core.plan import FittedAsset
+from aomgen.core.transforms import apply, invert, transform
+from aomgen.core.values import Array
+from aomgen.errors import EstimationError
+from aomgen.replacement.correspondence import RecordedContact, face_sides, slide_along_handle
+from aomgen.twin.twin import OBJECT, PART, Twin
+
+# A door or flap is taken to be this thick: through its window the scan shows what is behind it, [m].
+DOOR_M: Final = 0.03
+# Gaussians so far behind it are no part of it, [m].
+BEHIND_M: Final = 0.01
+# A handle is looked for so far around the held point across its bar, and so far along it, [m].
+AROUND_M, ALONG_M = 0.03, 0.15
+# It ends this far before the face that it stands on, [m].
+FACE_M: Final = 0.005
+# Shares of its points between which it lies.
+HANDLE_QUANTILES: Final = (0.05, 0.95)
+# Fewer points show no handle.
+LEAST_POINTS: Final = 30
+# Left free between the body and the part that it encloses, [m].
+GAP_M: Final = 0.002
+# The joint ends a little beyond what the recording shows, as a share of it: farther nothing is known.
+BEYOND: Final = 1.001
+# Name of the collider of the moving part without its handle.
+PANEL: Final = "panel"
+
+
+def fit_original(
+    demo: Demonstration, contact: RecordedContact, recorded: RecordedObject, category: str
+) -> FittedAsset:
+    """The recorded object where it stood, closed, with the motion that was recorded.
+
+    Its parts are solid boxes, the body without the room of the part, as heavy as assets that name no mass.
+
+    Raises:
+        EstimationError: It was recorded while it was closed, or no handle stands off the part where it was held.
+    """
+    if contact.direction == "closing":
+        raise EstimationError("original", "was scanned open", "record its opening, or name other assets")
+    R = contact.front.R_world_front
+    low, high = np.quantile(recorded.static_points_world @ R, QUANTILES, axis=0)
+    T_world_asset = transform(R, R @ np.append((low + high)[:2] / 2, contact.support_z))
+    asset = _as_boxes(demo, contact, recorded, T_world_asset, category)
+    held = apply(invert(T_world_asset), contact.path_world[0])
+    contact_asset = slide_along_handle(asset, float((held - asset.handle_point) @ asset.handle_axis))
+    path = apply(T_world_asset @ asset.joint.motion(contact.thetas), contact_asset[None])
+    return FittedAsset(
+        asset=asset,
+        T_world_asset=T_world_asset,
+        contact_asset=contact_asset,
+        shares=contact.shares,
+        thetas=contact.thetas,
+        scale=1.0,
+        mirrored=False,
+        mode="trajectory",
+        residual_mm=float(1000 * np.sqrt(((path - contact.path_world) ** 2).sum(1).mean())),
+    )
+
+
+def _as_boxes(
+    demo: Demonstration,
+    contact: RecordedContact,
+    recorded: RecordedObject,
+    T_world_asset: Array,
+    category: str,
+) -> ArticulatedAsset:
+    to_asset = invert(T_world_asset)
+    static, moving = (
+        apply(to_asset, points) for points in (recorded.static_points_world, recorded.moving_points_world)
+    )
+    held = apply(to_asset, contact.path_world[0])
+    joint = demo.joint.moved(to_asset)
+    joint = replace(joint, lower=0.0, upper=BEYOND * float(contact.thetas[-1]) / LIMIT_SHARE)
+    # A held bar lies along x of the hand, and upright or level on its face.
+    hand_x = to_asset[:3, :3] @ demo.Ts_world_ee[demo.contact_frames[0], :3, 0]
+    bar, across = (0, 2) if abs(hand_x[0]) > abs(hand_x[2]) else (2, 0)
+    panel, handle = _part_boxes(moving, held, bar, across)
+    if joint.type == "revolute" and face_sides(joint, held) == [0, 2]:
+        panel[1, 1] = min(panel[1, 1], panel[0, 1] + DOOR_M)
+    body = np.quantile(static, QUANTILES, axis=0)
+    body[0, 2] = 0.0
+    around = {f"body_{k}": box for k, box in enumerate(_without(body, panel))}
+    return cleared(
+        ArticulatedAsset(
+            name=ORIGINAL,
+            category=category,
+            static=_link("body", around),
+            moving=_link("part", {PANEL: panel, "handle_bar": handle}),
+            joint=joint,
+            handle_point=handle.mean(0),
+            handle_axis=np.eye(3)[bar],
+        )
+    )
+
+
+def original_twin(background: Twin, recorded: Twin, fitted: FittedAsset) -> Twin:
+    """The cleared scene with the recorded Gaussians of the object as an asset's, in the colors of the scan.
+
+    What was seen through a door's window stays with the body.
+    """
+    T_asset_object = invert(fitted.T_world_asset) @ recorded.T_world_object
+    which = np.isin(recorded.labels, (STATIC, MOVING))
+    own = recorded.gaussians.select(which).transformed(T_asset_object)
+    moving = recorded.labels[which] == MOVING
+    if fitted.asset.joint.type == "revolute":
+        panel = next(box for box in fitted.asset.moving.colliders if box.name == PANEL)
+        moving &= own.means[:, 1] < panel.corners[:, 1].max() + BEHIND_M
+    return background.extended(
+        own,
+        np.where(moving, background.body(PART), background.body(OBJECT)).astype(np.int32),
+        np.where(moving, MOVING, STATIC).astype(np.uint8),
+        joint=fitted.asset.joint,
+        T_world_object=fitted.T_world_asset,
+        scan_state=replace(background.scan_state, theta=0.0, T_world_object=fitted.T_world_asset),
+    )
+
+
+def _part_boxes(moving: Array, held: Array, bar: int, across: int) -> tuple[Array, Array]:
+    """Corners (2, 3) of the boxes of panel and handle.
+
+    Args:
+        moving: Points (N, 3), asset frame, as all here.
+        held: The held point (3,).
+        bar, across: Axis along the handle's bar, and the other one of its face.
+
+    Raises:
+        EstimationError: See `fit_original`.
+    """
+    aside = np.abs(moving[:, across] - held[across])
+    panel = np.quantile(moving[aside > AROUND_M], QUANTILES, axis=0)
+    panel[:, across] = np.quantile(moving[:, across], QUANTILES)
+    near = (aside < AROUND_M) & (np.abs(moving[:, bar] - held[bar]) < ALONG_M)
+    near &= (moving[:, 1] < panel[0, 1] - FACE_M) & (np.abs(moving[:, 1] - held[1]) < AROUND_M)
+    if not near.sum() >= LEAST_POINTS:
+        raise EstimationError(
+            "original",
+            f"{near.sum()} points stand off the part where it was held, want {LEAST_POINTS}",
+            "scan the handle from nearby, or name other assets",
+        )
+    panel[0, 2] = max(panel[0, 2], GAP_M)
+    handle = np.quantile(moving[near], HANDLE_QUANTILES, axis=0)
+    # A bar is as deep as wide; behind it the scan shows posts and blur.
+    handle[1, 1] = handle[0, 1] + np.ptp(handle[:, across])
+    return panel, handle
+
+
+def _without(box: Array, hole: Array) -> list[Array]:
+    """Boxes (2, 3) that fill a box around a hole."""
+    rest, pieces = box.copy(), []
+    hole = hole + GAP_M * np.array([[-1.0], [1.0]])
+    if not ((hole[0] < box[1]) & (hole[1] > box[0])).all():
+        return [box]
+    for axis, end in product(range(3), range(2)):
+        piece = rest.copy()
+        piece[1 - end, axis] = hole[end, axis]
+        if piece[1, axis] > piece[0, axis]:
+            pieces.append(piece)
+            rest[end, axis] = hole[end, axis]
+    return pieces
+
+
+def _link(name: str, boxes: Mapping[str, Array]) -> AssetLink:
+    """A link that is seen as its colliders (2, 3), for those who use the asset without its Gaussians."""
+    shapes = {key: AlignedBox(lower=tuple(low), upper=tuple(high)) for key, (low, high) in boxes.items()}
+    colliders = tuple(shape.collider(key) for key, shape in shapes.items())
+    volume = sum(8 * float(collider.half_extents.prod()) for collider in colliders)
+    mesh = boxes_mesh(name, list(shapes.values()), Material())
+    return AssetLink(name=name, meshes=(mesh,), colliders=colliders, mass=FALLBACK_DENSITY * volume)
