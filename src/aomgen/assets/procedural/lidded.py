@@ -45,6 +45,8 @@ LEAST_CROWN, TIER_INSET = 0.002, 0.03
 CARRY, CARRY_SHARE = 0.04, 0.16
 # Shares of a laptop's depth that gets thinner, of its width that the fans' block and the ridge on its lid take.
 WEDGE_SHARE, TAIL_SHARE, RIDGE_SHARE = 0.75, 0.72, 0.6
+# How far a laptop's sides stand back from its front, [m].
+WING_INSET = 0.03
 # Height of the rubber strips below a laptop, depth of its lid's rim, and how far inside of the edge it is held, [m].
 STRIPS, RIM, HELD = 0.002, 0.016, 0.004
 IRON = Material(color_srgb=(0.62, 0.63, 0.66), metallic=0.8, roughness=0.35)
@@ -265,11 +267,15 @@ def _add_strips(base: LinkBuilder, s: SimpleNamespace) -> None:
 
 
 def _add_armour(base: LinkBuilder, s: SimpleNamespace, case: Material) -> None:
-    """What stands out of the base: a block for fans behind the hinge, posts at the corners, a carrying handle."""
+    """What stands out of the base: sides and a block for fans behind the hinge, corner posts, a carrying handle."""
     w, d, z = s.width / 2, s.depth / 2, (STRIPS, s.seam - POST_ROOM)
     if s.tail > 0:
         half = TAIL_SHARE * w
         base.boxes("tail", {"tail": box(-half, half, d, d + s.tail, *z, "y")}, case)
+    if s.wing > 0:
+        sides = {"wing_left": box(-w - s.wing, -w, WING_INSET - d, d, *z, "X")}
+        sides["wing_right"] = sides["wing_left"].mirrored()
+        base.boxes("wings", sides, BLACK)
     if s.post > 0:
         base.boxes("posts", corner_posts(w, (-d, d), z, s.post), RUBBER)
     if s.carry:
