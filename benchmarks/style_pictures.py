@@ -37,7 +37,10 @@ def draw_asset(asset: ArticulatedAsset) -> NDArray[np.uint8]:
         type=mujoco.mjtGeom.mjGEOM_PLANE, size=[20, 20, 0.1], rgba=[0.93, 0.93, 0.92, 1], group=VISUAL_GROUP
     )
     spec.worldbody.add_light(
-        pos=[-0.8, -1.2, 2.0], dir=[0.35, 0.5, -0.8], diffuse=[0.6] * 3, type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL
+        pos=[-0.8, -1.2, 2.0],
+        dir=[0.35, 0.5, -0.8],
+        diffuse=[0.6] * 3,
+        type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL,
     )
     spec.visual.headlight.ambient, spec.visual.headlight.diffuse = [0.4] * 3, [0.25] * 3
     spec.visual.global_.fovy = FOV_DEG

@@ -2,7 +2,6 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
@@ -55,8 +54,8 @@ def make_asset(category: str, seed: int, style: str = "") -> ArticulatedAsset:
     chosen = style or styles[(seed - 1) % len(styles)]
     if chosen not in styles:
         raise ConfigError("style", f"{style!r} is unknown", f"choose one of {', '.join(styles)}")
-    maker = partial((MAKERS | OTHER_MAKERS)[category], table=style_table(category, chosen))
-    return make_by(maker, category, seed)
+    maker, table = (MAKERS | OTHER_MAKERS)[category], style_table(category, chosen)
+    return make_by(lambda rng: maker(rng, table), category, seed)
 
 
 def list_styles(category: str) -> list[str]:

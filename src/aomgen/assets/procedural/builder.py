@@ -46,9 +46,6 @@ FACES: Final = {
 }
 # What a category's table holds beside its sizes.
 STYLES: Final = "styles"
-# All four edges of a box along an axis; those on its high side of the second one.
-ALL_EDGES: Final = ((-1, -1), (1, -1), (1, 1), (-1, 1))
-UPPER_EDGES: Final = ((1, 1), (-1, 1))
 # How far corner posts stand out, and a plinth stands back, [m].
 POST_OUT, PLINTH_INSET = 0.006, 0.025
 
@@ -188,7 +185,9 @@ def feet(w: float, depth: Span, height: float, *, inset: float, half: float) -> 
     }
 
 
-def stand(kind: str, w: float, depth: Span, height: float, inset: float, half: float) -> dict[str, AlignedBox]:
+def stand(
+    kind: str, w: float, depth: Span, height: float, inset: float, half: float
+) -> dict[str, AlignedBox]:
     """What a body stands on: blocks as `feet`, legs at its corners, rails along its sides, a plinth, or nothing."""
     y0, y1 = depth
     if kind == "legs":
@@ -206,13 +205,12 @@ def stand(kind: str, w: float, depth: Span, height: float, inset: float, half: f
 
 def corner_posts(w: float, depth: Span, height: Span, side: float) -> dict[str, AlignedBox]:
     """Posts around the four upright edges of a body, `side` wide; they stand out a little, [m]."""
-    y0, y1, out, inside = *depth, POST_OUT, side - POST_OUT
-    return {
-        f"post_{i}": box(*sorted((x * (w - inside), x * (w + out))), *y, *height)
-        for i, (x, y) in enumerate(
-            (x, y) for x in (-1, 1) for y in ((y0 - out, y0 + inside), (y1 - inside, y1 + out))
-        )
-    }
+    (y0, y1), out, inside = depth, POST_OUT, side - POST_OUT
+    posts = {}
+    for end, y in (("front", (y0 - out, y0 + inside)), ("back", (y1 - inside, y1 + out))):
+        posts[f"post_left_{end}"] = box(-w - out, -w + inside, *y, *height)
+        posts[f"post_right_{end}"] = box(w - inside, w + out, *y, *height)
+    return posts
 
 
 def window_frame(x: Span, y: Span, z: Span, frame: float) -> list[AlignedBox]:

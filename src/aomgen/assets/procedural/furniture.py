@@ -9,7 +9,6 @@ import numpy as np
 
 from aomgen.assets.procedural import textures
 from aomgen.assets.procedural.builder import (
-    ALL_EDGES,
     LEVEL,
     UPRIGHT,
     Color,
@@ -24,7 +23,15 @@ from aomgen.assets.procedural.builder import (
     stand,
 )
 from aomgen.assets.procedural.handles import OUTWARD, Handle, make_handle
-from aomgen.assets.procedural.shapes import AlignedBox, Material, RoundedBox, box, merge_meshes, rod
+from aomgen.assets.procedural.shapes import (
+    ALL_EDGES,
+    AlignedBox,
+    Material,
+    RoundedBox,
+    box,
+    merge_meshes,
+    rod,
+)
 from aomgen.core.asset import ArticulatedAsset
 
 # Free space between a body and what slides in it, [m].
@@ -120,7 +127,9 @@ def _add_drawer_prints(
     x, y = rng.uniform(-0.12, 0.02), rng.uniform(-0.10, 0.02)
     body.print("label", "top", (x, y, s.top), (0.10, 0.0625), plate)
     body.print("label_side", "right", (s.width / 2, -0.03, s.low + 0.06), (0.08, 0.05), plate)
-    drawer.print("sign", "front", (face.lower[0] + 0.02, face.lower[1], face.upper[2] - 0.03), (0.06, 0.015), sign)
+    drawer.print(
+        "sign", "front", (face.lower[0] + 0.02, face.lower[1], face.upper[2] - 0.03), (0.06, 0.015), sign
+    )
 
 
 def _drawer_front(s: SimpleNamespace, cell: tuple[int, int]) -> AlignedBox:

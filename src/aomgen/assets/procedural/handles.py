@@ -1,13 +1,23 @@
 """Handles that a parallel gripper can hold from the front: bars, arches, straps, knobs, lips, cups."""
 
 from dataclasses import dataclass
+from itertools import pairwise
 from types import SimpleNamespace
 from typing import Final
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from aomgen.assets.procedural.shapes import AlignedBox, Material, box, boxes_mesh, merge_meshes, rod
+from aomgen.assets.procedural.shapes import (
+    ALL_EDGES,
+    AlignedBox,
+    Material,
+    RoundedBox,
+    box,
+    boxes_mesh,
+    merge_meshes,
+    rod,
+)
 from aomgen.core.asset import BoxCollider
 from aomgen.core.mesh import Mesh
 from aomgen.core.transforms import transform
@@ -22,9 +32,9 @@ BENT_SHARE, BENT_PIECES = 0.27, 4
 # Depth of a strap over its width.
 STRAP: Final = 0.5
 # How far inside of its outer edge a solid handle is held, and how far down the cheeks of a cup reach, [m].
-HELD, CHEEK = 0.010, 0.026
-# Sides of the two boxes that follow a round knob, in its radii.
-LONG, SHORT, WIDE = 0.95, 0.55, 0.72
+HELD, CHEEK = 0.016, 0.026
+# Radius of a knob's edges over its thickness.
+KNOB_EDGE: Final = 0.2
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -140,7 +150,7 @@ class ArchHandle(BarHandle):
         found = [(self.point(-straight, height), self.point(straight, height))]
         for side in (-1.0, 1.0):
             points = [self.point(side * (straight + bent * np.sin(t)), height * np.cos(t)) for t in turns]
-            found += zip(points[:-1], points[1:], strict=True)
+            found += pairwise(points)
         return found
 
 
@@ -163,37 +173,12 @@ class StrapHandle(Handle):
         }
 
 
-class KnobHandle(Handle):
-    """A round knob; its length is its thickness."""
-
-    def mesh(self, surface: Material) -> Mesh:
-        """A head on a slightly thinner neck."""
-        radius, neck = self.thickness / 2, 0.4 * self.clearance
-        return merge_meshes(
-            "handle",
-            [
-                rod("head", self.point(0, neck), self.point(0, self.clearance), radius, surface, 20),
-                rod("neck", self.foot, self.point(0, neck), 0.88 * radius, surface, 20),
-            ],
-        )
-
-    def boxes(self) -> dict[str, AlignedBox]:
-        """Two crossed boxes; the gripper closes on the first one."""
-        side, out = np.array([-0.5, 0.5]) * self.thickness, (0, self.clearance)
-        return {
-            "handle_bar": self.block(SHORT * side, out, LONG * side),
-            "handle_sides": self.block(LONG * side, out, SHORT * side),
-            "handle_core": self.block(WIDE * side, out, WIDE * side),
-        }
-
-
 class LipHandle(Handle):
     """A plate that stands off like a rim."""
 
     def boxes(self) -> dict[str, AlignedBox]:
         """The plate."""
-        half = self.length / 2
-        sides = np.array([-0.5, 0.5]) * self.thickness
+        half, sides = self.length / 2, np.array([-0.5, 0.5]) * self.thickness
         return {"handle_bar": self.block((-half, half), (0, self.clearance), sides)}
 
 
@@ -209,6 +194,22 @@ class CupHandle(LipHandle):
             "handle_cheek_low": self.block((-half, -half + thick), out, across),
             "handle_cheek_high": self.block((half - thick, half), out, across),
         }
+
+
+class KnobHandle(Handle):
+    """A square knob with round edges, as long as it is thick; its one flat collider does not slip as several do."""
+
+    def boxes(self) -> dict[str, AlignedBox]:
+        """The knob before its edges are rounded."""
+        sides = np.array([-0.5, 0.5]) * self.thickness
+        return {"handle_bar": self.block(sides, (0, self.clearance), sides)}
+
+    def mesh(self, surface: Material) -> Mesh:
+        """With round edges."""
+        radius = KNOB_EDGE * self.thickness
+        whole = self.boxes()["handle_bar"]
+        knob = RoundedBox(whole=whole, axis=1, radii=(radius, radius), corners=ALL_EDGES)
+        return knob.mesh("handle", surface)
 
 
 # By their name in `designs.toml`.

@@ -10,7 +10,6 @@ from aomgen.assets.procedural import textures
 from aomgen.assets.procedural.builder import (
     LEVEL,
     SEAL,
-    UPPER_EDGES,
     Color,
     LinkBuilder,
     Span,
@@ -24,6 +23,7 @@ from aomgen.assets.procedural.builder import (
 from aomgen.assets.procedural.handles import ArchHandle, Handle, make_handle
 from aomgen.assets.procedural.shapes import (
     PRINT_GAP,
+    UPPER_EDGES,
     AlignedBox,
     Material,
     RoundedBox,
@@ -160,7 +160,9 @@ def _add_top(lid: LinkBuilder, s: SimpleNamespace, plastic: Material) -> tuple[S
         flat = (w, d - across)
     if s.tier > 0:
         flat = (flat[0] - TIER_INSET, flat[1] - TIER_INSET)
-        lid.boxes("tier", {"tier": box(-flat[0], flat[0], -flat[1], flat[1], top, top + s.tier, "z")}, plastic)
+        lid.boxes(
+            "tier", {"tier": box(-flat[0], flat[0], -flat[1], flat[1], top, top + s.tier, "z")}, plastic
+        )
     return flat, top + s.tier
 
 

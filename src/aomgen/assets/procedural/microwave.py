@@ -9,9 +9,7 @@ import numpy as np
 
 from aomgen.assets.procedural import textures
 from aomgen.assets.procedural.builder import (
-    ALL_EDGES,
     SEAL,
-    UPPER_EDGES,
     UPRIGHT,
     Color,
     LinkBuilder,
@@ -25,7 +23,16 @@ from aomgen.assets.procedural.builder import (
     window_frame,
 )
 from aomgen.assets.procedural.handles import Handle, make_handle
-from aomgen.assets.procedural.shapes import AlignedBox, Material, RoundedBox, box, panel, rod
+from aomgen.assets.procedural.shapes import (
+    ALL_EDGES,
+    UPPER_EDGES,
+    AlignedBox,
+    Material,
+    RoundedBox,
+    box,
+    panel,
+    rod,
+)
 from aomgen.core.asset import ArticulatedAsset
 
 # Between door and keys; depth of a frame around the front; from the sides to the middle of a foot, [m].
@@ -77,7 +84,9 @@ def _lay_out(s: SimpleNamespace) -> None:
 
 def _round(s: SimpleNamespace, row: AlignedBox) -> RoundedBox:
     """A box with those upright edges rounded that are corners of the microwave's front."""
-    corners = [c for c in ALL_EDGES if (row.upper[2] == s.height if c in UPPER_EDGES else row.lower[2] == s.feet)]
+    corners = [
+        c for c in ALL_EDGES if (row.upper[2] == s.height if c in UPPER_EDGES else row.lower[2] == s.feet)
+    ]
     return RoundedBox(whole=row, axis=1, radii=(s.corner, s.corner), corners=tuple(corners))
 
 
@@ -169,7 +178,9 @@ def _add_door(
     door.handle(handle, Material(texture_srgb=steel, metallic=0.8, roughness=0.3))
 
 
-def _add_frame(door: LinkBuilder, s: SimpleNamespace, spans: tuple[Span, Span, Span], grain: Material) -> None:
+def _add_frame(
+    door: LinkBuilder, s: SimpleNamespace, spans: tuple[Span, Span, Span], grain: Material
+) -> None:
     """Bars around the window, and one collider over frame and window, or three where corners are round."""
     bars = window_frame(*spans, s.frame)
     if s.corner == 0:

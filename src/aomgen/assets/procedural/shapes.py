@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from itertools import product
+from typing import Final
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -19,6 +20,9 @@ _PLANE_AXES = ((1, 2), (0, 2), (0, 1))
 NO_TEXTURE = np.zeros((0, 0, 3), np.uint8)
 # A rounded edge is cut into at least four steps, and into one for every 6 mm of its smaller radius, [m].
 LEAST_STEPS, STEP = 4, 0.006
+# All four edges of a box along an axis; those on its high side of the second one.
+ALL_EDGES: Final = ((-1, -1), (1, -1), (1, 1), (-1, 1))
+UPPER_EDGES: Final = ((1, 1), (-1, 1))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -135,10 +139,12 @@ class RoundedBox:
 
     def _profile(self) -> tuple[Array, Array]:
         """Points of an edge from one face to the next, in radii from its centre."""
-        shares = np.linspace(0.0, 1.0, max(LEAST_STEPS, int(np.ceil(min(self.radii) / STEP))) + 1)
+        steps = max(LEAST_STEPS, int(np.ceil(min(self.radii) / STEP)))
+        shares = np.linspace(0.0, 1.0, steps + 1, dtype=np.float64)
         if self.bevel:
             return shares, 1.0 - shares
-        return np.sin(shares * np.pi / 2), np.cos(shares * np.pi / 2)
+        turns = shares * np.pi / 2
+        return np.sin(turns, dtype=np.float64), np.cos(turns, dtype=np.float64)
 
     def _outline(self) -> Array:
         """Corners (N, 2) along the other two axes, counter-clockwise."""
@@ -146,7 +152,7 @@ class RoundedBox:
         bounds = np.array([self.whole.lower, self.whole.upper])[:, axes]
         profile = np.stack(self._profile(), 1)
         points = []
-        for sides in ((-1, -1), (1, -1), (1, 1), (-1, 1)):
+        for sides in ALL_EDGES:
             corner = np.array([bounds[(side + 1) // 2, i] for i, side in enumerate(sides)])
             if sides not in self.corners:
                 points.append(corner[None])
