@@ -54,8 +54,8 @@ FELT = Material(color_srgb=(0.10, 0.09, 0.08))
 def make_drawer(rng: np.random.Generator, table: Mapping[str, Any]) -> ArticulatedAsset:
     """Equal fronts with equal handles, of which only one slides out; an open shelf below them where there is room."""
     s = draw_sizes(rng, table)
-    s.width, s.height = s.columns * s.pitch_x, max(s.height, s.feet + s.rows * s.pitch_z)
-    s.low = s.height - s.rows * s.pitch_z
+    s.width, s.height = s.columns * s.pitch_x, max(s.height, s.feet + s.rows * s.pitch_z + s.reveal)
+    s.low = s.height - s.reveal - s.rows * s.pitch_z
     faces = {cell: _drawer_front(s, cell) for cell in product(range(s.columns), range(s.rows))}
     handles = {cell: _drawer_handle(s, face) for cell, face in faces.items()}
     moving = pick(rng, [cell for cell, handle in handles.items() if handle.middle[2] > LEAST_BAR_Z])

@@ -177,7 +177,7 @@ def _add_lid_prints(
         return
     corner = (grip + 0.02, -d + PRINT_EDGE, top)
     lid.print("stickers", "top", corner, (w - grip - 0.02 - PRINT_EDGE, 2 * (d - PRINT_EDGE)), art)
-    lid.print("name", "top", (-w + PRINT_EDGE, -0.02, top), (min(0.10, w - grip - PRINT_EDGE), 0.035), brand)
+    lid.print("name", "top", (-w + PRINT_EDGE, -0.02, top), (min(0.10, w - grip - 0.02), 0.035), brand)
 
 
 def _walls(s: SimpleNamespace, z0: float, z1: float, *, open_above: bool) -> dict[str, AlignedBox]:
