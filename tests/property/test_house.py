@@ -14,7 +14,7 @@ LINES = {path: path.read_text("utf-8").splitlines() for path in FILES}
 # Names that every package may have.
 SHARED_NAMES = {"stage", "__init__", "__main__"}
 
-MAX_LINES, MAX_FILES, MAX_FILE_LINES, MAX_PACKAGE_SHARE = 53_171, 322, 350, 0.12
+MAX_LINES, MAX_FILES, MAX_FILE_LINES, MAX_PACKAGE_SHARE = 53_176, 323, 350, 0.12
 MAX_NUMBERS, MAX_OPTIONS, MAX_ONE_IMPORTER = 745, 79, 82
 
 

@@ -20,8 +20,9 @@ _PLANE_AXES = ((1, 2), (0, 2), (0, 1))
 NO_TEXTURE = np.zeros((0, 0, 3), np.uint8)
 # A rounded edge is cut into at least four steps, and into one for every 6 mm of its smaller radius, [m].
 LEAST_STEPS, STEP = 4, 0.006
-# All four edges of a box along an axis; those on its high side of the second one.
+# All four edges of a box along an axis.
 ALL_EDGES: Final = ((-1, -1), (1, -1), (1, 1), (-1, 1))
+# Those on the high side of the second other axis.
 UPPER_EDGES: Final = ((1, 1), (-1, 1))
 
 
