@@ -12,10 +12,8 @@ from aomgen.assets.choice import MAKERS, OTHER_MAKERS, Maker, make_asset, make_b
 from aomgen.assets.procedural import textures
 from aomgen.assets.procedural.builder import (
     LEVEL,
-    OUTWARD,
     SEAL,
     UPRIGHT,
-    BarHandle,
     Color,
     LinkBuilder,
     assemble,
@@ -24,13 +22,13 @@ from aomgen.assets.procedural.builder import (
     feet,
     hinge,
     lining,
-    make_bar,
     pick,
     pick_color,
     slide,
     window_frame,
 )
 from aomgen.assets.procedural.furniture import FELT, GAP, KEPT_IN, PLY, tray
+from aomgen.assets.procedural.handles import OUTWARD, Handle, make_handle
 from aomgen.assets.procedural.shapes import Material, box, merge_meshes, panel, rod
 from aomgen.assets.procedural.textures import Texture
 from aomgen.core.asset import ArticulatedAsset
@@ -49,6 +47,7 @@ OVEN = {
     "bar_share": (0.62, 0.78),
     "bar_thickness": (0.012, 0.016),
     "bar_clearance": (0.030, 0.036),
+    "handle": "bar",
     "opening": (82, 90),
     "body_mass": (9.0, 13.0),
     "door_mass": (1.4, 2.0),
@@ -69,6 +68,7 @@ CUPBOARD = {
     "drawer_height": (0.11, 0.13),
     "travel": (0.20, 0.27),
     "opening": (98, 110),
+    "handle": "bar",
     "bar_length": (0.11, 0.14),
     "bar_thickness": (0.011, 0.015),
     "bar_clearance": (0.028, 0.034),
@@ -98,7 +98,7 @@ def make_oven(rng: np.random.Generator) -> ArticulatedAsset:
     s = draw_sizes(rng, OVEN)
     color, door_color = pick(rng, BODIES), pick(rng, DOORS)
     s.front, s.door_top = -s.depth / 2 - SEAL - s.door, s.height - s.strip - 0.003
-    bar = make_bar(s, [0.0, s.front, s.door_top - s.frame / 2], LEVEL, s.bar_share * s.width)
+    bar = make_handle(s, [0.0, s.front, s.door_top - s.frame / 2], LEVEL, s.bar_share * s.width)
     body, door = LinkBuilder("body"), LinkBuilder("door")
     _add_oven_body(body, s, color, rng)
     _add_cavity(body, s, rng)
@@ -151,7 +151,7 @@ def _add_cavity(body: LinkBuilder, s: SimpleNamespace, rng: np.random.Generator)
 
 
 def _add_oven_door(
-    door: LinkBuilder, s: SimpleNamespace, color: Color, bar: BarHandle, rng: np.random.Generator
+    door: LinkBuilder, s: SimpleNamespace, color: Color, bar: Handle, rng: np.random.Generator
 ) -> None:
     w, z0, z1, frame = s.width / 2, s.plinth, s.door_top, s.frame
     y = (s.front, s.front + s.door)
@@ -168,7 +168,7 @@ def _add_oven_door(
         door.meshes.append(panel(key, (x, depth, z0 + frame), (right, 0, 0), up, glass))
     door.print("name", "front", (-0.045, y[0], z0 + 0.006), (0.09, 0.02), name)
     door.solid("door", box(-w, w, *y, z0, z1))
-    door.bar(bar, steel)
+    door.handle(bar, steel)
 
 
 def make_cupboard(rng: np.random.Generator) -> ArticulatedAsset:
@@ -222,7 +222,7 @@ def _add_boards(body: LinkBuilder, s: SimpleNamespace, wood: Material, rng: np.r
         body.meshes.append(merge_meshes(key, pile))
 
 
-def _add_drawer(drawer: LinkBuilder, s: SimpleNamespace, paint: Color, rng: np.random.Generator) -> BarHandle:
+def _add_drawer(drawer: LinkBuilder, s: SimpleNamespace, paint: Color, rng: np.random.Generator) -> Handle:
     w, low, top = s.width / 2, s.shelf, s.height - s.board
     inner = w - s.board - GAP
     face = box(-w + 0.002, w - 0.002, s.start - s.front, s.start, low - 0.004, top + 0.008)
@@ -236,7 +236,7 @@ def _add_drawer(drawer: LinkBuilder, s: SimpleNamespace, paint: Color, rng: np.r
     return _bar(drawer, s, [0.0, face.lower[1], (low + top) / 2], LEVEL)
 
 
-def _add_door(door: LinkBuilder, s: SimpleNamespace, paint: Color, rng: np.random.Generator) -> BarHandle:
+def _add_door(door: LinkBuilder, s: SimpleNamespace, paint: Color, rng: np.random.Generator) -> Handle:
     w, front = s.width / 2, s.start - s.front
     # A finger's breadth below the drawer's front, so that neither rubs the other.
     low, top = s.feet, s.shelf - 0.004 - GAP
@@ -249,9 +249,9 @@ def _add_door(door: LinkBuilder, s: SimpleNamespace, paint: Color, rng: np.rando
     return _bar(door, s, [free * (w - 0.04), front, (low + top) / 2], UPRIGHT)
 
 
-def _bar(link: LinkBuilder, s: SimpleNamespace, foot: list[float], axis: np.ndarray) -> BarHandle:
-    bar = make_bar(s, foot, axis, s.bar_length)
-    link.bar(bar, s.metal)
+def _bar(link: LinkBuilder, s: SimpleNamespace, foot: list[float], axis: np.ndarray) -> Handle:
+    bar = make_handle(s, foot, axis, s.bar_length)
+    link.handle(bar, s.metal)
     return bar
 
 

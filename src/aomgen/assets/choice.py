@@ -1,14 +1,15 @@
 """Articulated assets by what users call them: made ones, drawn from a seed, and USD files; all checked."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
 from aomgen.assets.asset_check import check_asset
-from aomgen.assets.procedural.furniture import make_cabinet, make_drawer, make_dresser
+from aomgen.assets.procedural.builder import STYLES, design, style_table
+from aomgen.assets.procedural.furniture import make_cabinet, make_drawer
 from aomgen.assets.procedural.lidded import make_laptop, make_toolbox
 from aomgen.assets.procedural.microwave import make_microwave
 from aomgen.assets.usd_read import SUFFIXES, read_usd
@@ -17,39 +18,52 @@ from aomgen.errors import AssetError, ConfigError
 from aomgen.io.schema import suggest
 
 Maker = Callable[[np.random.Generator], ArticulatedAsset]
+StyledMaker = Callable[[np.random.Generator, Mapping[str, Any]], ArticulatedAsset]
 # The categories of the benchmark.
-MAKERS: Final[dict[str, Maker]] = {
+MAKERS: Final[dict[str, StyledMaker]] = {
     "cabinet": make_cabinet,
     "drawer": make_drawer,
     "laptop": make_laptop,
     "microwave": make_microwave,
     "toolbox": make_toolbox,
 }
-# Made by name as well: drawers again, of another shape.
-OTHER_MAKERS: Final[dict[str, Maker]] = {"dresser": make_dresser}
+# Made by name as well: drawers of several equal fronts.
+OTHER_MAKERS: Final[dict[str, StyledMaker]] = {"dresser": make_drawer}
 
 # Names the recorded object itself among the assets of a project; it is not known before it is reconstructed.
 ORIGINAL: Final = "original"
 
 
-def make_asset(category: str, seed: int) -> ArticulatedAsset:
+def make_asset(category: str, seed: int, style: str = "") -> ArticulatedAsset:
     """A new asset of a category; the same seed gives the same asset.
 
     Args:
         category: One of `MAKERS` or `OTHER_MAKERS`.
-        seed: Chooses sizes, colors, prints and the hinge side.
+        seed: Chooses style, sizes, colors, prints and the hinge side.
+        style: One of `list_styles` instead of the seed's.
 
     Returns:
         A hollow, textured asset in the asset frame (front towards -y, support plane z = 0,
         centred in x), closed at joint value 0.
 
     Raises:
-        ConfigError: The category is unknown.
+        ConfigError: The category or the style is unknown.
     """
     if not is_made(category):
         known = ", ".join(MAKERS | OTHER_MAKERS)
         raise ConfigError("category", f"{category!r} is unknown", f"choose one of {known}")
-    return make_by((MAKERS | OTHER_MAKERS)[category], category, seed)
+    styles = list_styles(category)
+    # No random number, so that consecutive seeds show all styles.
+    chosen = style or styles[(seed - 1) % len(styles)]
+    if chosen not in styles:
+        raise ConfigError("style", f"{style!r} is unknown", f"choose one of {', '.join(styles)}")
+    maker, table = (MAKERS | OTHER_MAKERS)[category], style_table(category, chosen)
+    return make_by(lambda rng: maker(rng, table), category, seed)
+
+
+def list_styles(category: str) -> list[str]:
+    """Styles of a made category; seed 1 has the first one, and after the last one they start again."""
+    return list(design(category)[STYLES])
 
 
 def make_by(maker: Maker, category: str, seed: int) -> ArticulatedAsset:

@@ -17,13 +17,21 @@ JointName = Annotated[str, typer.Option(help="Which of several joints opens; the
 def assets_make(
     category: Annotated[str, typer.Argument(help="cabinet, drawer, laptop, microwave or toolbox.")],
     path: Annotated[Path, typer.Argument(help="USD file to write, for example microwave.usda.")],
-    seed: Annotated[int, typer.Option(min=0, help="Same seed, same asset.")] = 0,
+    seed: Annotated[
+        int, typer.Option(min=0, help="Same seed, same asset; each next seed, the next style.")
+    ] = 0,
+    style: Annotated[
+        str, typer.Option(help="For example classic; the seed's without, see docs/assets.md.")
+    ] = "",
 ) -> None:
-    """Make a textured, hollow, articulated asset with colliders and a joint, as USD."""
+    """Make a textured, hollow, articulated asset with colliders and a joint, as USD.
+
+    Styles differ in proportions, feet, handle and outline; they follow from the seed in turn.
+    """
     from aomgen.assets.choice import make_asset
     from aomgen.assets.usd_write import write_usd
 
-    write_usd(make_asset(category, seed), path)
+    write_usd(make_asset(category, seed, style), path)
     print(path)
 
 

@@ -50,7 +50,7 @@ def draw_usual_style(
     style = DemonstrationStyle(travel=float(travel))
     grasp_style = draw_grasp_style(rng, style)
     style = replace(style, follow=rng.uniform(0.6, 1.0))
-    if held_at_rim(asset) and rng.random() > CLOSED_SHARE:
+    if asset.joint.type == "revolute" and held_at_rim(asset) and rng.random() > CLOSED_SHARE:
         style = replace(style, start=float(rng.uniform(*AJAR_RAD)))
     return style, grasp_style
 

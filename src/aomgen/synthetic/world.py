@@ -37,6 +37,8 @@ DEFAULT_ROBOT = "ur5e_2f85"
 PACKAGE_DEPTH = 3
 # What a capture of a category shows, where it is not the asset of that name.
 SHOWN = {"drawer": "dresser"}
+# Of that asset; objects of all styles replace it.
+SHOWN_STYLE = "classic"
 CAMERA = "front"
 VERBS = {"opening": "open", "closing": "close"}
 MOVED_TEXT = {"revolute": "0.5 degrees", "prismatic": "2 mm"}
@@ -103,7 +105,7 @@ def draw_object(category: str, seed: int) -> ArticulatedAsset:
     Raises:
         ConfigError: Unknown category.
     """
-    return make_asset(SHOWN.get(category, category), seed)
+    return make_asset(SHOWN.get(category, category), seed, SHOWN_STYLE)
 
 
 def draw_capture_style(

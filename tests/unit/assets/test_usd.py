@@ -117,8 +117,8 @@ def test_centimetres_y_up_and_negative_limits(usd: Path, microwave: ArticulatedA
 
 @pytest.mark.parametrize("category", ["microwave", "drawer"])
 @pytest.mark.parametrize("seed", [0, 3])
-def test_handle_is_guessed_from_shape_alone(category: str, seed: int) -> None:
-    asset = make_asset(category, seed)
+def test_bar_is_guessed_from_shape_alone(category: str, seed: int) -> None:
+    asset = make_asset(category, seed, "classic")
     unnamed = replace(
         asset.moving, meshes=tuple(replace(m, name=f"part_{i}") for i, m in enumerate(asset.moving.meshes))
     )

@@ -1,12 +1,12 @@
-"""What all designs of made assets share: sizes drawn from a table, links built row by row, bars, joints.
+"""What all designs of made assets share: sizes drawn from a table, links built row by row, feet, joints.
 
-A design is a table of sizes in `designs.toml` and one function that lists boxes, prints and rods in the asset
-frame: front towards -y, centred in x, on z = 0.
+A design is a table of sizes in `designs.toml`, which every style changes in some rows, and one function that lists
+boxes, prints and rods in the asset frame: front towards -y, centred in x, on z = 0.
 """
 
 import tomllib
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from types import SimpleNamespace
@@ -15,27 +15,25 @@ from typing import Any, Final, TypeVar
 import numpy as np
 from numpy.typing import ArrayLike
 
+from aomgen.assets.procedural.handles import Handle
 from aomgen.assets.procedural.shapes import (
     PRINT_GAP,
     AlignedBox,
     Material,
+    RoundedBox,
     box,
     boxes_mesh,
     merge_meshes,
     panel,
-    rod,
 )
 from aomgen.core.asset import ArticulatedAsset, AssetLink, BoxCollider
 from aomgen.core.joint import Joint
 from aomgen.core.mesh import Mesh
-from aomgen.core.transforms import transform
 from aomgen.core.values import Array
 
 Span = tuple[float, float]
 Color = tuple[float, float, float]
 Item = TypeVar("Item")
-# Where fronts look.
-OUTWARD: Final = np.array([0.0, -1.0, 0.0])
 LEVEL, _, UPRIGHT = np.eye(3)
 # Free depth between body and closed part, [m]: the seal that keeps colliders apart.
 SEAL: Final = 0.002
@@ -46,8 +44,10 @@ FACES: Final = {
     "left": ((0, -1, 0), (0, 0, 1)),
     "right": ((0, 1, 0), (0, 0, 1)),
 }
-# Posts of a bar: their thickness, and their distance from its ends, in thicknesses of the bar.
-POST: Final = 0.8
+# What a category's table holds beside its sizes.
+STYLES: Final = "styles"
+# How far corner posts stand out, and a plinth stands back, [m].
+POST_OUT, PLINTH_INSET = 0.006, 0.025
 
 
 @cache
@@ -56,9 +56,25 @@ def design(name: str) -> Mapping[str, Any]:
     return tomllib.loads((Path(__file__).parent / "designs.toml").read_text("utf-8"))[name]
 
 
-def draw_sizes(rng: np.random.Generator, table: Mapping[str, Span]) -> SimpleNamespace:
-    """One number within the range of each row, in the order of the table."""
-    return SimpleNamespace(**{name: rng.uniform(*span) for name, span in table.items()})
+def style_table(category: str, style: str) -> dict[str, Any]:
+    """The rows of a category as a style changes them, in the order of the category's own."""
+    table = dict(design(category))
+    changes = table.pop(STYLES)[style]
+    return table | changes
+
+
+def draw_sizes(rng: np.random.Generator, table: Mapping[str, Any]) -> SimpleNamespace:
+    """One number within the range of each row, in the order of the table.
+
+    A number or a word stands as it is; of a row with several tables one is picked, and its rows are drawn.
+    """
+    sizes: dict[str, Any] = {}
+    for name, row in table.items():
+        if isinstance(row, Mapping):
+            sizes |= vars(draw_sizes(rng, row[pick(rng, list(row))]))
+        else:
+            sizes[name] = row if isinstance(row, str | int | float) else rng.uniform(*row)
+    return SimpleNamespace(**sizes)
 
 
 def pick(rng: np.random.Generator, options: Sequence[Item]) -> Item:
@@ -69,61 +85,6 @@ def pick(rng: np.random.Generator, options: Sequence[Item]) -> Item:
 def pick_color(rng: np.random.Generator, kind: str) -> Color:
     """One of the usual colors of something, sRGB 0..1."""
     return pick(rng, design("colors")[kind])
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class BarHandle:
-    """A bar on two posts that a parallel gripper can hold from the front, [m].
-
-    Attributes:
-        foot: Point of the front's plane behind the bar's middle (3,).
-        axis: Unit direction of the bar (3,).
-        clearance: Free depth between front and bar.
-    """
-
-    foot: Array
-    axis: Array
-    length: float
-    thickness: float
-    clearance: float
-
-    @property
-    def middle(self) -> Array:
-        """Middle of the bar (3,), [m]."""
-        return self.foot + OUTWARD * (self.clearance + self.thickness / 2)
-
-    def mesh(self, surface: Material) -> Mesh:
-        """Round bar and posts."""
-        half, radius = self.axis * self.length / 2, self.thickness / 2
-        rods = [rod("bar", self.middle - half, self.middle + half, radius, surface)]
-        for offset in self._post_offsets():
-            rods.append(rod("post", self.foot + offset, self.middle + offset, POST * radius, surface, 10))
-        return merge_meshes("handle", rods)
-
-    def colliders(self, prefix: str = "") -> list[BoxCollider]:
-        """Boxes of bar and posts; all names start with "handle", after a prefix for what does not move."""
-        radius = self.thickness / 2
-        half_bar = np.where(np.abs(self.axis) > 0.5, self.length / 2, radius)
-        half_post = np.array([POST * radius, self.clearance / 2, POST * radius])
-        rows = [("handle_bar", self.middle, half_bar)]
-        for name, offset in zip(("handle_post_low", "handle_post_high"), self._post_offsets(), strict=True):
-            rows.append((name, self.foot + OUTWARD * self.clearance / 2 + offset, half_post))
-        return [
-            BoxCollider(name=prefix + name, T_asset_box=transform(np.eye(3), centre), half_extents=half)
-            for name, centre, half in rows
-        ]
-
-    def _post_offsets(self) -> tuple[Array, Array]:
-        offset = self.axis * (self.length / 2 - POST * self.thickness)
-        return -1.0 * offset, offset
-
-
-def make_bar(s: SimpleNamespace, foot: ArrayLike, axis: Array, length: float) -> BarHandle:
-    """A bar as thick and as far off as the drawn sizes say."""
-    place = np.asarray(foot, np.float64)
-    return BarHandle(
-        foot=place, axis=axis, length=length, thickness=s.bar_thickness, clearance=s.bar_clearance
-    )
 
 
 class LinkBuilder:
@@ -171,10 +132,25 @@ class LinkBuilder:
         place = corner + PRINT_GAP * np.cross(right, up)
         self.meshes.append(panel(name, place, size[0] * right, size[1] * up, surface))
 
-    def bar(self, bar: BarHandle, surface: Material) -> None:
-        """The handle."""
-        self.meshes.append(bar.mesh(surface))
-        self.colliders += bar.colliders()
+    def rounded(self, rows: Mapping[str, RoundedBox], surface: Material, *, name: str = "") -> None:
+        """Rounded boxes as one mesh, by default of the first one's name; never mirrored."""
+        meshes = [row.mesh(key, surface) for key, row in rows.items()]
+        self.meshes.append(merge_meshes(name or meshes[0].name, meshes))
+        for key, row in rows.items():
+            for number, part in enumerate(row.boxes()):
+                self.colliders.append(part.collider(f"{key}_{number}" if number else key))
+
+    def handle(self, handle: Handle, surface: Material) -> None:
+        """What it is held at."""
+        self.meshes.append(handle.mesh(surface))
+        self.colliders += handle.colliders()
+
+    def behind(self, name: str, handle: Handle, surface: Material) -> None:
+        """A handle that nobody opens anything with, turned half round to the back."""
+        turn = np.diag([-1.0, -1.0, 1.0, 1.0])
+        self.meshes.append(replace(handle.mesh(surface), name=name).transformed(turn))
+        for part in handle.colliders(f"{name}_"):
+            self.colliders.append(replace(part, T_asset_box=turn @ part.T_asset_box))
 
     def link(self, mass: float) -> AssetLink:
         """The finished link; mass in [kg]."""
@@ -209,6 +185,34 @@ def feet(w: float, depth: Span, height: float, *, inset: float, half: float) -> 
     }
 
 
+def stand(
+    kind: str, w: float, depth: Span, height: float, inset: float, half: float
+) -> dict[str, AlignedBox]:
+    """What a body stands on: blocks as `feet`, legs at its corners, rails along its sides, a plinth, or nothing."""
+    y0, y1 = depth
+    if kind == "legs":
+        return feet(w, depth, height, inset=half, half=half)
+    if kind == "rails":
+        return {
+            f"rail_{i}": box(x - half, x + half, y0 + half, y1, 0.0, height, "Z")
+            for i, x in enumerate((-w + inset, w - inset))
+        }
+    if kind == "plinth":
+        back = PLINTH_INSET
+        return {"plinth": box(-w + back, w - back, y0 + back, y1, 0.0, height, "Z")}
+    return feet(w, depth, height, inset=inset, half=half) if kind == "blocks" else {}
+
+
+def corner_posts(w: float, depth: Span, height: Span, side: float) -> dict[str, AlignedBox]:
+    """Posts around the four upright edges of a body, `side` wide; they stand out a little, [m]."""
+    (y0, y1), out, inside = depth, POST_OUT, side - POST_OUT
+    posts = {}
+    for end, y in (("front", (y0 - out, y0 + inside)), ("back", (y1 - inside, y1 + out))):
+        posts[f"post_left_{end}"] = box(-w - out, -w + inside, *y, *height)
+        posts[f"post_right_{end}"] = box(w - inside, w + out, *y, *height)
+    return posts
+
+
 def window_frame(x: Span, y: Span, z: Span, frame: float) -> list[AlignedBox]:
     """Four bars of width `frame` around a window, [m]."""
     (x0, x1), (z0, z1) = x, z
@@ -239,18 +243,18 @@ def hinge(axis: ArrayLike, origin: ArrayLike, opening_deg: float) -> Joint:
     return Joint(type="revolute", axis=line, origin=place, lower=0.0, upper=np.deg2rad(opening_deg))
 
 
-def slide(axis: ArrayLike, bar: BarHandle, travel: float) -> Joint:
-    """A prismatic joint of a part that a bar is on; travel in [m]."""
+def slide(axis: ArrayLike, handle: Handle, travel: float) -> Joint:
+    """A prismatic joint of a part that a handle is on; travel in [m]."""
     return Joint(
-        type="prismatic", axis=np.asarray(axis, np.float64), origin=bar.foot, lower=0.0, upper=travel
+        type="prismatic", axis=np.asarray(axis, np.float64), origin=handle.foot, lower=0.0, upper=travel
     )
 
 
 def assemble(
-    category: str, static: AssetLink, moving: AssetLink, joint: Joint, held: BarHandle | Array
+    category: str, static: AssetLink, moving: AssetLink, joint: Joint, held: Handle | Array
 ) -> ArticulatedAsset:
-    """The asset, still without a name; it is held at a bar, or at a point (3,) of a level rim."""
-    point, axis = (held.middle, held.axis) if isinstance(held, BarHandle) else (held, LEVEL)
+    """The asset, still without a name; it is held at a handle, or at a point (3,) of a level rim."""
+    point, axis = (held.middle, held.axis) if isinstance(held, Handle) else (held, LEVEL)
     return ArticulatedAsset(
         name="", category=category, static=static, moving=moving, joint=joint, handle_point=point, handle_axis=axis
     )  # fmt: skip

@@ -1,159 +1,171 @@
-"""Furniture of boards: a drawer under a table top, dressers of equal fronts, cabinets with a sliding panel."""
+"""Furniture of boards: single drawers, dressers of equal fronts, cabinets with a sliding panel."""
 
+from collections.abc import Mapping
 from itertools import product
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 
 from aomgen.assets.procedural import textures
 from aomgen.assets.procedural.builder import (
     LEVEL,
-    OUTWARD,
     UPRIGHT,
-    BarHandle,
     Color,
     LinkBuilder,
     Span,
     assemble,
     carcass,
-    design,
     draw_sizes,
-    feet,
-    make_bar,
     pick,
     pick_color,
     slide,
+    stand,
 )
-from aomgen.assets.procedural.shapes import AlignedBox, Material, box, merge_meshes, rod
+from aomgen.assets.procedural.handles import OUTWARD, Handle, make_handle
+from aomgen.assets.procedural.shapes import (
+    ALL_EDGES,
+    AlignedBox,
+    Material,
+    RoundedBox,
+    box,
+    merge_meshes,
+    rod,
+)
 from aomgen.core.asset import ArticulatedAsset
 
 # Free space between a body and what slides in it, [m].
 GAP = 0.003
 # A bar nearer to the table leaves no room for a gripper, [m].
 LEAST_BAR_Z = 0.105
-# Share of dressers that are dark all over, and of those whose fronts are of the body's wood.
+# Share of drawers that are dark all over, and of those whose fronts are of the body's wood.
 DARK_SHARE, ONE_WOOD_SHARE = 0.4, 0.3
 # A drawer stays in its body by this much, [m].
 KEPT_IN = 0.09
+# An open shelf is at least so high; feet stand so far inside, [m].
+LEAST_SHELF, FOOT_INSET = 0.02, 0.05
+# Of the corners of a table top, [m].
+TOP_RADIUS = 0.02
 # Plywood, sRGB 0..1.
 PLY = (0.86, 0.77, 0.62)
 FELT = Material(color_srgb=(0.10, 0.09, 0.08))
 
 
-def make_drawer(rng: np.random.Generator) -> ArticulatedAsset:
-    """A body with one drawer, above a shelf where there is room."""
-    s = draw_sizes(rng, design("drawer"))
-    w, y0, y1, z0, z1 = s.width / 2, -s.depth / 2, s.depth / 2, s.feet, s.height
-    top = z1 - s.board
-    low = top - s.drawer_height
-    wood = _wood(rng, "wood", 0.55)
-    front = _wood(rng, "wood", 0.5) if rng.random() < 0.5 else _paint(rng, pick_color(rng, "paint"))
-    plate = Material(texture_srgb=textures.label(rng))
-    boards = carcass(w, (y0, y1), (z0, z1), s.board)
-    if low - s.board > z0 + s.board + 0.02:
-        boards["shelf"] = box(-w + s.board, w - s.board, y0, y1 - s.board, low - s.board, low, "xXY")
-    body = LinkBuilder("cabinet")
-    body.boxes("boards", boards, wood)
-    body.boxes("feet", feet(w, (y0, y1), z0, inset=0.05, half=0.02), FELT)
-    x, y = rng.uniform(-0.12, 0.02), rng.uniform(-0.10, 0.02)
-    body.print("label", "top", (x, y, z1), (0.10, 0.0625), plate)
-    body.print("label_side", "right", (w, -0.03, z0 + 0.06), (0.08, 0.05), plate)
-
-    start = y0 - GAP
-    face = box(-w + 0.002, w - 0.002, start - s.board, start, low - 0.004, top + 0.008)
-    inner = w - s.board - GAP
+def make_drawer(rng: np.random.Generator, table: Mapping[str, Any]) -> ArticulatedAsset:
+    """Equal fronts with equal handles, of which only one slides out; an open shelf below them where there is room."""
+    s = draw_sizes(rng, table)
+    s.width, s.height = s.columns * s.pitch_x, max(s.height, s.feet + s.rows * s.pitch_z + s.reveal)
+    s.low = s.height - s.reveal - s.rows * s.pitch_z
+    faces = {cell: _drawer_front(s, cell) for cell in product(range(s.columns), range(s.rows))}
+    handles = {cell: _drawer_handle(s, face) for cell, face in faces.items()}
+    moving = pick(rng, [cell for cell, handle in handles.items() if handle.middle[2] > LEAST_BAR_Z])
+    wood, front, metal = _drawer_surfaces(rng)
     ply = Material(texture_srgb=textures.wood(rng, PLY, 256), roughness=0.6)
-    metal = _metal(rng)
-    bar = make_bar(s, np.array([0.0, face.lower[1], (low + top) / 2]), LEVEL, s.bar_length)
-    drawer = LinkBuilder("drawer")
-    drawer.boxes("front", {"front": face}, front)
-    depth = (start, y1 - s.board - 0.01)
-    drawer.boxes("tray", tray((-inner, inner), depth, (low + GAP, top - 0.03), s.side), ply)
-    sign = Material(texture_srgb=textures.nameplate(rng, (0.93, 0.92, 0.88), 64))
-    drawer.print("sign", "front", (-w + 0.02, face.lower[1], face.upper[2] - 0.034), (0.06, 0.015), sign)
-    drawer.bar(bar, metal)
-    joint = slide(OUTWARD, bar, min(s.travel, s.depth - KEPT_IN))
-    return assemble("drawer", body.link(s.body_mass), drawer.link(s.part_mass), joint, bar)
 
-
-def make_dresser(rng: np.random.Generator) -> ArticulatedAsset:
-    """Equal fronts with equal thin bars, of which only one slides out."""
-    grid = pick(rng, list(design("grids")))
-    columns, rows = (int(count) for count in grid.split("x"))
-    s = draw_sizes(rng, {**design("grids")[grid], **design("dresser")})
-    s.width, s.height = columns * s.pitch_x, s.feet + rows * s.pitch_z
-    faces = {cell: _dresser_front(s, cell) for cell in product(range(columns), range(rows))}
-    bars = {cell: _dresser_bar(s, face) for cell, face in faces.items()}
-    moving = pick(rng, [cell for cell, bar in bars.items() if bar.middle[2] > LEAST_BAR_Z])
-    wood, front, metal = _dresser_surfaces(rng)
-
-    w, depth, board = s.width / 2, (-s.depth / 2, s.depth / 2), s.board
-    boards = carcass(w, depth, (s.feet, s.height), board)
-    across = (-w + board, w - board, depth[0], depth[1] - board)
-    # Of the boards between drawers.
-    thin = 0.008
-    for row in range(1, rows):
-        z = s.feet + row * s.pitch_z
-        boards[f"shelf_{row}"] = box(*across, z - thin / 2, z + thin / 2, "xXY")
-    if columns == 2:
-        inside = (s.feet + board, s.height - board)
-        boards["upright"] = box(-thin / 2, thin / 2, depth[0], depth[1] - board, *inside, "zZY")
-    body = LinkBuilder("dresser")
-    body.boxes("boards", boards, wood)
-    body.boxes("feet", feet(w, depth, s.feet, inset=0.05, half=0.02), FELT)
+    body, drawer = LinkBuilder("cabinet"), LinkBuilder("drawer")
+    body.boxes("boards", _drawer_boards(s), wood)
+    _add_base_and_top(body, s, wood)
     fixed = {f"front_{column}_{row}": (column, row) for column, row in faces if (column, row) != moving}
     for key, cell in fixed.items():
         body.boxes(key, {key: faces[cell]}, front)
-    body.meshes.append(merge_meshes("handles", [bars[cell].mesh(metal) for cell in fixed.values()]))
-    for key, cell in fixed.items():
-        body.colliders += bars[cell].colliders(f"{key}_")
+        body.colliders += handles[cell].colliders(f"{key}_")
+    if fixed:
+        body.meshes.append(merge_meshes("handles", [handles[cell].mesh(metal) for cell in fixed.values()]))
+    else:
+        _add_drawer_prints(body, drawer, s, faces[moving], rng)
 
     (x0, _, z0), (x1, start, z1) = faces[moving].lower, faces[moving].upper
-    room = board + GAP
-    ply = Material(texture_srgb=textures.wood(rng, PLY, 256), roughness=0.6)
-    drawer = LinkBuilder("drawer")
+    room, depth = s.board + GAP, (start, s.depth / 2 - s.board - 0.01)
     drawer.boxes("front", {"front": faces[moving]}, front)
-    inner = (start, depth[1] - board - 0.01)
-    drawer.boxes("tray", tray((x0 + room, x1 - room), inner, (z0 + room, z1 - 0.035), s.side), ply)
-    drawer.bar(bars[moving], metal)
-    joint = slide(OUTWARD, bars[moving], min(s.travel, s.depth - KEPT_IN))
-    return assemble("drawer", body.link(s.body_mass), drawer.link(s.part_mass), joint, bars[moving])
+    drawer.boxes("tray", tray((x0 + room, x1 - room), depth, (z0 + room, z1 - 0.035), s.side), ply)
+    drawer.handle(handles[moving], metal)
+    joint = slide(OUTWARD, handles[moving], min(s.travel, s.depth - KEPT_IN))
+    return assemble("drawer", body.link(s.body_mass), drawer.link(s.part_mass), joint, handles[moving])
 
 
-def _dresser_front(s: SimpleNamespace, cell: tuple[int, int]) -> AlignedBox:
+def _drawer_boards(s: SimpleNamespace) -> dict[str, AlignedBox]:
+    """The body, and thin boards between the drawers."""
+    w, depth, board = s.width / 2, (-s.depth / 2, s.depth / 2), s.board
+    boards = carcass(w, depth, (s.feet, s.height), board)
+    across = (-w + board, w - board, depth[0], depth[1] - board)
+    thin, inside = 0.008, (s.low + board, s.height - board)
+    if s.low - s.feet > 2 * board + LEAST_SHELF:
+        boards["shelf"] = box(*across, s.low, s.low + board, "xXY")
+    for row in range(1, s.rows):
+        z = s.low + row * s.pitch_z
+        boards[f"shelf_{row}"] = box(*across, z - thin / 2, z + thin / 2, "xXY")
+    for column in range(1, s.columns):
+        x = column * s.pitch_x - w
+        boards[f"upright_{column}"] = box(x - thin / 2, x + thin / 2, *across[2:], *inside, "zZY")
+    return boards
+
+
+def _add_base_and_top(body: LinkBuilder, s: SimpleNamespace, wood: Material) -> None:
+    """What a piece of furniture stands on; a table top with round corners and a board behind it, where it has them."""
+    w, y0, y1 = s.width / 2, -s.depth / 2, s.depth / 2
+    base = stand(s.stand, w, (y0, y1), s.feet, FOOT_INSET, s.foot_half)
+    if base:
+        body.boxes("feet", base, FELT if s.stand == "blocks" else wood, symmetric=True)
+    s.top = s.height
+    if s.overhang > 0:
+        s.top += s.board
+        front, edge = y0 - 2 * GAP - s.board - s.overhang, w + s.overhang
+        whole = box(-edge, edge, front, y1, s.height, s.top)
+        radii = (TOP_RADIUS, TOP_RADIUS)
+        body.rounded({"table_top": RoundedBox(whole=whole, axis=2, radii=radii, corners=ALL_EDGES)}, wood)
+    if s.upstand > 0:
+        rows = {"upstand": box(-w, w, y1 - s.board, y1, s.top, s.top + s.upstand, "z")}
+        body.boxes("upstand", rows, wood, symmetric=True)
+
+
+def _add_drawer_prints(
+    body: LinkBuilder, drawer: LinkBuilder, s: SimpleNamespace, face: AlignedBox, rng: np.random.Generator
+) -> None:
+    """Rating plates on top and side, a name on the front."""
+    plate = Material(texture_srgb=textures.label(rng))
+    sign = Material(texture_srgb=textures.nameplate(rng, (0.93, 0.92, 0.88), 64))
+    x, y = rng.uniform(-0.12, 0.02), rng.uniform(-0.10, 0.02)
+    body.print("label", "top", (x, y, s.top), (0.10, 0.0625), plate)
+    body.print("label_side", "right", (s.width / 2, -0.03, s.low + 0.06), (0.08, 0.05), plate)
+    drawer.print(
+        "sign", "front", (face.lower[0] + 0.02, face.lower[1], face.upper[2] - 0.03), (0.06, 0.015), sign
+    )
+
+
+def _drawer_front(s: SimpleNamespace, cell: tuple[int, int]) -> AlignedBox:
     """The front of a cell; it covers the body's boards."""
     back, margin = -s.depth / 2 - GAP, GAP / 2
-    x, z = cell[0] * s.pitch_x - s.width / 2, s.feet + cell[1] * s.pitch_z
+    x, z = cell[0] * s.pitch_x - s.width / 2, s.low + cell[1] * s.pitch_z
     return box(x + margin, x + s.pitch_x - margin, back - s.board, back, z + margin, z + s.pitch_z - margin)
 
 
-def _dresser_bar(s: SimpleNamespace, face: AlignedBox) -> BarHandle:
+def _drawer_handle(s: SimpleNamespace, face: AlignedBox) -> Handle:
     middle = (np.array(face.lower) + face.upper) / 2
-    return make_bar(s, np.array([middle[0], face.lower[1], middle[2]]), LEVEL, s.bar_length)
+    return make_handle(s, np.array([middle[0], face.lower[1], middle[2]]), LEVEL, s.bar_length)
 
 
-def _dresser_surfaces(rng: np.random.Generator) -> tuple[Material, Material, Material]:
-    """Of the body, of all fronts and of all bars."""
+def _drawer_surfaces(rng: np.random.Generator) -> tuple[Material, Material, Material]:
+    """Of the body, of all fronts and of all handles."""
     kind = rng.random()
     body = _wood(rng, "dark" if kind < DARK_SHARE else "wood", 0.55)
     front = _paint(rng, pick_color(rng, "paint")) if kind > DARK_SHARE + ONE_WOOD_SHARE else body
     return body, front, _metal(rng)
 
 
-def make_cabinet(rng: np.random.Generator) -> ArticulatedAsset:
+def make_cabinet(rng: np.random.Generator, table: Mapping[str, Any]) -> ArticulatedAsset:
     """A fixed panel and, before an open shelf, one that slides sideways."""
-    s = draw_sizes(rng, design("cabinet"))
+    s = draw_sizes(rng, table)
     body, door = (LinkBuilder(name, mirrored=s.side < 0.5) for name in ("cabinet", "door"))
     w, front = s.width / 2, -s.depth / 2
     wood, paint = _wood(rng, "wood", 0.55), pick_color(rng, "paint")
     z = (s.feet + s.rail + GAP, s.height - s.rail - GAP)
     slab = box(-s.width / 2 + GAP, s.overlap, front - GAP - s.door, front - GAP, *z)
     middle = np.array([body.across(-s.width / 2 + 0.055), slab.lower[1], (z[0] + z[1]) / 2])
-    bar = make_bar(s, middle, UPRIGHT, s.bar_share * (z[1] - z[0]))
+    handle = make_handle(s, middle, UPRIGHT, s.bar_share * (z[1] - z[0]))
     _add_cabinet_body(body, s, wood, paint, rng)
-    _add_sliding_panel(door, s, slab, paint, bar, rng)
-    joint = slide([body.across(1.0), 0.0, 0.0], bar, w - s.overlap - GAP)
-    return assemble("cabinet", body.link(s.body_mass), door.link(s.part_mass), joint, bar)
+    _add_sliding_panel(door, s, slab, paint, handle, rng)
+    joint = slide([body.across(1.0), 0.0, 0.0], handle, w - s.overlap - GAP)
+    return assemble("cabinet", body.link(s.body_mass), door.link(s.part_mass), joint, handle)
 
 
 def _add_cabinet_body(
@@ -173,9 +185,9 @@ def _add_cabinet_body(
     panel = box(0.0, w - board, y0, y0 + 0.010, z0 + board, z1 - board, "XzZ")
     body.boxes("boards", boards, wood, symmetric=True)
     body.boxes("fixed_panel", {"fixed_panel": panel}, _paint(rng, paint))
-    body.boxes("feet", feet(w, (y0, y1), z0, inset=0.05, half=0.02), FELT, symmetric=True)
+    _add_base_and_top(body, s, wood)
     left, right = sorted((body.across(0.05), body.across(w - board - 0.02)))
-    body.print("label", "top", (x, y, z1), (0.10, 0.0625), plate)
+    body.print("label", "top", (x, y, s.top), (0.10, 0.0625), plate)
     body.print("label_side", "right", (w, -0.03, z0 + 0.06), (0.08, 0.05), plate)
     body.print("fixed_print", "front", (left, y0, z0 + 0.06), (right - left, 0.7 * (right - left)), art)
     _add_cans(body, s, (z0 + board, middle + 0.005), rng)
@@ -198,7 +210,7 @@ def _add_sliding_panel(
     s: SimpleNamespace,
     slab: AlignedBox,
     paint: Color,
-    bar: BarHandle,
+    handle: Handle,
     rng: np.random.Generator,
 ) -> None:
     face = _wood(rng, "wood", 0.5) if rng.random() < 0.5 else _paint(rng, paint)
@@ -211,7 +223,7 @@ def _add_sliding_panel(
     left = -x1 + 0.015 if door.mirrored else x1 - 0.015 - size
     corner = (left, slab.lower[1], (z0 + z1 - size) / 2)
     door.print("print", "front", corner, (size, size), Material(texture_srgb=art, roughness=0.6))
-    door.bar(bar, metal)
+    door.handle(handle, metal)
 
 
 def tray(sides: Span, depth: Span, heights: Span, thin: float) -> dict[str, AlignedBox]:

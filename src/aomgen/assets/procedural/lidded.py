@@ -1,6 +1,8 @@
-"""Boxes with a lid hinged at the back: toolboxes with a bar in front, laptops held at the lid's rim."""
+"""Boxes with a lid hinged at the back: toolboxes with a handle in front, laptops held at the lid's rim."""
 
+from collections.abc import Mapping
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 
@@ -8,39 +10,65 @@ from aomgen.assets.procedural import textures
 from aomgen.assets.procedural.builder import (
     LEVEL,
     SEAL,
-    BarHandle,
     Color,
     LinkBuilder,
     Span,
     assemble,
-    design,
+    corner_posts,
     draw_sizes,
     hinge,
-    make_bar,
     pick_color,
+    stand,
 )
-from aomgen.assets.procedural.shapes import PRINT_GAP, AlignedBox, Material, box, merge_meshes, panel, rod
+from aomgen.assets.procedural.handles import ArchHandle, Handle, make_handle
+from aomgen.assets.procedural.shapes import (
+    PRINT_GAP,
+    UPPER_EDGES,
+    AlignedBox,
+    Material,
+    RoundedBox,
+    box,
+    merge_meshes,
+    panel,
+    rod,
+)
 from aomgen.core.asset import ArticulatedAsset
 from aomgen.core.joint import Joint
 
+# Height of a latch on the body; width and depth of the rims of trays; room below the opened lid's back, [m].
+LATCH, BAND, BAND_OUT, POST_ROOM = 0.034, 0.014, 0.006, 0.012
+# Feet of toolboxes: from the sides to their middles, and half their width; edge left free around prints, [m].
+FOOT_INSET, FOOT_HALF, PRINT_EDGE = 0.05, 0.016, 0.03
+# Upright edge left of a round or sloping lid; how far the upper step of a lid stands back, [m].
+LEAST_CROWN, TIER_INSET = 0.002, 0.03
+# Height and half length of a carrying handle over the lid, [m] and as a share of the width.
+CARRY, CARRY_SHARE = 0.04, 0.16
+# Shares of a laptop's depth that gets thinner, of its width that the fans' block and the ridge on its lid take.
+WEDGE_SHARE, TAIL_SHARE, RIDGE_SHARE = 0.75, 0.72, 0.6
+# How far a laptop's sides stand back from its front, [m].
+WING_INSET = 0.03
 # Height of the rubber strips below a laptop, depth of its lid's rim, and how far inside of the edge it is held, [m].
 STRIPS, RIM, HELD = 0.002, 0.016, 0.004
 IRON = Material(color_srgb=(0.62, 0.63, 0.66), metallic=0.8, roughness=0.35)
+RUBBER = Material(color_srgb=(0.10, 0.10, 0.11))
 BLACK = Material(color_srgb=(0.06, 0.06, 0.07))
 BEZEL = Material(color_srgb=(0.05, 0.05, 0.06))
 
 
-def make_toolbox(rng: np.random.Generator) -> ArticulatedAsset:
+def make_toolbox(rng: np.random.Generator, table: Mapping[str, Any]) -> ArticulatedAsset:
     """A hollow body with a tray of tools, latches, and a lid with a carrying handle."""
-    s = draw_sizes(rng, design("toolbox"))
+    s = draw_sizes(rng, table)
     body_color, lid_color = pick_color(rng, "toolbox"), pick_color(rng, "lid")
+    s.seam += s.feet
     s.low = s.seam + SEAL
-    bar = make_bar(s, [0.0, -s.depth / 2, s.low + s.lid / 2], LEVEL, s.bar_length)
+    # Where the lid's upright walls end.
+    s.eaves = s.low + s.lid - s.crown
+    handle = make_handle(s, [0.0, -s.depth / 2, (s.low + s.eaves) / 2], LEVEL, s.bar_length)
     body, lid = LinkBuilder("body"), LinkBuilder("lid")
     _add_toolbox_body(body, s, body_color, lid_color, rng)
     _add_tools(body, s, rng)
-    _add_toolbox_lid(lid, s, lid_color, bar, rng)
-    return assemble("toolbox", body.link(s.body_mass), lid.link(s.lid_mass), _back_hinge(s), bar)
+    _add_toolbox_lid(lid, s, lid_color, handle, rng)
+    return assemble("toolbox", body.link(s.body_mass), lid.link(s.lid_mass), _back_hinge(s), handle)
 
 
 def _back_hinge(s: SimpleNamespace) -> Joint:
@@ -56,9 +84,23 @@ def _add_toolbox_body(
     steel = _steel(rng)
     sticker = Material(texture_srgb=textures.label(rng), roughness=0.5)
     brand = Material(texture_srgb=textures.nameplate(rng, lid_color), roughness=0.4)
-    x, z = rng.uniform(-0.13, -0.10), rng.uniform(0.012, 0.022)
-    body.boxes("body", _walls(s, 0.0, s.seam, open_above=True), plastic)
-    body.boxes("catches", _latches(s, s.seam - 0.034, s.seam), steel)
+    x, z = rng.uniform(-0.13, -0.10), s.feet + rng.uniform(0.012, 0.022)
+    body.boxes("body", _walls(s, s.feet, s.seam, open_above=True), plastic)
+    for number in range(s.bands):
+        # Rims of trays that stand on each other.
+        top = s.feet + (number + 1) * (s.seam - LATCH - s.feet) / s.bands
+        y = (front - BAND_OUT, s.depth / 2)
+        band = box(-w - BAND_OUT, w + BAND_OUT, *y, top - BAND, top)
+        body.boxes(f"band_{number}", {f"band_{number}": band}, steel)
+    if s.post > 0:
+        rows = corner_posts(w, (front, s.depth / 2), (s.feet, s.seam - POST_ROOM), s.post)
+        body.boxes("posts", rows, RUBBER)
+    base = stand(s.stand, w, (front, s.depth / 2), s.feet, FOOT_INSET, FOOT_HALF)
+    if base:
+        body.boxes("feet", base, RUBBER)
+    body.boxes("catches", _latches(s, s.seam - LATCH, s.seam), steel)
+    if s.bands:
+        return
     body.print("label", "front", (x, front, z), (0.10, 0.0625), sticker)
     body.print("brand", "front", (0.03, front, z), (0.11, 0.024), brand)
     body.print("label_left", "left", (-w, 0.05, z), (0.09, 0.056), sticker)
@@ -83,27 +125,59 @@ def _add_tools(body: LinkBuilder, s: SimpleNamespace, rng: np.random.Generator) 
 
 
 def _add_toolbox_lid(
-    lid: LinkBuilder, s: SimpleNamespace, color: Color, bar: BarHandle, rng: np.random.Generator
+    lid: LinkBuilder, s: SimpleNamespace, color: Color, handle: Handle, rng: np.random.Generator
 ) -> None:
-    w, low, top = s.width / 2, s.low, s.low + s.lid
     plastic, steel = _tread_plate(rng, color, roughness=0.45), _steel(rng)
     rubber = Material(texture_srgb=textures.plastic(rng, (0.10, 0.10, 0.11), 128))
-    stickers = Material(texture_srgb=textures.stickers(rng, color), roughness=0.5)
+    lid.boxes("latches", _latches(s, s.low, s.low + 0.030), steel)
+    flat, top = _add_top(lid, s, plastic)
+    grip = CARRY_SHARE * s.width
+    if s.carry:
+        arch = [
+            rod("arch", (-grip, 0, top + 0.03), (grip, 0, top + 0.03), 0.010, rubber),
+            *(rod("post", (x, 0, top), (x, 0, top + 0.03), 0.008, rubber, 10) for x in (-grip, grip)),
+        ]
+        lid.meshes.append(merge_meshes("carry", arch))
+        lid.solid("carry", box(-grip - 0.01, grip + 0.01, -0.01, 0.01, top, top + CARRY))
+    _add_lid_prints(lid, flat, top, grip, color, rng)
+    lid.handle(handle, steel)
+
+
+def _add_top(lid: LinkBuilder, s: SimpleNamespace, plastic: Material) -> tuple[Span, float]:
+    """Walls and top of the lid; half sizes and height of its level top, [m]."""
+    w, d, top = s.width / 2, s.depth / 2, s.low + s.lid
+    rows = _walls(s, s.low, s.eaves + s.wall if s.crown else top, open_above=False)
+    if not s.crown:
+        lid.boxes("lid", rows, plastic)
+        flat = (w, d)
+    else:
+        del rows["plate"]
+        lid.boxes("walls", rows, plastic)
+        across = s.crown_share * d
+        whole, radii = box(-w, w, -d, d, s.eaves, top), (across, s.crown - LEAST_CROWN)
+        crown = RoundedBox(whole=whole, axis=0, radii=radii, corners=UPPER_EDGES, bevel=s.edge == "bevel")
+        lid.rounded({"crown": crown}, plastic, name="lid")
+        flat = (w, d - across)
+    if s.tier > 0:
+        flat = (flat[0] - TIER_INSET, flat[1] - TIER_INSET)
+        lid.boxes(
+            "tier", {"tier": box(-flat[0], flat[0], -flat[1], flat[1], top, top + s.tier, "z")}, plastic
+        )
+    return flat, top + s.tier
+
+
+def _add_lid_prints(
+    lid: LinkBuilder, flat: Span, top: float, grip: float, color: Color, rng: np.random.Generator
+) -> None:
+    """Stickers and a name on both sides of the carrying handle, where the level top has room for them."""
+    w, d = flat
+    art = Material(texture_srgb=textures.stickers(rng, color), roughness=0.5)
     brand = Material(texture_srgb=textures.nameplate(rng, color), roughness=0.4)
-    lid.boxes("lid", _walls(s, low, top, open_above=False), plastic)
-    lid.boxes("latches", _latches(s, low, low + 0.030), steel)
-    grip = 0.16 * s.width
-    arch = [
-        rod("arch", (-grip, 0, top + 0.03), (grip, 0, top + 0.03), 0.010, rubber),
-        *(rod("post", (x, 0, top), (x, 0, top + 0.03), 0.008, rubber, 10) for x in (-grip, grip)),
-    ]
-    lid.meshes.append(merge_meshes("carry", arch))
-    lid.solid("carry", box(-grip - 0.01, grip + 0.01, -0.01, 0.01, top, top + 0.04))
-    inset = 0.03
-    corner = (grip + 0.02, -s.depth / 2 + inset, top)
-    lid.print("stickers", "top", corner, (w - grip - 0.02 - inset, s.depth - 2 * inset), stickers)
-    lid.print("name", "top", (-w + inset, -0.02, top), (0.10, 0.035), brand)
-    lid.bar(bar, steel)
+    if d < 2 * PRINT_EDGE:
+        return
+    corner = (grip + 0.02, -d + PRINT_EDGE, top)
+    lid.print("stickers", "top", corner, (w - grip - 0.02 - PRINT_EDGE, 2 * (d - PRINT_EDGE)), art)
+    lid.print("name", "top", (-w + PRINT_EDGE, -0.02, top), (min(0.10, w - grip - 0.02), 0.035), brand)
 
 
 def _walls(s: SimpleNamespace, z0: float, z1: float, *, open_above: bool) -> dict[str, AlignedBox]:
@@ -140,9 +214,9 @@ def _steel(rng: np.random.Generator) -> Material:
     return Material(texture_srgb=textures.brushed_metal(rng, (0.70, 0.70, 0.72), 256), metallic=0.8)
 
 
-def make_laptop(rng: np.random.Generator) -> ArticulatedAsset:
+def make_laptop(rng: np.random.Generator, table: Mapping[str, Any]) -> ArticulatedAsset:
     """A closed laptop that lies flat: thin base with a notch in front, thin lid held by its front edge."""
-    s = draw_sizes(rng, design("laptop"))
+    s = draw_sizes(rng, table)
     s.depth, s.seam = s.width * s.depth_share, STRIPS + s.base
     color = pick_color(rng, "laptop")
     base, lid = LinkBuilder("base"), LinkBuilder("lid")
@@ -155,17 +229,26 @@ def make_laptop(rng: np.random.Generator) -> ArticulatedAsset:
 def _add_base(base: LinkBuilder, s: SimpleNamespace, color: Color, rng: np.random.Generator) -> None:
     w, d, half = s.width / 2, s.depth / 2, s.notch_width / 2
     inner, z = s.notch_depth - d, (STRIPS, s.seam)
+    # A wedge is thinner in front by so much.
+    front_z = (STRIPS + s.wedge, s.seam)
     slabs = {
         "base": box(-w, w, inner, d, *z),
-        "front_left": box(-w, -half, -d, inner, *z, "Y"),
-        "front_right": box(half, w, -d, inner, *z, "Y"),
+        "front_left": box(-w, -half, -d, inner, *front_z, "Y"),
+        "front_right": box(half, w, -d, inner, *front_z, "Y"),
     }
-    strips = {
-        f"foot_{name}": box(-0.8 * w, 0.8 * w, y - 0.004, y + 0.004, 0.0, STRIPS, "Z")
-        for name, y in (("front", 0.03 - d), ("back", d - 0.02))
-    }
-    base.boxes("base", slabs, _case(rng, color))
-    base.boxes("feet", strips, BLACK)
+    case = _case(rng, color)
+    if s.wedge > 0:
+        body = RoundedBox(
+            whole=slabs.pop("base"), axis=0, radii=(WEDGE_SHARE * s.depth, s.wedge), corners=((-1, -1),), bevel=True
+        )  # fmt: skip
+        base.rounded({"base": body}, case)
+        base.boxes("front", slabs, case)
+    elif s.corner > 0:
+        base.rounded({key: _round(s, row) for key, row in slabs.items()}, case)
+    else:
+        base.boxes("base", slabs, case)
+    _add_strips(base, s)
+    _add_armour(base, s, case)
     front = inner + 0.003
     keys = Material(texture_srgb=textures.keyboard(rng, color), roughness=0.6)
     base.print("keys", "top", (-w + 0.006, front, s.seam), (2 * w - 0.012, d - 0.006 - front), keys)
@@ -175,17 +258,66 @@ def _add_base(base: LinkBuilder, s: SimpleNamespace, color: Color, rng: np.rando
         base.meshes.append(rod(f"hinge_{side}", *ends, 0.003, BLACK))
 
 
+def _add_strips(base: LinkBuilder, s: SimpleNamespace) -> None:
+    """Rubber strips; the front one of a wedge is as high as its base is thinner."""
+    w, d = s.width / 2, s.depth / 2
+    strips = {}
+    for name, y in (("front", 0.03 - d), ("back", d - 0.02)):
+        thinner = s.wedge if name == "front" else 0.0
+        strips[f"foot_{name}"] = box(-0.8 * w, 0.8 * w, y - 0.004, y + 0.004, 0.0, STRIPS + thinner, "Z")
+    base.boxes("feet", strips, BLACK)
+
+
+def _add_armour(base: LinkBuilder, s: SimpleNamespace, case: Material) -> None:
+    """What stands out of the base: sides and a block for fans behind the hinge, corner posts, a carrying handle."""
+    w, d, z = s.width / 2, s.depth / 2, (STRIPS, s.seam - POST_ROOM)
+    if s.tail > 0:
+        half = TAIL_SHARE * w
+        base.boxes("tail", {"tail": box(-half, half, d, d + s.tail, *z, "y")}, case)
+    if s.wing > 0:
+        sides = {"wing_left": box(-w - s.wing, -w, WING_INSET - d, d, *z, "X")}
+        sides["wing_right"] = sides["wing_left"].mirrored()
+        base.boxes("wings", sides, BLACK)
+    if s.post > 0:
+        base.boxes("posts", corner_posts(w, (-d, d), z, s.post), RUBBER)
+    if s.carry:
+        # Of an arch that looks to the front, turned to the back.
+        arch = ArchHandle(
+            foot=np.array([0.0, -d, sum(z) / 2]), axis=LEVEL, length=w, thickness=0.014, clearance=0.03
+        )
+        base.behind("carry", arch, BLACK)
+
+
+def _round(s: SimpleNamespace, row: AlignedBox) -> RoundedBox:
+    """A slab with those edges rounded that are corners of the laptop seen from above."""
+    sides = (row.lower[0] == -s.width / 2, row.upper[0] == s.width / 2)
+    ends = (row.lower[1] == -s.depth / 2, row.upper[1] == s.depth / 2)
+    corners = tuple((2 * i - 1, 2 * j - 1) for i in (0, 1) for j in (0, 1) if sides[i] and ends[j])
+    return RoundedBox(whole=row, axis=2, radii=(s.corner, s.corner), corners=corners)
+
+
 def _add_laptop_lid(lid: LinkBuilder, s: SimpleNamespace, color: Color, rng: np.random.Generator) -> None:
     w, d, low = s.width / 2, s.depth / 2, s.seam + SEAL
     top = low + s.lid
     slab, rim = box(-w, w, RIM - d, d, low, top, "y"), box(-w, w, -d, RIM - d, low, top, "Y")
     case = _case(rng, color)
     display = Material(texture_srgb=textures.screen(rng), roughness=0.2)
-    lid.boxes("lid", {"lid": slab, "handle_rim": rim}, case)
-    _add_cover_print(lid, (w, d), color, top, rng)
-    # Upright for the user once the lid is open: its top is the free edge.
-    lid.meshes.append(panel("bezel", (-w, d, low - PRINT_GAP / 2), (2 * w, 0, 0), (0, -2 * d, 0), BEZEL))
-    corner, size = (-w + s.bezel, d - s.bezel, low - PRINT_GAP), (2 * (w - s.bezel), 2 * d - 2 * s.bezel)
+    rows = {"lid": slab, "handle_rim": rim}
+    if s.corner > 0:
+        lid.rounded({key: _round(s, row) for key, row in rows.items()}, case)
+    else:
+        lid.boxes("lid", rows, case)
+    if s.ridge > 0:
+        half = RIDGE_SHARE * w
+        lid.boxes("ridge", {"ridge": box(-half, half, 0.0, d - 0.01, top, top + s.ridge, "z")}, case)
+    else:
+        _add_cover_print(lid, (w, d), color, top, rng)
+    # Upright for the user once the lid is open: its top is the free edge. Round corners are cut off.
+    cut = 0.3 * s.corner
+    corner = (cut - w, d - cut, low - PRINT_GAP / 2)
+    lid.meshes.append(panel("bezel", corner, (2 * (w - cut), 0, 0), (0, -2 * (d - cut), 0), BEZEL))
+    edge = s.bezel + cut
+    corner, size = (-w + edge, d - edge, low - PRINT_GAP), (2 * (w - edge), 2 * (d - edge))
     lid.meshes.append(panel("screen", corner, (size[0], 0, 0), (0, -size[1], 0), display))
 
 

@@ -1,8 +1,9 @@
-"""Boxes, rods, discs and printed panels with texture coordinates, from which makers build links."""
+"""Boxes, plain and rounded, rods, discs and printed panels with texture coordinates, from which makers build links."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import product
+from typing import Final
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -17,6 +18,12 @@ PRINT_GAP = 0.0006
 # The two in-plane axes (u, v) of a face whose normal is axis x, y or z.
 _PLANE_AXES = ((1, 2), (0, 2), (0, 1))
 NO_TEXTURE = np.zeros((0, 0, 3), np.uint8)
+# A rounded edge is cut into at least four steps, and into one for every 6 mm of its smaller radius, [m].
+LEAST_STEPS, STEP = 4, 0.006
+# All four edges of a box along an axis.
+ALL_EDGES: Final = ((-1, -1), (1, -1), (1, 1), (-1, 1))
+# Those on the high side of the second other axis.
+UPPER_EDGES: Final = ((1, 1), (-1, 1))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -92,16 +99,94 @@ def boxes_mesh(name: str, boxes: Sequence[AlignedBox], surface: Material) -> Mes
     Coordinates start at the mesh's lowest corner and never leave 0..1: a mesh larger than the
     tile stretches the texture instead of repeating it.
     """
-    sides = list(product(boxes, range(3), (False, True)))
-    faces = [(item, axis, high) for item, axis, high in sides if ("xyz", "XYZ")[high][axis] not in item.skip]
-    normals = [axis for _, axis, _ in faces]
-    corners = np.array([_box_face(*face) for face in faces])
-    low = corners.min((0, 1))
-    tile = max(surface.tile_m, float((corners.max((0, 1)) - low).max()))
-    uvs = np.stack(
-        [(quad - low)[:, _PLANE_AXES[axis]] / tile for quad, axis in zip(corners, normals, strict=True)]
-    )
-    return _quads_mesh(name, corners, uvs, surface)
+    sides = product(boxes, range(3), (False, True))
+    corners = np.array([
+        _box_face(item, axis, high)
+        for item, axis, high in sides
+        if ("xyz", "XYZ")[high][axis] not in item.skip
+    ])  # fmt: skip
+    return _planar_mesh(name, _halves(corners), surface)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RoundedBox:
+    """A box whose edges along one axis are rounded, or cut straight.
+
+    Attributes:
+        whole: The box before; all of its faces are seen.
+        axis: 0, 1 or 2: where the edges run to.
+        radii: What an edge takes away along the two other axes, in their order, [m].
+        corners: Which edges: their sides (-1 or 1) along these axes.
+        bevel: Straight instead of round.
+    """
+
+    whole: AlignedBox
+    axis: int
+    radii: tuple[float, float]
+    corners: tuple[tuple[int, int], ...]
+    bevel: bool = False
+
+    def boxes(self) -> list[AlignedBox]:
+        """Upright or level slices that follow the surface, the one between the edges first."""
+        u, v = _PLANE_AXES[self.axis]
+        lower, upper = np.array(self.whole.lower), np.array(self.whole.upper)
+        along, across = self._profile()
+        found = []
+        for side in sorted({side for side, _ in self.corners}):
+            edge = upper[u] if side > 0 else lower[u]
+            start = edge - side * self.radii[0]
+            (upper if side > 0 else lower)[u] = start
+            for i in range(len(along) - 1):
+                low, high = np.array(self.whole.lower), np.array(self.whole.upper)
+                low[u], high[u] = sorted(start + side * self.radii[0] * along[i : i + 2])
+                cut = self.radii[1] * (1 - across[i : i + 2].mean())
+                low[v] += cut * ((side, -1) in self.corners)
+                high[v] -= cut * ((side, 1) in self.corners)
+                found.append(_box_between(low, high))
+        return [_box_between(lower, upper), *found]
+
+    def mesh(self, name: str, surface: Material) -> Mesh:
+        """Its surface, mapped as that of boxes."""
+        (u, v), outline = _PLANE_AXES[self.axis], self._outline()
+        rings = np.empty((2, len(outline), 3))
+        rings[:, :, [u, v]] = outline
+        rings[:, :, self.axis] = [[self.whole.lower[self.axis]], [self.whole.upper[self.axis]]]
+        low, high = rings
+        after = np.roll(np.arange(len(outline)), -1)
+        sides = _halves(np.stack([low, low[after], high[after], high], 1))
+        fans = [np.stack([ring[:1].repeat(len(ring) - 2, 0), ring[1:-1], ring[2:]], 1) for ring in rings]
+        triangles = np.concatenate([sides, fans[0][:, ::-1], fans[1]])
+        # Seen along y, the first axis and the second one turn the other way.
+        return _planar_mesh(name, triangles[:, ::-1] if self.axis == 1 else triangles, surface)
+
+    def _profile(self) -> tuple[Array, Array]:
+        """Points of an edge from one face to the next, in radii from its centre."""
+        steps = max(LEAST_STEPS, int(np.ceil(min(self.radii) / STEP)))
+        shares = np.linspace(0.0, 1.0, steps + 1, dtype=np.float64)
+        if self.bevel:
+            return shares, 1.0 - shares
+        turns = shares * np.pi / 2
+        return np.sin(turns, dtype=np.float64), np.cos(turns, dtype=np.float64)
+
+    def _outline(self) -> Array:
+        """Corners (N, 2) along the other two axes, counter-clockwise."""
+        axes = list(_PLANE_AXES[self.axis])
+        bounds = np.array([self.whole.lower, self.whole.upper])[:, axes]
+        profile = np.stack(self._profile(), 1)
+        points = []
+        for sides in ALL_EDGES:
+            corner = np.array([bounds[(side + 1) // 2, i] for i, side in enumerate(sides)])
+            if sides not in self.corners:
+                points.append(corner[None])
+                continue
+            ordered = profile[::-1] if sides[0] * sides[1] > 0 else profile
+            points.append(corner - np.multiply(sides, self.radii) * (1.0 - ordered))
+        return np.concatenate(points)
+
+
+def _box_between(lower: Array, upper: Array) -> AlignedBox:
+    (x0, y0, z0), (x1, y1, z1) = lower.tolist(), upper.tolist()
+    return box(x0, x1, y0, y1, z0, z1)
 
 
 def panel(name: str, corner: ArrayLike, right: ArrayLike, up: ArrayLike, surface: Material) -> Mesh:
@@ -180,10 +265,22 @@ def _box_face(item: AlignedBox, axis: int, high: bool) -> Array:
 
 
 def _quads_mesh(name: str, corners: Array, uvs: Array, surface: Material) -> Mesh:
-    halves = [[0, 1, 2], [0, 2, 3]]
-    return _triangles_mesh(
-        name, corners[:, halves].reshape(-1, 3, 3), uvs[:, halves].reshape(-1, 3, 2), surface
-    )
+    return _triangles_mesh(name, _halves(corners), _halves(uvs), surface)
+
+
+def _halves(quads: Array) -> Array:
+    """Two triangles (2 N, 3, D) of each quad (N, 4, D)."""
+    return quads[:, [[0, 1, 2], [0, 2, 3]]].reshape(-1, 3, quads.shape[-1])
+
+
+def _planar_mesh(name: str, triangles: Array, surface: Material) -> Mesh:
+    """Triangles (N, 3, 3) mapped along the axis that their normal is nearest to; see `boxes_mesh`."""
+    low = triangles.min((0, 1))
+    tile = max(surface.tile_m, float((triangles.max((0, 1)) - low).max()))
+    normals = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
+    axes = np.array(_PLANE_AXES)[np.abs(normals).argmax(1)]
+    uvs = np.take_along_axis(triangles - low, axes[:, None, :], 2) / tile
+    return _triangles_mesh(name, triangles, uvs, surface)
 
 
 def _triangles_mesh(name: str, triangles: Array, uvs: Array, surface: Material) -> Mesh:

@@ -181,6 +181,23 @@ def keypad(rng: np.random.Generator, color_srgb: ArrayLike) -> Texture:
     return np.asarray(image)
 
 
+def key_strip(rng: np.random.Generator, color_srgb: ArrayLike) -> Texture:
+    """Low control panel: a name, a clock, two rows of keys."""
+    width, height = 640, 96
+    image = Image.new("RGB", (width, height), _painted(color_srgb))
+    draw = ImageDraw.Draw(image)
+    ink = (235, 235, 230) if np.asarray(color_srgb).mean() < 0.5 else (30, 30, 34)
+    write(draw, (90, height / 2), str(rng.choice(WORDS)).upper(), 34, ink, "mm")
+    draw.rectangle((180, 16, 320, height - 16), fill=(8, 12, 10))
+    clock = f"{rng.integers(1, 24)}:{rng.integers(0, 60):02d}"
+    write(draw, (250, height / 2), clock, 44, (90, 240, 150), "mm")
+    for index, name in enumerate("12345+67890-"):
+        x, y = 344 + 46 * (index % 6), 12 + 38 * (index // 6)
+        draw.rounded_rectangle((x, y, x + 40, y + 32), 5, outline=ink, width=2)
+        write(draw, (x + 20, y + 16), name, 20, ink, "mm")
+    return np.asarray(image)
+
+
 def label(rng: np.random.Generator) -> Texture:
     """Rating plate: name, lines of small print, a bar code."""
     width, height = 320, 200
