@@ -110,8 +110,10 @@ def hiding_points(meshes: Sequence[Mesh], count: int, rng: np.random.Generator) 
     hiding, passing = [], []
     for mesh, share in zip(meshes, areas / areas.sum(), strict=True):
         if share > 0:
-            points, *places = sample_surface(mesh.vertices, mesh.faces, int(np.ceil(count * share)), rng)
-            opacity = _sampled(mesh, *places, 0.0, mesh.maps.get("opacity"), [mesh.opacity])[:, 0]
+            number = int(np.ceil(count * share))
+            points, face_ids, weights = sample_surface(mesh.vertices, mesh.faces, number, rng)
+            image = mesh.maps.get("opacity")
+            opacity = _sampled(mesh, face_ids, weights, 0.0, image, [mesh.opacity])[:, 0]
             hiding.append(points[opacity > HIDES])
             passing.append(points)
     found = np.concatenate(hiding)
