@@ -4,26 +4,25 @@ from types import SimpleNamespace
 
 import pytest
 
-from aomgen.assets.choice import make_asset
 from aomgen.errors import EstimationError
 from aomgen.replacement.correspondence import recorded_contact
 from benchmarks import replace_fits
-from recordings import recording
+from recordings import gripped_recording
 
 
 @pytest.fixture
-def films(monkeypatch):
+def films(monkeypatch, robot):
     """Films of a microwave, of which that of seed 7 shows nothing."""
-    demo, recorded = recording(make_asset("microwave", 1))
+    demo, recorded = gripped_recording("microwave")
     contact = recorded_contact(demo, recorded, "opening")
     shown = []
 
     def film(category, number, folder, kind):
         shown.append((category, number))
-        return SimpleNamespace(demonstration=number)
+        return SimpleNamespace(demonstration=SimpleNamespace(number=number, robot=robot))
 
     def recover(given, direction):
-        if given == 7:
+        if given.number == 7:
             raise EstimationError("demonstration video", "shows nothing", "try another world")
         return demo, None, contact, 10.0
 
