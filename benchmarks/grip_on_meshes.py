@@ -22,8 +22,6 @@ BEHIND_M: Final = 0.012
 HALVINGS: Final = 12
 # Points along each side of a box.
 BOX_STEPS: Final = 41
-
-
 # Pads that are farther off hold nothing, and that are deeper in cut into what is seen, [mm].
 MAX_GAP_MM, MAX_PENETRATION_MM = 3.0, 2.0
 
@@ -94,12 +92,11 @@ def _clearance(pad: FingerPad, T_part_pad: Array, points: Array) -> float:
 
 def _box_points(asset: ArticulatedAsset) -> Array:
     """Points (N, 3) on what physics holds: the handle's boxes, or all of the part."""
-    handle = [box for box in asset.moving.colliders if box.name.startswith("handle")]
     steps = np.linspace(-1, 1, BOX_STEPS)
     cube = np.stack(np.meshgrid(steps, steps, steps), -1).reshape(-1, 3)
     cube = cube[np.abs(cube).max(1) == 1]
     return np.concatenate(
-        [apply(b.T_asset_box, cube * b.half_extents) for b in handle or asset.moving.colliders]
+        [apply(b.T_asset_box, cube * b.half_extents) for b in asset.handle_boxes or asset.moving.colliders]
     )
 
 

@@ -48,8 +48,7 @@ def outward_normal(asset: ArticulatedAsset) -> Array:
     joint = asset.joint
     body = [box for box in asset.moving.colliders if not box.name.startswith("handle")]
     if body and asset.handle_bar is not None:
-        distances = _distance_to_boxes(asset.handle_point[None], *_stack_boxes(body))[0]
-        nearest = body[int(np.argmin(distances))]
+        nearest = min(body, key=lambda box: box.distance(asset.handle_point))
         T = nearest.T_asset_box
         local = T[:3, :3].T @ (asset.handle_point - T[:3, 3])
         beyond = np.abs(local) - nearest.half_extents

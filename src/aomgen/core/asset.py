@@ -33,6 +33,11 @@ class BoxCollider:
         signs = np.array(np.meshgrid([-1, 1], [-1, 1], [-1, 1])).reshape(3, -1).T
         return apply(self.T_asset_box, signs * self.half_extents)
 
+    def distance(self, point: Array) -> float:
+        """Distance of a point (3,) of the asset frame, 0 inside, [m]."""
+        local = np.abs(self.T_asset_box[:3, :3].T @ (point - self.T_asset_box[:3, 3]))
+        return float(np.linalg.norm(np.maximum(local - self.half_extents, 0.0)))
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AssetLink:
@@ -93,11 +98,15 @@ class ArticulatedAsset:
     __post_init__ = freeze_arrays
 
     @property
+    def handle_boxes(self) -> list[BoxCollider]:
+        """The handle's colliders, if any is named so."""
+        return [box for box in self.moving.colliders if box.name.startswith("handle")]
+
+    @property
     def handle_bar(self) -> BoxCollider | None:
         """The handle's collider that holds `handle_point`, when the handle has colliders."""
-        bars = [box for box in self.moving.colliders if box.name.startswith("handle")]
         return min(
-            bars,
+            self.handle_boxes,
             key=lambda box: float(np.linalg.norm(box.T_asset_box[:3, 3] - self.handle_point)),
             default=None,
         )

@@ -38,7 +38,6 @@ class Mesh:
     color_srgb: Vector3
     roughness: float = 0.6
     metallic: float = 0.0
-
     opacity: float = 1.0
     maps: Mapping[str, NDArray[np.uint8]] = field(default_factory=dict)
 
@@ -63,6 +62,11 @@ def face_normals_areas(vertices: Array, faces: NDArray[np.int64]) -> tuple[Array
     cross = np.cross(b - a, c - a)
     lengths = np.linalg.norm(cross, axis=1)
     return cross / np.maximum(lengths, 1e-30)[:, None], 0.5 * lengths
+
+
+def sample_triangles(corners: Array, count: int, rng: np.random.Generator) -> Array:
+    """Points (count, 3) spread evenly over triangles (F, 3, 3)."""
+    return sample_surface(corners.reshape(-1, 3), np.arange(3 * len(corners)).reshape(-1, 3), count, rng)[0]
 
 
 def sample_surface(

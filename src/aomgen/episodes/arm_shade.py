@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import ConvexHull
 
-from aomgen.core.mesh import sample_surface
+from aomgen.core.mesh import sample_triangles
 from aomgen.core.transforms import apply, invert
 from aomgen.core.values import Array
 from aomgen.episodes.shading import DarkMaps, States
@@ -39,7 +39,7 @@ def body_spheres(robot: RobotModel) -> list[BodySphere]:
     spheres = []
     for body in sorted({mesh.body for mesh in robot.meshes}):
         own = np.concatenate([m.vertices_body[m.faces] for m in robot.meshes if m.body == body])
-        points = sample_surface(own.reshape(-1, 3), np.arange(3 * len(own)).reshape(-1, 3), POINTS, rng)[0]
+        points = sample_triangles(own, POINTS, rng)
         # Axes by falling length.
         along = points @ np.linalg.eigh(np.cov(points.T))[1][:, ::-1]
         length, thickness = np.ptp(along, axis=0)[:2]

@@ -73,8 +73,10 @@ class SoftShade:
     def __init__(self, twin: Twin, T_world_object: Array, soft: SoftShadow, T_world_plane: Array) -> None:
         self.T_world_plane, self.grid = T_world_plane, soft.grid
         self.T_world_grid = T_world_object @ soft.T_object_plane
-        light, share = light_without_lamp(twin, T_world_plane)
-        self._dark = np.float32(share) * (1 - soft.arriving(light, T_world_object))
+        light, lamp, rest = _object_light(twin), twin.directional_light, 1.0
+        if lamp is not None:
+            light, rest = light.without(lamp.direction, T_world_plane[:3, 2], lamp.share), 1 - lamp.share
+        self._dark = np.float32(rest) * (1 - soft.arriving(light, T_world_object))
         self._soft = soft
 
     def dark(self, states: States) -> DarkMaps:
@@ -190,14 +192,6 @@ def shade_on_things(twin: Twin, Ts_world_body: Array, eyes_world: Array, T_world
     body = posed_by(twin.select(np.isin(twin.bodies, bodies)), Ts_world_body)
     scene, lamp = twin.gaussians.select(twin.bodies == 0), twin.directional_light
     return cast_on_things(scene, body, _object_light(twin), lamp, eyes_world, T_world_plane, THINGS)
-
-
-def light_without_lamp(twin: Twin, T_world_plane: Array) -> tuple[Light, float]:
-    """What a lit object receives but a lamp's light, and which share of the light on a surface that is."""
-    light, lamp = _object_light(twin), twin.directional_light
-    if lamp is None:
-        return light, 1.0
-    return light.without(lamp.direction, T_world_plane[:3, 2], lamp.share), 1 - lamp.share
 
 
 def _object_light(twin: Twin) -> Light:

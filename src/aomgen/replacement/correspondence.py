@@ -13,7 +13,7 @@ from scipy.optimize import isotonic_regression
 from scipy.signal import savgol_filter
 
 from aomgen.assets.asset_check import MAX_HANDLE_THICKNESS
-from aomgen.core.asset import ArticulatedAsset, AssetLink, BoxCollider
+from aomgen.core.asset import ArticulatedAsset, AssetLink
 from aomgen.core.boxes import QUANTILES, find_upright_axes
 from aomgen.core.demonstration import Demonstration, RecordedObject
 from aomgen.core.joint import Joint
@@ -256,19 +256,12 @@ def _handle_spans(asset: ArticulatedAsset) -> tuple[Array, Array]:
 
     The reach (B, 2) is from `handle_point`, [m]. Where no box is named a handle, the nearest moving one is taken.
     """
-    moving = asset.moving.colliders
-    named = [box for box in moving if box.name.startswith("handle")]
-    boxes = sorted(named or moving, key=lambda box: _distance(box, asset.handle_point))
+    named = asset.handle_boxes
+    boxes = sorted(named or asset.moving.colliders, key=lambda box: box.distance(asset.handle_point))
     boxes = boxes if named else boxes[:1]
     heights = np.array([(box.corners - asset.handle_point) @ asset.handle_axis for box in boxes])
     middles = np.array([box.T_asset_box[:3, 3] for box in boxes])
     return middles, np.stack([heights.min(1), heights.max(1)], 1)
-
-
-def _distance(box: BoxCollider, point: Array) -> float:
-    """Distance of a point (3,) to a box, 0 inside, [m]."""
-    local = np.abs(box.T_asset_box[:3, :3].T @ (point - box.T_asset_box[:3, 3]))
-    return float(np.linalg.norm(np.maximum(local - box.half_extents, 0.0)))
 
 
 def mirror_asset(asset: ArticulatedAsset) -> ArticulatedAsset:

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from aomgen.core.camera import Camera, CameraPath
-from aomgen.core.mesh import sample_surface
+from aomgen.core.mesh import sample_triangles
 from aomgen.core.transforms import apply, matrix_from_quat, transform
 from aomgen.core.values import Array, Matrix4, Vector3, freeze_arrays
 from aomgen.robots.geom_meshes import RobotMesh
@@ -203,8 +203,7 @@ class RobotConfiguration:
         """Points (count, 3) spread evenly over the surface of the posed robot, [m]."""
         poses = self.robot.link_poses(self.joints[None], self.gripper)[0]
         corners = [apply(poses[m.body], m.vertices_body)[m.faces] for m in self.robot.meshes]
-        vertices = np.concatenate(corners).reshape(-1, 3)
-        return sample_surface(vertices, np.arange(len(vertices)).reshape(-1, 3), count, rng)[0]
+        return sample_triangles(np.concatenate(corners), count, rng)
 
     @property
     def ee_world(self) -> Array:

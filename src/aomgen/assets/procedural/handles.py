@@ -1,5 +1,6 @@
 """Handles that a parallel gripper can hold from the front: bars, arches, straps, knobs, lips, cups."""
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from itertools import pairwise
 from types import SimpleNamespace
@@ -38,7 +39,7 @@ KNOB_EDGE: Final = 0.2
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Handle:
+class Handle(ABC):
     """What stands off a front and can be held, [m].
 
     Attributes:
@@ -60,9 +61,9 @@ class Handle:
         """Where it is held (3,), [m]."""
         return self.foot + OUTWARD * (self.clearance - HELD)
 
+    @abstractmethod
     def boxes(self) -> dict[str, AlignedBox]:
         """Colliders by name; all names start with "handle"."""
-        raise NotImplementedError
 
     def mesh(self, surface: Material) -> Mesh:
         """What is seen."""
