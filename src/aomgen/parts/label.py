@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.sparse import csr_matrix
 from scipy.spatial import cKDTree
 
-from aomgen.conventions import MOVING, ROBOT, STATIC
+from aomgen.conventions import BACKGROUND, MOVING, ROBOT, STATIC
 from aomgen.core.gaussians import SH_C0, Gaussians
 from aomgen.core.parts import SOLID_OPACITY, Cut, Parts, no_cut
 from aomgen.core.progress import Progress
@@ -38,6 +38,8 @@ from aomgen.parts.scan_views import ScanView, spread
 SEED = 0
 # Fewest Gaussians of a usable part.
 MIN_GAUSSIANS = 50
+# Nothing of an object is so many times farther from its middle than half of it (2 on captures).
+FAR = 10
 # Parts of one object touch: this share of the moving part's diagonal between them is too much (0.03 on
 # captures with right prompts, 0.6 and more with boxes around a neighbor).
 MAX_APART_SHARE = 0.2
@@ -150,6 +152,7 @@ def find_parts(scan: PromptedScan, evidence: PartEvidence) -> Parts:
     labels = np.full(len(robot), ROBOT, np.uint8)
     labels[~robot] = LABELS[np.argmax(posterior, 1)]
     _check(gaussians, labels)
+    labels[_far(gaussians, labels)] = BACKGROUND
     fit = PromptFit.of(gaussians, labels, scan.prompted)
     return Parts(
         labels=labels,
@@ -160,6 +163,14 @@ def find_parts(scan: PromptedScan, evidence: PartEvidence) -> Parts:
         static_agreement=fit.agreement[STATIC],
         moving_agreement=fit.agreement[MOVING],
     )
+
+
+def _far(gaussians: Gaussians, labels: NDArray[np.uint8]) -> NDArray[np.intp]:
+    """Gaussians that the object's pixels show through it, far behind it: sky, as a rule."""
+    parts = np.flatnonzero(np.isin(labels, (STATIC, MOVING)))
+    means = gaussians.means[parts]
+    away = np.linalg.norm(means - np.median(means, 0), axis=1)
+    return parts[away > FAR * np.median(away)]
 
 
 def _check(gaussians: Gaussians, labels: NDArray[np.uint8]) -> None:

@@ -7,12 +7,12 @@ import pytest
 
 from aomgen.conventions import BACKGROUND, MOVING, ROBOT, STATIC
 from aomgen.core.camera import Camera, look_at
-from aomgen.core.gaussians import Gaussians, gaussians_of
+from aomgen.core.gaussians import Gaussians, concatenate, gaussians_of
 from aomgen.core.mesh import face_normals_areas, sample_surface
 from aomgen.core.parts import Parts, no_cut
 from aomgen.core.progress import silent
 from aomgen.core.recording import Prompt
-from aomgen.core.transforms import apply
+from aomgen.core.transforms import apply, transform
 from aomgen.errors import BackendError, MalformedFileError, WrongPromptError
 from aomgen.io.artifact import load_artifact, save_artifact
 from aomgen.io.images import read_labels, write_image
@@ -25,6 +25,7 @@ from aomgen.parts.label import (
     segment_scan,
     smooth_posterior,
 )
+from aomgen.parts.likelihood import LABELS, PartEvidence
 from aomgen.parts.prompted_images import segment_prompts
 from aomgen.parts.scan_views import ScanView, label_robot, nearest_links
 from aomgen.robots.robot import RobotConfiguration, RobotModel
@@ -152,6 +153,21 @@ def test_labels_of_a_known_scene_are_recovered(configuration, tmp_path):
     for value, least in ((ROBOT, 0.95), (STATIC, 0.97), (MOVING, 0.97), (BACKGROUND, 0.97)):
         assert np.mean(parts.labels[seen & (labels == value)] == value) > least, value
     assert np.all((parts.robot_bodies >= 0) == (parts.labels == ROBOT))
+
+
+def test_what_shows_through_the_object_far_behind_it_is_not_the_object(configuration, tmp_path):
+    near, labels = toy_scene(configuration)
+    views = toy_views(near, labels, configuration, tmp_path)
+    sky = near.select(np.flatnonzero(labels == STATIC)[:50]).transformed(
+        transform(np.eye(3), np.array([0.0, 860.0, 0.0]))
+    )
+    prompts = tuple(tight_prompt(part, 2, tmp_path) for part in ("static", "moving"))
+    scan = segmented(concatenate([near, sky]), views, prompts, tmp_path, configuration)
+    shown = np.concatenate([labels, np.full(len(sky), STATIC)])
+    evidence = PartEvidence(log_likelihoods=np.log(0.02 + 0.96 * (shown[:, None] == LABELS)), method="boxes")
+    parts = find_parts(scan, evidence)
+    assert (parts.labels[len(near) :] == BACKGROUND).all()
+    assert np.mean(parts.labels[: len(near)] == labels) > 0.97
 
 
 def test_cut_parts_are_stored_with_their_pieces(configuration, tmp_path):
