@@ -17,17 +17,21 @@ from aomgen.core.gaussians import gaussians_of
 from aomgen.core.light import hemisphere_light
 from aomgen.core.project import Project
 from aomgen.core.transforms import transform
+from aomgen.episodes.grasp_choice import GRASPS_FOLDER, GraspChoice
 from aomgen.episodes.ik import ik_solver
 from aomgen.io.artifact import save_artifact
 from aomgen.results import ASSET_USD, FITTED, Results
 from aomgen.robots.loading import load_robot
 from aomgen.robots.robot import RobotModel
+from aomgen.saved_units import unit_name
 from aomgen.splatting.surfels import surfels_of
 from aomgen.twin.binding import with_object
 from aomgen.twin.twin import Twin, TwinState, body_list
 from benchmarks.toy_drawer import SUPPORT, fitted_drawer, opening
 
 SURFELS = 300
+# What is chosen for the drawer.
+GRASP = GraspChoice(usual="tilt +0, turn 1.00", mean_rad=0.011, draws=24)
 SIZE = (64, 48)
 FOLDERS = {"replacement": "07_replacement", "episodes": "08_episodes", "dataset": "dataset"}
 
@@ -81,7 +85,10 @@ def toy_results(
 def toy_run(
     out: Path, *, support: SupportPlane = SUPPORT, obstacles: tuple[OrientedBox, ...] = (), **choices: Any
 ) -> ToyResults:
-    """Write what the replacement stage leaves, for some equal drawers of different names; `choices` of `toy_results`."""
+    """Write what the replacement stage leaves, for some equal drawers of different names; `choices` of `toy_results`.
+
+    How they are held is chosen as well: to look at 24 draws takes longer than an episode.
+    """
     robot, fitted, results = _robot(), fitted_drawer(), toy_results(out, **choices)
     plain = replace(fitted.asset, static=_plain(fitted.asset.static), moving=_plain(fitted.asset.moving))
     folders = results.folders
@@ -117,6 +124,7 @@ def toy_run(
         background = _table(robot, fitted.T_world_asset)
         twin = with_object(background, static, moving, fitted.asset.joint, light, fitted.T_world_asset)
         save_artifact(home, "twin", twin)
+        save_artifact(folders["episodes"] / GRASPS_FOLDER, unit_name(number), GRASP)
     return results
 
 

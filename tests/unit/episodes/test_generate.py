@@ -17,6 +17,7 @@ from aomgen.core.plan import Rejection, Variation
 from aomgen.core.transforms import transform
 from aomgen.episodes.factory import EpisodeFactory, GenerationParams, Outcome
 from aomgen.episodes.generate import generate
+from aomgen.episodes.grasp_choice import GRASPS_FOLDER, GraspChoice
 from aomgen.episodes.ledger import (
     DRAWS_FILE,
     Request,
@@ -31,6 +32,7 @@ from aomgen.episodes.stage import run
 from aomgen.episodes.variations import Ranges
 from aomgen.errors import ConfigError, MalformedFileError, NotEnoughEpisodesError
 from aomgen.executors import Done
+from aomgen.io.artifact import load_artifact
 from aomgen.io.atomic import write_json
 from aomgen.io.episode_folder import commit_episode, list_committed, read_episode
 from aomgen.io.video import encode_video
@@ -201,6 +203,7 @@ def test_a_unit_whose_worker_was_lost_is_a_rejection(tmp_path):
     assert [draw["reason"] for draw in read_draws(tmp_path)] == ["worker_died", ""]
 
 
+@pytest.mark.slow
 def test_episodes_of_a_toy_run_are_real(tmp_path):
     results = toy_run(
         tmp_path,
@@ -210,8 +213,11 @@ def test_episodes_of_a_toy_run_are_real(tmp_path):
         },
     )
     folder = results.folders["episodes"]
+    chosen = load_artifact(folder / GRASPS_FOLDER, "0000", GraspChoice)
+    shutil.rmtree(folder / GRASPS_FOLDER)
     figures = run(results, folder, lambda share, text: None)
     assert (figures["episodes"], figures["short"]) == (2, 0)
+    assert load_artifact(folder / GRASPS_FOLDER, "0000", GraspChoice).usual == chosen.usual
     assert (folder / DRAWS_FILE).is_file()
     committed, _ = ended_units(folder)
     for path in list_committed(folder):
@@ -296,11 +302,10 @@ def test_ranges_that_hold_no_place_are_refused_before_work(tmp_path, name):
     obstacles = (inside,) if "something" in name else ()
     results = toy_run(tmp_path, params={"ranges": ranges}, support=table, obstacles=obstacles)
     folder = results.folders["episodes"]
-    folder.mkdir()
     with pytest.raises(ConfigError, match=words) as caught:
         run(results, folder, lambda share, text: None)
     assert caught.value.exit_code == 2
-    (picture,) = folder.iterdir()
+    (picture,) = folder.glob("*.*")
     assert str(picture) in str(caught.value)
     assert picture.read_text().startswith("<svg")
     ElementTree.parse(picture)

@@ -17,7 +17,6 @@ TRIALS = 3
 @pytest.fixture(scope="session")
 def toy(tmp_path_factory: pytest.TempPathFactory) -> ToyResults:
     results = toy_run(tmp_path_factory.mktemp("toy"), poses=1)
-    results.folders["episodes"].mkdir()
     make_episodes(results, results.folders["episodes"], silent)
     return results
 
