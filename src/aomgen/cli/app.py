@@ -109,7 +109,7 @@ def check(
         check_params(project)
         capture = read_capture(project.capture)
         warnings = check_project(project, capture)
-        warnings += machine_warnings(project.segmenter, capture, project.light)
+        warnings += machine_warnings(project.segmenter, capture, diffusion=bool(project.networks))
         print(f"{path}: fine")
     else:
         capture = read_capture(path.parent if path.name == "capture.toml" else path)

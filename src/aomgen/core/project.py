@@ -24,6 +24,8 @@ class Project(BaseModel):
         light: What lights new objects: "scan", the light found in the scene; the path of an HDRI; or
             "diffusion:FOLDER", see `replacement.diffusion_light`.
         light_yaw_deg: Turn of an HDRI about the vertical, counterclockwise as seen from above.
+        inpainter: Folder of a diffusion pipeline that paints what nobody saw of the table, see
+            `replacement.diffusion_inpainting`; empty for patches of what was seen.
         image_size: Size of the episodes' images, [px].
         iterations: Training steps.
         gaussians: Cap on the number of Gaussians in the scene.
@@ -45,6 +47,7 @@ class Project(BaseModel):
     adapt: Literal["trajectory", "object", "auto"] = "trajectory"
     light: str = Field(default=SCAN_LIGHT, min_length=1)
     light_yaw_deg: float = Field(default=0.0, ge=-360, le=360)
+    inpainter: str = ""
     image_size: tuple[Side, Side] = (320, 240)
     iterations: int = Field(default=1200, ge=10, le=200_000)
     gaussians: int = Field(default=100_000, ge=1_000, le=3_000_000)
@@ -53,6 +56,12 @@ class Project(BaseModel):
     motion_method: Literal["aomotion", "paper"] = "aomotion"
     parts_method: Literal["closed_form", "saga"] = "closed_form"
     params: dict[str, dict[str, Any]] = Field(default_factory=dict)
+
+    @property
+    def networks(self) -> tuple[Path, ...]:
+        """Folders of the diffusion pipelines that a run asks."""
+        head, path = split_light(self.light)
+        return tuple(Path(name) for name in (path * (head == DIFFUSION_LIGHT), self.inpainter) if name)
 
 
 def split_light(light: str) -> tuple[str, str]:

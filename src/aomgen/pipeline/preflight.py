@@ -8,7 +8,7 @@ from aomgen.assets.choice import asset_file, is_made, make_asset, open_assets, s
 from aomgen.capture.capture_check import check_capture
 from aomgen.core.asset import ArticulatedAsset
 from aomgen.core.episode import NEW_CAMERA
-from aomgen.core.project import DIFFUSION_LIGHT, SCAN_LIGHT, Project, split_light
+from aomgen.core.project import Project, split_light
 from aomgen.core.recording import Capture
 from aomgen.errors import BackendError, ConfigError, MissingFileError, StorageError
 from aomgen.io.artifact import read_json
@@ -44,7 +44,7 @@ def check_project(project: Project, capture: Capture) -> tuple[str, ...]:
     """
     _check_cameras(project, capture)
     assets = open_assets(project.assets)
-    _check_light(project.light)
+    _check_light(project)
     require_room(project.out)
     checked = check_capture(capture)
     _check_robot_cameras(project, checked.robot)
@@ -76,16 +76,17 @@ def preflight(
     if missing:
         require_room(project.out)
         has_masks = bool(capture.mask_folders)
-        require_environment(missing, project.segmenter, has_masks=has_masks, light=project.light)
+        networks = bool(project.networks)
+        require_environment(missing, project.segmenter, has_masks=has_masks, diffusion=networks)
     if not same:
         write_json(file, {"digest": digest, "warnings": warnings})
     return warnings
 
 
-def machine_warnings(segmenter: str, capture: Capture, light: str = SCAN_LIGHT) -> tuple[str, ...]:
+def machine_warnings(segmenter: str, capture: Capture, *, diffusion: bool = False) -> tuple[str, ...]:
     """What this machine lacks for a run; another machine may have it, so nothing is refused."""
     try:
-        require_environment(EVERYTHING, segmenter, has_masks=bool(capture.mask_folders), light=light)
+        require_environment(EVERYTHING, segmenter, has_masks=bool(capture.mask_folders), diffusion=diffusion)
     except BackendError as error:
         return (f"a run on this machine would stop: {error}",)
     return ()
@@ -160,16 +161,17 @@ def _check_cameras(project: Project, capture: Capture) -> None:
             raise ConfigError("episodes.cameras", f"'{name}' is no camera", suggest(str(name), known))
 
 
-def _check_light(light: str) -> None:
-    head, path = split_light(light)
+def _check_light(project: Project) -> None:
+    head, path = split_light(project.light)
     if not head:
         read_environment(Path(path))
-    elif head == DIFFUSION_LIGHT and not (Path(path) / DIFFUSION_INDEX).is_file():
-        raise MissingFileError(
-            Path(path) / DIFFUSION_INDEX,
-            "is missing",
-            "save a diffusion pipeline there, see docs/replacement.md",
-        )
+    for folder in project.networks:
+        if not (folder / DIFFUSION_INDEX).is_file():
+            raise MissingFileError(
+                folder / DIFFUSION_INDEX,
+                "is missing",
+                "save a diffusion pipeline there, see docs/replacement.md",
+            )
 
 
 def _check_robot_cameras(project: Project, robot: RobotModel) -> None:

@@ -24,6 +24,7 @@ poses = {poses}                # verified episodes wanted for each asset
 adapt = {adapt}              # "trajectory": the asset keeps its size; "object": it is scaled to the motion; "auto": scaled where that fits
 light = {light}              # of new objects: "scan", or the path of an HDRI (.hdr), or "diffusion:FOLDER"
 light_yaw_deg = {light_yaw_deg}       # turn of an HDRI about the vertical, counterclockwise from above
+inpainter = {inpainter}            # of what nobody saw of the table: "" for patches, or the folder of a diffusion pipeline
 
 image_size = {image_size}      # width and height of the episodes' images [px]
 iterations = {iterations}      # training steps of the scene's Gaussians
@@ -60,6 +61,7 @@ def read_project(path: Path) -> Project:
             "out": (base / project.out).resolve(),
             "assets": assets,
             "light": head + str((base / light).resolve()) if light else head,
+            "inpainter": project.inpainter and str((base / project.inpainter).resolve()),
         }
     )
 
@@ -81,6 +83,7 @@ def write_project(path: Path, project: Project) -> None:
     ]
     head, light = split_light(project.light)
     values["light"] = head + _below(base, Path(light)) if light else head
+    values["inpainter"] = project.inpainter and _below(base, Path(project.inpainter))
     params = flatten(values.pop("params"))
     text = TEMPLATE.format(**{name: _toml(value) for name, value in values.items()})
     if params:

@@ -8,7 +8,6 @@ import sys
 from collections.abc import Callable, Collection
 from pathlib import Path
 
-from aomgen.core.project import DIFFUSION_LIGHT, SCAN_LIGHT
 from aomgen.errors import AomgenError, BackendError, StorageError
 from aomgen.robots.model_renderer import REMEDY as GL_REMEDY
 from aomgen.segmentation.sam2_weights import find_sam2
@@ -35,7 +34,7 @@ MIN_FREE = 250 << 20
 
 
 def require_environment(
-    stages: Collection[str], segmenter: str, *, has_masks: bool, light: str = SCAN_LIGHT
+    stages: Collection[str], segmenter: str, *, has_masks: bool, diffusion: bool = False
 ) -> None:
     """Refuse to start what this machine cannot finish: the stages that are still to be made.
 
@@ -54,7 +53,7 @@ def require_environment(
         else:
             find_sam2(segmenter)
             _require_modules(*SAM2)
-    if "replacement" in stages and light.startswith(DIFFUSION_LIGHT):
+    if "replacement" in stages and diffusion:
         _require_modules(*DIFFUSION)
     problem = gl_problem() if set(DRAWS_ROBOT) & set(stages) else ""
     if problem:

@@ -3,7 +3,6 @@
 The depth that guides the model is the scan's. Source: Phongthawee et al., DiffusionLight, CVPR 2024.
 """
 
-import importlib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,12 +16,11 @@ from aomgen.core.camera import Camera
 from aomgen.core.environment_map import EnvironmentMap
 from aomgen.core.gaussians import Gaussians
 from aomgen.core.values import Array
-from aomgen.errors import BackendError
 from aomgen.replacement.chrome_ball import merge_exposures, unwrap_ball
+from aomgen.replacement.diffusion_pipeline import load_pipeline, noise, picture_side
 from aomgen.replacement.mosaic import Photograph
 from aomgen.splatting.rasterizer import render
 
-EXTRA: Final = "pip install 'aomgen[diffusion]'"
 PIPELINE: Final = "StableDiffusionXLControlNetInpaintPipeline"
 # What the paper asks for at the brightest and at the darkest exposure, and what it does not want.
 BRIGHT: Final = "a perfect mirrored reflective chrome ball sphere"
@@ -66,42 +64,14 @@ def environment_of_photograph(
 
     Not checked: whether the painted ball mirrors the room; the model may invent it.
     """
-    pipeline = load_pipeline(folder)
-    side = pipeline.unet.config.sample_size * pipeline.vae_scale_factor
+    pipeline = load_pipeline(folder, PIPELINE)
+    side = picture_side(pipeline)
     scene = square_scene(photograph, world, side)
     pictures = np.stack([_paint_ball(pipeline, scene, exposure, seed) for exposure in EXPOSURES])
     radius = round(BALL_SHARE * side)
     low, high = side // 2 - radius, side // 2 + radius
     radiance = merge_exposures(pictures[:, low:high, low:high], EXPOSURES)
     return unwrap_ball(radiance, scene.camera.cropped(low, low, high - low))
-
-
-def load_pipeline(folder: Path) -> Any:
-    """A saved pipeline, on the GPU where there is one.
-
-    Raises:
-        BackendError: See `environment_of_photograph`.
-    """
-    try:
-        kind = getattr(importlib.import_module("diffusers"), PIPELINE)
-        torch = importlib.import_module("torch")
-        damaged = importlib.import_module("safetensors").SafetensorError
-    except ImportError as error:
-        raise BackendError("diffusers", f"cannot be loaded ({error})", EXTRA) from error
-    on_gpu = torch.cuda.is_available()
-    try:
-        pipeline = kind.from_pretrained(
-            str(folder),
-            dtype=torch.float16 if on_gpu else torch.float32,
-            local_files_only=True,
-            use_safetensors=True,
-        )
-    except (OSError, ValueError, TypeError, RuntimeError, damaged) as error:
-        raise BackendError(
-            folder, f"holds no {PIPELINE} ({error})", "save one there, see docs/replacement.md"
-        ) from error
-    pipeline.set_progress_bar_config(disable=True)
-    return pipeline.to("cuda" if on_gpu else "cpu")
 
 
 def central_photograph(views: Sequence[Photograph], place: Array) -> Photograph:
@@ -160,9 +130,6 @@ def _text(pipeline: Any, darkness: float) -> dict[str, Any]:
 def _inpaint(
     pipeline: Any, scene: BallScene, text: dict[str, Any], image: Image.Image, strength: float, seed: int
 ) -> Array:
-    torch = importlib.import_module("torch")
-    # Drawn on the processor, so that every machine starts from the same noise.
-    generator = torch.Generator("cpu").manual_seed(seed)
     painted = pipeline(
         **text,
         image=image,
@@ -174,7 +141,7 @@ def _inpaint(
         num_inference_steps=STEPS,
         guidance_scale=GUIDANCE,
         controlnet_conditioning_scale=DEPTH_WEIGHT,
-        generator=generator,
+        generator=noise(seed),
         output_type="np",
     )
     return np.asarray(painted.images[0], np.float64)

@@ -1,17 +1,12 @@
-"""Take the recorded object out of the scene and close the surface it stood on.
+"""Take the recorded object out of the scene and close the surface it stood on."""
 
-Unknown places of that get smooth color from their border and texture from patches.
-"""
-
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Final, NamedTuple
 
 import numpy as np
-from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
-from scipy.ndimage import binary_dilation, binary_opening, distance_transform_edt, gaussian_filter, label
-from scipy.sparse.linalg import LaplacianNd, spsolve
+from scipy.ndimage import binary_dilation, binary_opening, gaussian_filter, label
 from scipy.spatial import ConvexHull
 
 from aomgen.conventions import BACKGROUND, MOVING, STATIC
@@ -45,12 +40,8 @@ BELOW: Final = 0.0015
 MIN_ALPHA: Final = 0.6
 # Difference of chromaticity from most of the surface that is certainly another thing.
 MIN_TINT: Final = 0.07
-# Patch side, [px].
-PATCH: Final = 25
-# Random patches compared at each place; the neighbourhood of the best is searched after.
-CANDIDATES: Final = 600
-# Structure wider than this [px] is color, finer is texture.
-SMOOTHING: Final = 15.0
+
+Inpaint = Callable[[Array, NDArray[np.bool_]], Array]
 
 
 class Cleared(NamedTuple):
@@ -76,16 +67,14 @@ class Cleared(NamedTuple):
         return self.twin.scene
 
 
-def clear_object(
-    twin: Twin, robot: RobotModel, views: Sequence[Photograph], rng: np.random.Generator
-) -> Cleared:
+def clear_object(twin: Twin, robot: RobotModel, views: Sequence[Photograph], inpaint: Inpaint) -> Cleared:
     """Remove the recorded object from a bound scan.
 
     Args:
         twin: Bound scan.
         robot: Its robot.
         views: Photographs of the scan: what they saw of the surface is put back, the rest is invented.
-        rng: Chooses texture patches.
+        inpaint: Completes a picture (H, W, 3), 0..1, of the surface from straight above where it is not known (H, W).
 
     Raises:
         ReconstructionError: No supporting plane was scanned.
@@ -114,7 +103,7 @@ def clear_object(
     gain = shadow_gain(world.select(of_object), support.T_world_plane, low, CELL, picture, known)
     known &= gain.max(-1) < MAX_LIFT
     lightened = _lightened(remaining.gaussians, table, support, low, gain)
-    texture = inpaint(np.clip(picture * gain, 0, 1), known, rng)
+    texture = inpaint(np.clip(picture * gain, 0, 1), known)
     # Where nothing was scanned before either, the table ends; gaps within it are closed too.
     thin = (alpha < MIN_ALPHA) & (outside <= 0.7 * RING)
     where = (outside <= 0) | (((outside <= 2 * MARGIN) | thin) & _hull(extent > 0.5))
@@ -229,83 +218,3 @@ def _surface(
         opacities=np.full(count, 0.98),
         sh=sh,
     )
-
-
-def inpaint(image: Array, known: NDArray[np.bool_], rng: np.random.Generator) -> Array:
-    """Complete an image (H, W, 3) where it is not known (H, W); without any known pixel it is grey.
-
-    `rng` chooses candidate patches.
-    """
-    if not known.any():
-        return np.full(image.shape, 0.5)
-    smooth = _membrane(_blurred(image, known), known)
-    detail = np.where(known[..., None], image - smooth, 0.0)
-    texture = _quilted(detail, known, rng)
-    return np.where(known[..., None], image, smooth + texture)
-
-
-def _blurred(image: Array, known: NDArray[np.bool_]) -> Array:
-    """Known colors averaged over known neighbours."""
-    weight = gaussian_filter(known.astype(float), SMOOTHING)
-    masked = np.where(known[..., None], image, 0.0)
-    total = np.stack([gaussian_filter(masked[..., k], SMOOTHING) for k in range(3)], -1)
-    return total / np.maximum(weight, 1e-6)[..., None]
-
-
-def _membrane(image: Array, known: NDArray[np.bool_]) -> Array:
-    """The smoothest continuation into unknown pixels: Laplace's equation."""
-    if known.all():
-        return image
-    flat = known.ravel()
-    laplacian = LaplacianNd(known.shape, boundary_conditions="neumann").tosparse().astype(np.float64)
-    rows = laplacian.tocsr()[~flat]
-    colors = np.array(image, np.float64).reshape(-1, 3)
-    filled = spsolve(rows[:, ~flat].tocsc(), -rows[:, flat] @ colors[flat])
-    colors[~flat] = np.asarray(filled).reshape(-1, 3)
-    return colors.reshape(image.shape)
-
-
-def _quilted(detail: Array, known: NDArray[np.bool_], rng: np.random.Generator) -> Array:
-    """Texture copied patch by patch from the known part, from the border inwards.
-
-    Source: Efros & Freeman 2001, with soft seams.
-    """
-    half = PATCH // 2
-    result, sure = np.array(detail), known.astype(float)
-    whole = np.asarray(sliding_window_view(known, (PATCH, PATCH)).all((2, 3)))
-    sources = np.argwhere(whole)
-    if not len(sources):
-        return result
-    windows = np.asarray(sliding_window_view(detail, (PATCH, PATCH, 3)))[:, :, 0]
-    inner = np.asarray(distance_transform_edt(~known))
-    # Neighbouring patches overlap by more than half.
-    grid = np.argwhere(~known)
-    grid = grid[(grid % half == 0).all(1)]
-    grid = grid[np.argsort(inner[tuple(grid.T)], kind="stable")]
-    ramp = 1 - np.abs(np.arange(PATCH) - half) / (half + 1)
-    feather = np.minimum.outer(ramp, ramp)
-    height, width = known.shape
-    for row, column in grid:
-        r = int(np.clip(row - half, 0, height - PATCH))
-        c = int(np.clip(column - half, 0, width - PATCH))
-        box = (slice(r, r + PATCH), slice(c, c + PATCH))
-        weight = sure[box]
-        tries = sources[rng.integers(0, len(sources), CANDIDATES)]
-        best = _closest(windows, tries, result[box], weight)
-        around = best + np.argwhere(np.ones((7, 7), bool)) - 3
-        inside = ((around >= 0) & (around < whole.shape)).all(1)
-        around = around[inside]
-        best = _closest(windows, around[whole[tuple(around.T)]], result[box], weight)
-        patch = windows[best[0], best[1]]
-        # A sharp share: averaging many patches would wash the texture out.
-        share = np.where(known[box], 0.0, feather**4 / (feather**4 + weight**4))[..., None]
-        result[box] = (1 - share) * result[box] + share * patch
-        sure[box] = np.where(known[box], 1.0, np.maximum(weight, feather))
-    return result
-
-
-def _closest(windows: NDArray, places: NDArray[np.int64], target: Array, weight: Array) -> NDArray[np.int64]:
-    """The place (2,) whose window (P, P, 3) differs least from the target (P, P, 3)."""
-    found = windows[places[:, 0], places[:, 1]]
-    difference = (found - target) ** 2
-    return places[int(np.argmin(np.einsum("nijk,ij->n", difference, weight)))]

@@ -1,6 +1,7 @@
 """The scene without its object, its light, and every asset fitted to the motion. [paper 4.3]"""
 
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +16,7 @@ from aomgen.core.demonstration import EpisodeScene, RecordedObject, SupportPlane
 from aomgen.core.parts import surface_points
 from aomgen.core.plan import FittedAsset, Rejection
 from aomgen.core.progress import Progress
-from aomgen.core.project import DIFFUSION_LIGHT, SCAN_LIGHT, split_light
+from aomgen.core.project import DIFFUSION_LIGHT, SCAN_LIGHT, Project, split_light
 from aomgen.core.transforms import apply
 from aomgen.core.values import Array
 from aomgen.errors import EstimationError
@@ -24,16 +25,18 @@ from aomgen.io.hdr_image import read_environment
 from aomgen.io.images import read_image
 from aomgen.replacement.asset_surfels import asset_surfels
 from aomgen.replacement.correspondence import recorded_contact
+from aomgen.replacement.diffusion_inpainting import paint_unknown
 from aomgen.replacement.diffusion_light import central_photograph, environment_of_photograph
 from aomgen.replacement.fitting import FitParams, fit_asset
 from aomgen.replacement.free_table import support_plane
+from aomgen.replacement.inpainting import inpaint
 from aomgen.replacement.light_estimation import SceneLight, estimate_light, light_of_map
 from aomgen.replacement.mosaic import Photograph
 from aomgen.replacement.obstacles import find_obstacles
 from aomgen.replacement.old_shadow import MAX_GAIN
 from aomgen.replacement.original import fit_original, original_twin
 from aomgen.replacement.reflection import show_in_light
-from aomgen.replacement.removal import Cleared, clear_object
+from aomgen.replacement.removal import Cleared, Inpaint, clear_object
 from aomgen.replacement.viewpoint import episode_cameras
 from aomgen.results import ASSET_USD, ASSETS_FOLDER, FITTED, Results
 from aomgen.robots.reach import longest_reach
@@ -53,7 +56,7 @@ def run(results: Results, folder: Path, progress: Progress) -> dict[str, Any]:
         Photograph(camera=camera, image_srgb=read_image(results.scan_images[name]))
         for name, camera in results.scan_cameras.items()
     ]
-    cleared = clear_object(results.twin, results.robot, views, np.random.default_rng(project.seed))
+    cleared = clear_object(results.twin, results.robot, views, inpainter_of(project))
     progress(0.3, "light")
     support = support_plane(cleared)
     scan_light = _light_at_object(results, cleared)
@@ -96,6 +99,13 @@ def run(results: Results, folder: Path, progress: Progress) -> dict[str, Any]:
         "fit_residual_mm": max((item.residual_mm for item in fitted), default=0.0),
         "warnings": [f"asset {spec} is left out: {found.detail}" for spec, found in rejected.items()],
     }
+
+
+def inpainter_of(project: Project) -> Inpaint:
+    """What a project chooses to complete the picture of the table."""
+    if project.inpainter:
+        return partial(paint_unknown, Path(project.inpainter), seed=project.seed)
+    return partial(inpaint, rng=np.random.default_rng(project.seed))
 
 
 def _light_at_object(results: Results, cleared: Cleared) -> SceneLight:

@@ -102,15 +102,16 @@ def project_of(capture: Path, out: Path, **choices) -> Project:
 
 
 @pytest.mark.parametrize(
-    ("light", "words"),
+    ("choice", "words"),
     [
-        ("room.hdr", r"room\.hdr: is missing; set `light` to"),
-        ("diffusion:weights", r"weights/model_index\.json: is missing; save a diffusion pipeline"),
+        ({"light": "room.hdr"}, r"room\.hdr: is missing; set `light` to"),
+        ({"light": "diffusion:weights"}, r"weights/model_index\.json: is missing; save a diffusion pipeline"),
+        ({"inpainter": "painter"}, r"painter/model_index\.json: is missing; save a diffusion pipeline"),
     ],
 )
-def test_light_that_cannot_be_read(small_capture, tmp_path, light, words):
+def test_files_of_a_project_that_cannot_be_read(small_capture, tmp_path, choice, words):
     with pytest.raises(MissingFileError, match=words):
-        preflight.check_project(project_of(small_capture, tmp_path, light=light), read_capture(small_capture))
+        preflight.check_project(project_of(small_capture, tmp_path, **choice), read_capture(small_capture))
 
 
 def test_images_of_another_shape(small_capture, tmp_path):

@@ -75,12 +75,13 @@ def test_wrong_choices(tmp_path, line, words):
 def test_paths_are_taken_from_the_file(tmp_path):
     (tmp_path / "project.toml").write_text(
         "format = 1\ncapture = 'a'\nout = '../b'\nassets = ['drawer:2', 'usd/door.usda']\n"
-        "light = 'diffusion:weights'\n"
+        "light = 'diffusion:weights'\ninpainter = 'painter'\n"
     )
     project = read_project(tmp_path / "project.toml")
     assert project.capture == tmp_path.resolve() / "a"
     assert project.out == tmp_path.resolve().parent / "b"
     assert project.light == f"diffusion:{tmp_path.resolve() / 'weights'}"
+    assert project.networks == (tmp_path.resolve() / "weights", tmp_path.resolve() / "painter")
     assert project.assets == ("drawer:2", str(tmp_path.resolve() / "usd" / "door.usda"))
 
 

@@ -39,7 +39,7 @@ def test_the_extra_of_light_from_a_photograph(monkeypatch):
     )
     requirements.require_environment(["replacement"], "auto", has_masks=True)
     with pytest.raises(BackendError, match=r"diffusers: is not installed; pip install 'aomgen\[diffusion\]'"):
-        requirements.require_environment(["replacement"], "auto", has_masks=True, light="diffusion:weights")
+        requirements.require_environment(["replacement"], "auto", has_masks=True, diffusion=True)
 
 
 def test_no_opengl_driver(monkeypatch):
