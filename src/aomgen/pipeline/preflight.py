@@ -44,7 +44,8 @@ def check_project(project: Project, capture: Capture) -> tuple[str, ...]:
     """
     _check_cameras(project, capture)
     assets = open_assets(project.assets)
-    _check_light(project)
+    _check_light(project.light)
+    _check_networks(project.networks)
     require_room(project.out)
     checked = check_capture(capture)
     _check_robot_cameras(project, checked.robot)
@@ -161,11 +162,14 @@ def _check_cameras(project: Project, capture: Capture) -> None:
             raise ConfigError("episodes.cameras", f"'{name}' is no camera", suggest(str(name), known))
 
 
-def _check_light(project: Project) -> None:
-    head, path = split_light(project.light)
+def _check_light(light: str) -> None:
+    head, path = split_light(light)
     if not head:
         read_environment(Path(path))
-    for folder in project.networks:
+
+
+def _check_networks(folders: Sequence[Path]) -> None:
+    for folder in folders:
         if not (folder / DIFFUSION_INDEX).is_file():
             raise MissingFileError(
                 folder / DIFFUSION_INDEX,

@@ -9,6 +9,7 @@ from collections.abc import Callable, Collection
 from pathlib import Path
 
 from aomgen.errors import AomgenError, BackendError, StorageError
+from aomgen.replacement.diffusion_pipeline import EXTRA as DIFFUSION_REMEDY
 from aomgen.robots.model_renderer import REMEDY as GL_REMEDY
 from aomgen.segmentation.sam2_weights import find_sam2
 from aomgen.segmentation.weights import find_weights
@@ -21,7 +22,7 @@ MODULES = {
 }
 MOBILE_SAM = (("onnxruntime",), "pip install 'aomgen[reconstruct]'")
 SAM2 = (("torch", "transformers", "safetensors"), "pip install 'aomgen[sam2]'")
-DIFFUSION = (("torch", "diffusers", "transformers", "safetensors"), "pip install 'aomgen[diffusion]'")
+DIFFUSION = (("torch", "diffusers", "transformers", "safetensors"), DIFFUSION_REMEDY)
 # Stages that draw the robot's outlines with OpenGL.
 DRAWS_ROBOT = ("alignment", "parts", "motion", "twin")
 EVERYTHING = (*MODULES, *DRAWS_ROBOT, "replacement")

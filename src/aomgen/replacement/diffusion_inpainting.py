@@ -18,7 +18,7 @@ STEPS, GUIDANCE = 50, 7.5
 
 
 def paint_unknown(folder: Path, image: Array, known: NDArray[np.bool_], seed: int) -> Array:
-    """Complete an image (H, W, 3), 0..1, where it is not known (H, W).
+    """Complete an image (H, W, 3), 0..1, where it is not known (H, W); without any known pixel it is grey.
 
     What is painted is shifted in color, smoothly, so that it goes on from what is known.
 
@@ -31,9 +31,9 @@ def paint_unknown(folder: Path, image: Array, known: NDArray[np.bool_], seed: in
 
     Not checked: whether the model paints things on the table.
     """
-    pipeline = load_pipeline(folder, PIPELINE)
     if not known.any():
         return np.full(image.shape, 0.5)
+    pipeline = load_pipeline(folder, PIPELINE)
     (height, width), side = known.shape, picture_side(pipeline)
     # The model also sees what it shall paint over, and its networks are square.
     seen = np.where(known[..., None], image, continue_smoothly(image, known))
