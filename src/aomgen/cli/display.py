@@ -1,6 +1,7 @@
 """Stages, progress and remaining time: bars on a terminal, plain lines when there is none."""
 
 import threading
+import time
 from abc import ABC, abstractmethod
 from typing import Any, Self
 
@@ -14,19 +15,21 @@ from aomgen.pipeline.stages import STAGES
 
 # Often enough to see that it works, seldom enough to keep a log short, [s].
 EVERY_S = 12.0
+# From this share on a stage's own pace tells when it ends.
+TELLING_SHARE = 0.05
 COLORS = {"good": "green", "poor": "yellow", "": ""}
 
 
 class _StageLines(ABC):
     """A line for each stage that is kept or finished, and the remaining time of the run.
 
-    That follows from the stages' weights and the seconds of those that are finished. The running stage says
-    how far it is, but not evenly: its seconds do not count before it is finished.
+    That follows from the stages' weights and the seconds of those that are finished, or from the pace of the running
+    stage where that is slower: hundreds of episodes take longer than the weight of their stage.
     """
 
     def __init__(self) -> None:
         self._left = sum(stage.weight for stage in STAGES)
-        self._spent = self._spent_weight = self._weight = 0.0
+        self._spent = self._spent_weight = self._weight = self._began = 0.0
 
     def begin(self, stage: Stage, *, fresh: bool) -> None:
         """A stage starts, or is kept when it is fresh."""
@@ -34,7 +37,7 @@ class _StageLines(ABC):
             self._left -= stage.weight
             self._say(Text(f"  kept   {stage.title}"))
         else:
-            self._weight = stage.weight
+            self._weight, self._began = stage.weight, time.monotonic()
             self._show(stage)
 
     def end(self, stage: Stage, seconds: float, figures: dict[str, Any]) -> None:
@@ -53,6 +56,8 @@ class _StageLines(ABC):
         """In words, when the running stage is this far."""
         pace = self._spent / self._spent_weight if self._spent_weight else 1.0
         left = pace * max(0.0, self._left - share * self._weight)
+        if share > TELLING_SHARE:
+            left = max(left, (time.monotonic() - self._began) * (1 - share) / share)
         return f"about {left / 60:.0f} min left" if left >= 90 else f"about {left:.0f} s left"
 
     @abstractmethod

@@ -33,6 +33,21 @@ def test_without_a_terminal_a_line_comes_every_few_seconds(capsys) -> None:
     assert lines[-1] == f"  {SENTENCE}"
 
 
+def test_a_stage_that_is_slower_than_its_weight_says_so(capsys) -> None:
+    """Half a second for a tenth of the way leaves five, whatever its weight says."""
+    episodes = STAGES[-1]
+    with PlainDisplay(every_s=0.05) as shown:
+        for stage in STAGES[:-1]:
+            shown.begin(stage, fresh=True)
+        shown.begin(replace(episodes, weight=0.0), fresh=False)
+        time.sleep(0.5)
+        shown.progress(0.1, "")
+        time.sleep(0.2)
+    left = re.search(r"10 %, about (\d+) s left", capsys.readouterr().out.splitlines()[-1])
+    assert left is not None
+    assert 4 <= int(left[1]) <= 9
+
+
 def test_nothing_is_said_between_stages(capsys) -> None:
     with PlainDisplay(every_s=0.01) as shown:
         shown.begin(STRUCTURE, fresh=True)
