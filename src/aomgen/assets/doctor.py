@@ -8,11 +8,13 @@ from scipy.spatial import cKDTree
 
 from aomgen.assets.asset_check import FINGER_BALL, check_asset, held_at_rim, outward_normal
 from aomgen.core.asset import ArticulatedAsset, AssetLink, BoxCollider
-from aomgen.core.mesh import sample_surface
+from aomgen.core.mesh import sample_meshes
 from aomgen.core.values import Array
 
 # Points on the surface of a link, and how far apart a finger's way behind the handle is looked at, [m].
 SAMPLES, WAY_STEP_M = 60_000, 5e-4
+# A gap begins and narrows by more than points on a surface, millimetres apart, are off it, [m].
+FAR_M = 1e-3
 # No handle stands off farther, [m].
 LONGEST_WAY_M = 0.08
 # Colliders should follow what is seen to within this, [m], but for a twentieth of the surface.
@@ -43,7 +45,8 @@ def examine(asset: ArticulatedAsset) -> list[Finding]:
     problems = check_asset(asset)
     joint = asset.joint
     opening = f"{np.degrees(joint.upper):.0f} deg" if joint.type == "revolute" else f"{joint.upper:.3f} m"
-    points = [_surface(link) for link in (asset.static, asset.moving)]
+    rng = np.random.default_rng(0)
+    points = [sample_meshes(link.meshes, SAMPLES, rng) for link in (asset.static, asset.moving)]
     low, high = np.concatenate(points).min(0), np.concatenate(points).max(0)
     found = [Finding(name="use", state="", problem=sentence) for sentence in problems] or [
         Finding(name="use", state="can be simulated and held")
@@ -62,12 +65,6 @@ def examine(asset: ArticulatedAsset) -> list[Finding]:
     if asset.credit:
         found.append(Finding(name="credit", state=asset.credit))
     return found
-
-
-def _surface(link: AssetLink) -> Array:
-    """Points (N, 3) all over the visible surface."""
-    rng, share = np.random.default_rng(0), max(SAMPLES // len(link.meshes), 100)
-    return np.concatenate([sample_surface(m.vertices, m.faces, share, rng)[0] for m in link.meshes])
 
 
 def _finger(asset: ArticulatedAsset, surface: Array) -> Finding:
@@ -92,10 +89,10 @@ def _room(tree: cKDTree, start: Array, way: Array) -> float:
     """Diameter of the largest ball in the first gap on a way that begins inside something, [m]."""
     steps = np.arange(0.0, LONGEST_WAY_M, WAY_STEP_M)
     distances, _ = tree.query(start + steps[:, None] * way)
-    behind = int(np.argmin(distances[: max(len(steps) // 2, 1)]))
-    rising = distances[behind:]
-    falls = np.flatnonzero(np.diff(rising) < -WAY_STEP_M / 2)
-    return 2 * float(rising[: falls[0] + 1].max() if len(falls) else rising.max())
+    left = np.flatnonzero(distances > np.minimum.accumulate(distances) + FAR_M)
+    gap = distances[left[0] :] if len(left) else np.zeros(1)
+    narrows = np.flatnonzero(gap < np.maximum.accumulate(gap) - FAR_M)
+    return 2 * float(gap[: narrows[0]].max() if len(narrows) else gap.max())
 
 
 def _colliders(link: AssetLink, surface: Array) -> Finding:

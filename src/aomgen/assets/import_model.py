@@ -7,8 +7,8 @@ import numpy as np
 
 from aomgen.assets import mjcf_model, usd_read
 from aomgen.assets.mjcf_model import read_mjcf_model
+from aomgen.assets.normalization import cleared, closed, finish_link, guess_handle, to_asset_frame
 from aomgen.assets.obj_model import read_obj_model
-from aomgen.assets.settle import cleared, closed, finish_link, guess_handle, settled
 from aomgen.assets.usd_read import read_usd
 from aomgen.core.asset import ArticulatedAsset
 from aomgen.errors import ConfigError, MalformedFileError
@@ -54,7 +54,7 @@ def import_model(
         moving=finish_link(asset.moving, path),
     )
     point, axis = guess_handle(asset.moving, asset.joint)
-    return settled(cleared(replace(asset, handle_point=point, handle_axis=axis)))
+    return to_asset_frame(cleared(replace(asset, handle_point=point, handle_axis=axis)))
 
 
 def _joints_file(path: Path) -> Path:

@@ -8,8 +8,8 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from aomgen.assets.normalization import choose_joint
 from aomgen.assets.procedural.shapes import NO_TEXTURE, Material
-from aomgen.assets.settle import choose_joint
 from aomgen.core.asset import ArticulatedAsset, AssetLink, BoxCollider
 from aomgen.core.joint import Joint
 from aomgen.core.mesh import Mesh

@@ -12,7 +12,7 @@ from aomgen.assets.asset_check import find_overlaps, outward_normal
 from aomgen.assets.box_cover import box_cover
 from aomgen.core.asset import ArticulatedAsset, AssetLink, BoxCollider
 from aomgen.core.joint import Joint
-from aomgen.core.mesh import sample_surface
+from aomgen.core.mesh import sample_meshes
 from aomgen.core.transforms import apply, matrix_from_rotvec, transform
 from aomgen.core.values import Array
 from aomgen.errors import AssetError
@@ -146,10 +146,7 @@ def guess_handle(link: AssetLink, joint: Joint) -> tuple[Array, Array]:
     its reach (a handle is opposite the hinge). The direction is the longer one of that region.
     """
     named = [m for m in link.meshes if any(word in m.name.lower() for word in HANDLE_WORDS)]
-    rng = np.random.default_rng(0)
-    meshes = named or link.meshes
-    share = max(1, SAMPLES // len(meshes))
-    points = np.concatenate([sample_surface(mesh.vertices, mesh.faces, share, rng)[0] for mesh in meshes])
+    points = sample_meshes(named or link.meshes, SAMPLES, np.random.default_rng(0))
     outward = _opening_direction(link, joint)
     if joint.type == "revolute" and not named:
         arms = points - joint.origin
@@ -167,7 +164,7 @@ def guess_handle(link: AssetLink, joint: Joint) -> tuple[Array, Array]:
     return point + (heights.max() - LAYER / 2) * outward, direction
 
 
-def settled(asset: ArticulatedAsset) -> ArticulatedAsset:
+def to_asset_frame(asset: ArticulatedAsset) -> ArticulatedAsset:
     """The asset in the asset frame: front towards -y, on z = 0, centred in x and y.
 
     The front is turned by whole quarter turns, as files are drawn along their axes; a part that

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
 
 from aomgen.assets.box_cover import face_components
+from aomgen.assets.normalization import choose_joint
 from aomgen.assets.procedural.shapes import NO_TEXTURE, Material
-from aomgen.assets.settle import choose_joint
 from aomgen.core.asset import ArticulatedAsset, AssetLink
 from aomgen.core.joint import Joint
 from aomgen.core.mesh import NORMAL_MAP, Mesh

@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from aomgen.assets.box_cover import box_cover
+from aomgen.assets.normalization import finish_link
 from aomgen.assets.procedural.shapes import Material
-from aomgen.assets.settle import finish_link
 from aomgen.assets.usd_material import plain_material, read_material
 from aomgen.core.asset import AssetLink, BoxCollider
 from aomgen.core.mesh import Mesh

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from aomgen.assets.settle import choose_joint, guess_handle, settled
+from aomgen.assets.normalization import choose_joint, guess_handle, to_asset_frame
 from aomgen.assets.usd_geometry import read_links
 from aomgen.assets.usd_material import check_layers
 from aomgen.assets.usd_write import NAMESPACE
@@ -58,7 +58,7 @@ def parse_usd(path: Path, joint_name: str = "") -> ArticulatedAsset:
         handle_axis=np.array([0.0, 0.0, 1.0]),
         credit=str(_root_attribute(stage, "credit") or ""),
     )
-    return settled(_with_handle(asset, stage, to_metric))
+    return to_asset_frame(_with_handle(asset, stage, to_metric))
 
 
 def _find_joint(

@@ -1,6 +1,6 @@
 """Triangle meshes with an optional texture and maps of what else a material says."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Annotated, Final
 
@@ -84,3 +84,9 @@ def sample_surface(
     weights = np.stack([1 - root, root * (1 - v), root * v], 1)
     points = np.einsum("nk,nkd->nd", weights, vertices[faces[face_ids]])
     return points, face_ids, weights
+
+
+def sample_meshes(meshes: Sequence[Mesh], count: int, rng: np.random.Generator) -> Array:
+    """Some `count` points (N, 3), as many on a small mesh as on a large one, spread evenly over each."""
+    share = max(count // len(meshes), 100)
+    return np.concatenate([sample_surface(mesh.vertices, mesh.faces, share, rng)[0] for mesh in meshes])

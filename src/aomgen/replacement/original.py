@@ -11,8 +11,8 @@ from typing import Final
 import numpy as np
 
 from aomgen.assets.choice import ORIGINAL
+from aomgen.assets.normalization import FALLBACK_DENSITY, cleared
 from aomgen.assets.procedural.shapes import AlignedBox, Material, boxes_mesh
-from aomgen.assets.settle import FALLBACK_DENSITY, cleared
 from aomgen.conventions import MOVING, STATIC
 from aomgen.core.asset import ArticulatedAsset, AssetLink
 from aomgen.core.boxes import QUANTILES

@@ -11,7 +11,7 @@ from typer.testing import CliRunner
 from aomgen.assets.asset_check import check_asset
 from aomgen.assets.doctor import examine
 from aomgen.assets.import_model import import_model
-from aomgen.assets.settle import cleared, closed
+from aomgen.assets.normalization import cleared, closed
 from aomgen.assets.usd_read import read_usd
 from aomgen.assets.usd_write import write_usd
 from aomgen.cli.app import app
