@@ -10,7 +10,7 @@ from aomgen.core.camera import Camera
 from aomgen.core.gaussians import Gaussians
 
 NEAR_DEPTH = 0.01
-DILATION_PX2 = 0.3
+DILATION_PX2 = 0.1
 MIN_ALPHA, MAX_ALPHA, MIN_TRANSMITTANCE = 1 / 255, 0.99, 1e-4
 # Centres further outside the image than this share of its size get the Jacobian of that limit.
 OUTSIDE_SHARE = 0.15
@@ -61,7 +61,7 @@ def project(parameters: dict[str, Tensor], camera: Camera, degree: int) -> Splat
         camera: View in the frame of the means.
         degree: Spherical harmonics that are evaluated, 0..3.
 
-    Source: Kerbl et al. 2023, sec. 4; dilation and limits as in gsplat. Not checked: depths
+    Source: Kerbl et al. 2023, sec. 4; limits as in gsplat. Not checked: depths
     near zero, where everything overflows; the caller drops what is nearer than `NEAR_DEPTH`.
     """
     means = parameters["means"]

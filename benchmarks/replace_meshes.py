@@ -22,8 +22,6 @@ from benchmarks.other_objects import make_object
 
 VIEWS: Final = 20
 SIZES: Final = (256, 512)
-# A pixel of the truth is the mean of so many squared.
-SUPERSAMPLED: Final = 2
 # The object fills at least this share of every picture.
 FILLED: Final = 0.4
 # Focal length over the picture's width, and how far a camera looks up or down, [rad].
@@ -42,23 +40,15 @@ class MeshView:
 
 def _truth(renderer: AssetRenderer, view: MeshView) -> tuple[Array, Array]:
     """Color (H, W, 3) and cover (H, W), 0..1; black where nothing is."""
-    camera = view.camera
-    fine = camera.resized(SUPERSAMPLED * camera.width, SUPERSAMPLED * camera.height)
-    drawn = _pooled(renderer.draw(fine, view.theta).astype(np.float64))
+    drawn = renderer.draw(view.camera, view.theta).astype(np.float64)
     return drawn[..., :3], drawn[..., 3]
-
-
-def _pooled(picture: Array) -> Array:
-    height, width, channels = picture.shape
-    step = SUPERSAMPLED
-    return picture.reshape(height // step, step, width // step, step, channels).mean((1, 3))
 
 
 def draw_views(asset: ArticulatedAsset, rng: np.random.Generator) -> list[MeshView]:
     """Views from all around, near enough that the object fills the picture."""
     views = []
     size = SIZES[0]
-    with AssetRenderer(asset, SUPERSAMPLED * size) as renderer:
+    with AssetRenderer(asset, size) as renderer:
         for _ in range(VIEWS):
             theta = float(rng.uniform(0.0, asset.joint.upper))
             points = apply(
@@ -89,7 +79,7 @@ def score_views(
     """Medians over the views: PSNR of colors at each size, and IoU of silhouettes at the first."""
     psnrs: dict[int, list[float]] = {size: [] for size in SIZES}
     ious = []
-    with AssetRenderer(asset, SUPERSAMPLED * max(SIZES)) as renderer:
+    with AssetRenderer(asset, max(SIZES)) as renderer:
         for view in views:
             posed = concatenate([static, moving.transformed(asset.joint.motion(view.theta))])
             for size in SIZES:

@@ -87,7 +87,8 @@ struct ImageCovariance {
   F determinant;          // of the dilated covariance
 };
 
-// Source: Zwicker et al., "EWA volume splatting", 2001; limits and dilation as in 3DGS (Kerbl et al. 2023).
+// Source: Zwicker et al., "EWA volume splatting", 2001; limits as in 3DGS (Kerbl et al. 2023), dilation as
+// in Mip-Splatting (Yu et al. 2024).
 AOMGEN_INLINE ImageCovariance image_covariance(const Group& g, const Pose& pose, const AomgenView& view) {
   ImageCovariance c;
   const F* V = pose.V;

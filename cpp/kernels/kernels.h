@@ -15,7 +15,7 @@ constexpr int kMaxGradientFeatures = 256;
 constexpr float kMinLog2Alpha = -7.99435344f;  // log2(1/255): fainter contributions are not drawn
 constexpr float kMaxAlpha = 0.99f;
 constexpr float kMinTransmittance = 1e-4f;     // a pixel is finished once less than this shines through
-constexpr float kDilation = 0.3f;              // [px^2] added to the image covariance, as in 3DGS
+constexpr float kDilation = 0.1f;              // [px^2] added to the image covariance: about that of a pixel's square, 1/12
 
 // A Gaussian on the image. Its alpha at an offset (dx, dy) from the centre is
 // exp2(log2_opacity - (qxx dx^2 + qxy dx dy + qyy dy^2)).

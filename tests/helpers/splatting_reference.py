@@ -7,7 +7,7 @@ from torch import Tensor
 from aomgen.core.camera import Camera
 
 NEAR_DEPTH = 0.01
-DILATION = 0.3
+DILATION = 0.1
 MIN_ALPHA, MAX_ALPHA, MIN_TRANSMITTANCE = 1 / 255, 0.99, 1e-4
 
 

@@ -10,7 +10,7 @@ from aomgen.core.camera import Camera
 from aomgen.splatting.differentiable import GaussianTensors, PartTensors, RasterOptions, TensorRendering
 from splatting_reference import rotation_matrices, sh_basis
 
-DILATION, MIN_ALPHA, MIN_LEFT = 0.3, 1 / 255, 1e-4
+DILATION, MIN_ALPHA, MIN_LEFT = 0.1, 1 / 255, 1e-4
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -11,11 +11,12 @@ from aomgen.assets.mjcf import VISUAL_GROUP, add_asset
 from aomgen.core.asset import ArticulatedAsset
 from aomgen.core.camera import Camera
 from aomgen.core.mesh import Mesh
-from aomgen.core.values import Array
 from aomgen.robots.model_renderer import ModelRenderer, depth_of
 
-# Cosine between the normals of two corners of a pixel that lie on one face; length of a mean normal of such pixels.
+# Cosine between the normals of two corners of a pixel that lie on one face.
 FLAT: Final = 0.99
+# Samples along each side of a pixel: what a camera shows there is a mean.
+SAMPLES: Final = 2
 # A white sphere, [m], tells how much shows through; it is drawn only then, as a group of its own.
 BACKDROP_M, BACKDROP_GROUP = 15.0, 4
 
@@ -24,7 +25,7 @@ class AssetRenderer(ModelRenderer):
     """Draws one asset with MuJoCo's rasterizer; holds an OpenGL context until closed. Not thread safe."""
 
     def __init__(self, asset: ArticulatedAsset, size: int) -> None:
-        """Create a context for images of up to size x size, [px].
+        """Create a context for pictures of up to size x size, [px].
 
         Raises:
             BackendError: No OpenGL driver works.
@@ -46,35 +47,47 @@ class AssetRenderer(ModelRenderer):
         model = spec.compile()
         light = model.vis.headlight
         light.ambient[:], light.diffuse[:], light.specular[:] = 1.0, 0.0, 0.0
-        super().__init__(model, (size, size), VISUAL_GROUP)
+        super().__init__(model, (SAMPLES * size, SAMPLES * size), VISUAL_GROUP)
         # Thin walls are modelled by one sheet, seen from both sides.
         self._scene.flags[mujoco.mjtRndFlag.mjRND_CULL_FACE] = False
 
     def draw(self, camera: Camera, theta: float) -> NDArray[np.float32]:
-        """Colors and cover (H, W, 4), 0..1, one sample a pixel; zero where nothing is.
+        """Colors and cover (H, W, 4), 0..1, the mean of `SAMPLES` squared samples a pixel; zero where nothing is.
 
         Args:
             camera: Pose in the asset's frame.
             theta: Joint value.
         """
-        return self.draw_surface(camera, theta)[0]
-
-    def draw_surface(self, camera: Camera, theta: float) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """The same, and unit normals (H, W, 3) towards the camera, asset frame; zero at edges and where nothing is."""
-        colors, buffer = self._render(camera, [theta], ids=False)
+        fine = camera.resized(SAMPLES * camera.width, SAMPLES * camera.height)
+        colors, buffer = self._render(fine, [theta], ids=False)
         solid = (buffer > 0)[..., None]
-        points = camera.center + camera.directions() * depth_of(buffer)[..., None]
-        normals = _normals(points, camera) * solid
         if not self._see_through:
-            return np.concatenate([colors * solid / np.float32(255), solid], -1, dtype=np.float32), normals
+            return _pooled(np.concatenate([colors * solid, solid * np.uint8(255)], -1))
         self._option.geomgroup[BACKDROP_GROUP] = 1
-        before_white, _ = self._render(camera, [theta], ids=False)
+        before_white, _ = self._render(fine, [theta], ids=False)
         self._option.geomgroup[BACKDROP_GROUP] = 0
-        shone = (before_white.astype(np.float32) - colors).mean(-1, keepdims=True) / 255
+        shone = (_pooled(before_white) - _pooled(colors)).mean(-1, keepdims=True)
+        return np.concatenate([_pooled(colors), np.clip(1 - shone, 0, 1)], -1)
+
+    def draw_normals(self, camera: Camera, theta: float) -> NDArray[np.float32]:
+        """Unit normals (H, W, 3) towards the camera, asset frame; zero at edges, where nothing is and where it shows through."""
+        _, buffer = self._render(camera, [theta], ids=False)
+        points = (camera.directions() * depth_of(buffer)[..., None]).astype(np.float32)
+        normals = _normals(points) * (buffer > 0)[..., None]
+        if not self._see_through:
+            return normals
         blending = self.model.mat_rgba[self.model.geom_matid, 3] < 1
-        blended = self.draw_values(camera, [theta], blending, nothing=False)[0]
-        rgba = np.concatenate([colors / np.float32(255), np.clip(1 - shone, 0, 1)], -1, dtype=np.float32)
-        return rgba, normals * ~blended[..., None]
+        return normals * ~self.draw_values(camera, [theta], blending, nothing=False)[0][..., None]
+
+
+def _pooled(image: NDArray[np.uint8]) -> NDArray[np.float32]:
+    """The means 0..1 of squares of an image (H, W, C) of 0..255."""
+    sums = sum(
+        image[row::SAMPLES, column::SAMPLES].astype(np.uint16)
+        for row in range(SAMPLES)
+        for column in range(SAMPLES)
+    )
+    return sums / np.float32(255 * SAMPLES**2)
 
 
 def _drawn_twice(mesh: Mesh) -> Mesh:
@@ -87,8 +100,8 @@ def _drawn_twice(mesh: Mesh) -> Mesh:
     return replace(mesh, opacity=1 - np.sqrt(1 - mesh.opacity), maps=maps)
 
 
-def _normals(points: Array, camera: Camera) -> NDArray[np.float32]:
-    """Unit normals (H, W, 3) of points (H, W, 3) towards the camera; zero where those of two corners differ."""
+def _normals(points: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Unit normals (H, W, 3) of points (H, W, 3) towards the camera, the origin; zero where those of two corners differ."""
     right, down = np.diff(points, axis=1), np.diff(points, axis=0)
     found = []
     for corner in (0, 1):
@@ -97,6 +110,6 @@ def _normals(points: Array, camera: Camera) -> NDArray[np.float32]:
         normal[inner, inner] = np.cross(down[:, inner], right[inner])
         found.append(normal / np.maximum(np.linalg.norm(normal, axis=-1, keepdims=True), 1e-12))
     first, second = found
-    away = ((points - camera.center) * first).sum(-1, keepdims=True) > 0
+    away = (points * first).sum(-1, keepdims=True) > 0
     flat = (first * second).sum(-1, keepdims=True) > FLAT
-    return (np.where(away, -first, first) * flat).astype(np.float32)
+    return np.where(away, -first, first) * flat

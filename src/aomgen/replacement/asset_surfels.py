@@ -20,7 +20,7 @@ from aomgen.core.gaussians import SH_C0, concatenate
 from aomgen.core.light import open_transfer
 from aomgen.core.transforms import apply
 from aomgen.core.values import Array
-from aomgen.replacement.asset_pictures import FLAT, AssetRenderer
+from aomgen.replacement.asset_pictures import AssetRenderer
 from aomgen.replacement.joint_occlusion import find_occlusion
 from aomgen.splatting.compute import NativeCompute
 from aomgen.splatting.differentiable import CpuRasterizer, GaussianTensors, PartTensors, RasterOptions
@@ -68,12 +68,12 @@ FOCAL: Final = 1.2
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Picture:
-    """Of the meshes; colors and cover (4, H, W), and normals (3, H, W), zero where there is no one face."""
+    """Of the meshes; colors and cover (4, H, W), and normals (3, H, W), zero where there is no one face; small ones have none."""
 
     camera: Camera
     theta: float
     rgba: Tensor
-    normals: Tensor
+    normals: Tensor | None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -166,10 +166,8 @@ def _pictures(asset: ArticulatedAsset, rng: np.random.Generator) -> list[_Pictur
             camera = Camera(
                 fx=f, fy=f, cx=c, cy=c, width=PICTURE_PX, height=PICTURE_PX, T_world_cam=look_at(eye, middle)
             )
-            rgba, normals = (
-                torch.tensor(np.ascontiguousarray(image.transpose(2, 0, 1)))
-                for image in renderer.draw_surface(camera, theta)
-            )
+            drawn = (renderer.draw(camera, theta), renderer.draw_normals(camera, theta))
+            rgba, normals = (torch.tensor(np.ascontiguousarray(d.transpose(2, 0, 1))) for d in drawn)
             found.append(_Picture(camera=camera, theta=theta, rgba=rgba, normals=normals))
     return found
 
@@ -183,13 +181,14 @@ def _fit(
 ) -> tuple[Parameters, NDArray[np.int64]]:
     """Fitted Gaussians of links 0 and 1 in the asset's frame at joint value 0, and the disc that each comes from."""
     compute, sources = NativeCompute(), np.arange(len(surface.links))
+    small = [_halved(picture) for picture in pictures]
     distance = float(np.median([np.linalg.norm(item.camera.center) for item in pictures]))
     step_m = STEP_PX * distance / (FOCAL * PICTURE_PX)
     steps, added = ROUNDS * len(pictures), MAX_GAUSSIANS - len(parameters)
     for turn in range(ROUNDS):
         for place, index in enumerate(rng.permutation(len(pictures))):
             step = turn * len(pictures) + place
-            picture = pictures[index] if step % 2 else _halved(pictures[index])
+            picture = pictures[index] if step % 2 else small[index]
             with_normals = step % NORMAL_EVERY == 1
             gradients = _gradients(asset, parameters, surface.select(sources), picture, with_normals)
             decay = DECAY ** (step / steps)
@@ -198,7 +197,7 @@ def _fit(
         if turn in GROW_AFTER:
             # What no picture shows has had no gradient.
             unseen = (parameters.squares["sh"].amax((1, 2)) == 0).numpy()
-            shares = _shares(asset, parameters, surface.links[sources], pictures, rng)
+            shares = _shares(asset, parameters, surface.links[sources], small, rng)
             count = MAX_GAUSSIANS - added * (GROW_AFTER[-1] - turn) // len(GROW_AFTER)
             parameters, rows = relocate_and_grow(parameters, shares, count, MIN_OPACITY, rng, unseen)
             sources = sources[rows]
@@ -207,9 +206,8 @@ def _fit(
 
 def _halved(picture: _Picture) -> _Picture:
     half = PICTURE_PX // 2
-    rgba, normals = avg_pool2d(picture.rgba, 2), avg_pool2d(picture.normals, 2)
-    normals = normals * (normals.norm(dim=0) > FLAT)
-    return replace(picture, camera=picture.camera.resized(half, half), rgba=rgba, normals=normals)
+    camera = picture.camera.resized(half, half)
+    return replace(picture, camera=camera, rgba=avg_pool2d(picture.rgba, 2), normals=None)
 
 
 def _gradients(
@@ -235,7 +233,7 @@ def _gradients(
     )
     error = (drawn.rgb - picture.rgba[:3]).square().mean() + (drawn.alpha - picture.rgba[3]).square().mean()
     error = error - OPAQUE * (leaves["logit_opacities"].sigmoid() * torch.tensor(surface.opaque)).mean()
-    if drawn.features is not None:
+    if drawn.features is not None and picture.normals is not None:
         one_face = picture.normals.square().sum(0) > 0
         away = (drawn.features.permute(2, 0, 1) - picture.normals) * one_face
         error = error + NORMAL * away.square().mean()
@@ -261,7 +259,7 @@ def _shares(
     """How much of the error of some pictures each Gaussian paints."""
     gaussians, shares = gaussians_of(parameters), np.zeros(len(links))
     for index in rng.choice(len(pictures), ERROR_PICTURES, replace=False):
-        picture = _halved(pictures[index])
+        picture = pictures[index]
         posed = move_bodies(gaussians, links.astype(np.int32), _link_poses(asset, picture.theta))
         shares += error_shares(posed, [picture.camera], [picture.rgba[:3].numpy()])
     return shares

@@ -24,7 +24,7 @@ from aomgen.splatting.gsplat_inputs import (
 
 # gsplat's own limit on the alpha of one Gaussian.
 MAX_ALPHA = 0.999
-_DILATION = 0.3  # [px^2]
+_DILATION = 0.1  # [px^2]
 
 
 class GsplatRasterizer:

@@ -27,7 +27,7 @@ OVERSAMPLING: Final = 5
 # Density of a Poisson-disc set of radius r is about this over r^2.
 DISC_DENSITY: Final = 0.7
 # Standard deviation of a disc over its radius: wide enough that neighbours close the surface.
-SPREAD: Final = 0.8
+SPREAD: Final = 0.87
 # Thickness of a disc over its radius.
 THICKNESS: Final = 0.05
 # The most that the engine blends for one Gaussian: a surface hides what is behind it.
