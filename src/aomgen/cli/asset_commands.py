@@ -1,7 +1,7 @@
 """`aomgen assets`: articulated objects made, brought from other formats, and examined."""
 
 import json
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Annotated
 
@@ -47,7 +47,7 @@ def assets_import(
     scale: Annotated[float, typer.Option(min=1e-4, help="2 makes a half-size model life-size.")] = 1.0,
     category: Annotated[str, typer.Option(help="For example microwave; as the file says without.")] = "",
 ) -> None:
-    """Turn a model of another format into a USD asset: closed, upright, with colliders and a handle.
+    """Turn a model of another format into a USD asset: closed, upright, with colliders and a handle, named as its file.
 
     What it then lacks to be opened is said, as by `aomgen assets check`.
     """
@@ -55,7 +55,9 @@ def assets_import(
     from aomgen.assets.import_model import import_model
     from aomgen.assets.usd_write import write_usd
 
-    asset = import_model(model, joint=joint, joints_file=joints, scale=scale, category=category)
+    imported = import_model(model, joint=joint, joints_file=joints, scale=scale, category=category)
+    # Two of one model, or of one name, can be in one project.
+    asset = replace(imported, name=path.stem)
     write_usd(asset, path)
     print(path)
     for finding in examine(asset):

@@ -150,9 +150,9 @@ def bench_replace(
     from benchmarks.replace_scores import ROOMS, run_rooms
 
     figures: dict = {}
-    if meshes:
-        figures["mesh"] = run_meshes([*made_assets(seed), *map(load_asset, assets or [])], seed)
     tell = partial(print, file=sys.stderr, flush=True)
+    if meshes:
+        figures["mesh"] = run_meshes([*made_assets(seed), *map(load_asset, assets or [])], seed, tell)
     if fits:
         with tempfile.TemporaryDirectory() as scratch:
             figures["fit"] = run_fits((out or Path(scratch)).resolve(), seed, tell)

@@ -268,6 +268,14 @@ def test_the_doctor_says_what_is_wrong(tmp_path: Path) -> None:
     assert "m large" in str(broken.exception)
 
 
+def test_an_imported_asset_is_named_as_its_file(tmp_path: Path) -> None:
+    """Two models of one name can be in one project."""
+    model = written(tmp_path / "chest.urdf", URDF)
+    for name in ("one", "two"):
+        CliRunner().invoke(app, ["assets", "import", str(model), str(tmp_path / f"{name}.usda")])
+        assert read_usd(tmp_path / f"{name}.usda").name == name
+
+
 @pytest.mark.skipif(not SHARED.is_dir(), reason="needs the shared models")
 def test_real_models_can_be_imported_and_most_can_be_used() -> None:
     furniture, libero = SHARED / "sweethome3d-furniture", SHARED / "libero-articulated"

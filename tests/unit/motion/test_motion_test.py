@@ -204,7 +204,7 @@ def test_swapped_prompts_are_refused_with_what_to_do(grips: bool) -> None:
         moved.check()
     assert str(caught.value) == (
         "prompts of the moving part: what the hand moved is the part prompted as 'static': the fingers closed "
-        "40 mm from 'moving' and 3 mm from 'static', and the video changed 0 % of 'moving' and 93 % of "
+        "40 mm from 'moving' and 3 mm from 'static', and the video changed 0 % of 'moving' and 100 % of "
         "'static'; in capture.toml, swap the boxes of 'moving' and 'static', or draw 'moving' around the door "
         "or drawer alone"
     )
