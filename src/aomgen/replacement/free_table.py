@@ -10,7 +10,7 @@ from aomgen.core.demonstration import SupportPlane
 from aomgen.core.transforms import apply
 from aomgen.core.values import Array
 from aomgen.replacement.removal import Cleared
-from aomgen.twin.support import cover_from_above
+from aomgen.twin.plan_view import PlanView
 
 # How far around the object the table is looked for, and free table grows, [m].
 TABLE_REACH_M = 1.0
@@ -28,10 +28,9 @@ def support_plane(cleared: Cleared) -> SupportPlane:
     """Height of the cleared scene's table, and the rectangle about the old object that is there and free."""
     support = cleared.support
     low, high = support.low - TABLE_REACH_M, support.high + TABLE_REACH_M
+    plan = PlanView(support=support, low=low, high=high, cell=TABLE_CELL_M)
     world = cleared.twin.gaussians.select(cleared.twin.bodies == 0)
-    alpha = cover_from_above(world, support, low, high, TABLE_CELL_M)
-    rows, columns = np.nonzero(binary_closing(alpha > SURFACE_ALPHA, iterations=GAP_CELLS))
-    xy = low + (np.stack([columns, rows], -1) + 0.5) * TABLE_CELL_M
+    xy = plan.xy[binary_closing(plan.cover(world) > SURFACE_ALPHA, iterations=GAP_CELLS)]
     xy_corners = [
         [x, y] for x in (support.low[0], support.high[0]) for y in (support.low[1], support.high[1])
     ]

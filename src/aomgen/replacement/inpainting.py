@@ -32,7 +32,7 @@ def inpaint(image: Array, known: NDArray[np.bool_], rng: np.random.Generator) ->
 
 
 def continue_smoothly(image: Array, known: NDArray[np.bool_]) -> Array:
-    """The colors (H, W, 3) of an image without its texture, and their smooth continuation to where it is not known."""
+    """The colors (H, W, C) of an image without its texture, and their smooth continuation to where it is not known."""
     return _membrane(_blurred(image, known), known)
 
 
@@ -40,7 +40,7 @@ def _blurred(image: Array, known: NDArray[np.bool_]) -> Array:
     """Known colors averaged over known neighbours."""
     weight = gaussian_filter(known.astype(float), SMOOTHING)
     masked = np.where(known[..., None], image, 0.0)
-    total = np.stack([gaussian_filter(masked[..., k], SMOOTHING) for k in range(3)], -1)
+    total = gaussian_filter(masked, (SMOOTHING, SMOOTHING, 0))
     return total / np.maximum(weight, 1e-6)[..., None]
 
 
@@ -51,9 +51,9 @@ def _membrane(image: Array, known: NDArray[np.bool_]) -> Array:
     flat = known.ravel()
     laplacian = LaplacianNd(known.shape, boundary_conditions="neumann").tosparse().astype(np.float64)
     rows = laplacian.tocsr()[~flat]
-    colors = np.array(image, np.float64).reshape(-1, 3)
+    colors = np.array(image, np.float64).reshape(-1, image.shape[-1])
     filled = spsolve(rows[:, ~flat].tocsc(), -rows[:, flat] @ colors[flat])
-    colors[~flat] = np.asarray(filled).reshape(-1, 3)
+    colors[~flat] = np.asarray(filled).reshape(-1, image.shape[-1])
     return colors.reshape(image.shape)
 
 

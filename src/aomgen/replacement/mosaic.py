@@ -6,12 +6,11 @@ from typing import Annotated, Final
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import map_coordinates
+from scipy.ndimage import binary_dilation, binary_erosion, map_coordinates
 
 from aomgen.core.camera import Camera
 from aomgen.core.gaussians import Gaussians
 from aomgen.core.robust import masked_median
-from aomgen.core.sh import sh_basis
 from aomgen.core.transforms import apply, invert
 from aomgen.core.values import Array, freeze_arrays
 from aomgen.splatting.rasterizer import render
@@ -24,8 +23,9 @@ BEFORE: Final = 0.05
 GRAZING: Final = 0.2
 # One photograph may show a reflection or a hand.
 MIN_VIEWS: Final = 2
-# Degree of the harmonics of the surface's gloss; every so many cells are asked; ridge, in observations.
-GLOSS_DEGREE, GLOSS_EVERY, GLOSS_PULL = 2, 13, 20.0
+# Where views differ so many times more than elsewhere, and by more than noise, they show a mirror image or an outline;
+# strips between such cells that are narrower than twice so many cells do too.
+UNSURE, NOISE, OPENED = 3.0, 0.02, 3
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -41,14 +41,12 @@ class Mosaic:
     """A surface as it was photographed.
 
     Attributes:
-        colors_srgb: Median over the views, 0..1; 0 where no two views see a cell.
-        seen: Whether they do.
-        gloss_sh: Harmonics (K, 3) that add to the color by the view, the same everywhere on the surface, world frame.
+        colors_srgb: Median over the views, 0..1; 0 where it is not seen.
+        seen: Whether two views or more see a cell, and agree.
     """
 
     colors_srgb: Annotated[Array, "H W 3"]
     seen: Annotated[NDArray[np.bool_], "H W"]
-    gloss_sh: Annotated[Array, "_ 3"]
 
     __post_init__ = freeze_arrays
 
@@ -85,22 +83,10 @@ def photograph_surface(
         for channel in range(3):
             colors[k, ..., channel] = map_coordinates(view.image_srgb[..., channel] / 255, places, order=1)
     median, _ = masked_median(colors, visible)
+    spread, _ = masked_median(np.abs(colors - median).mean(-1), visible)
     seen = visible.sum(0) >= MIN_VIEWS
-    median = np.where(seen[..., None], median, 0.0).astype(np.float64)
-    eyes = np.stack([view.camera.center for view in views])
-    return Mosaic(
-        colors_srgb=median, seen=seen, gloss_sh=_gloss(colors - median, visible & seen, points, eyes)
-    )
-
-
-def _gloss(difference: Array, visible: NDArray[np.bool_], points: Array, eyes: Array) -> Array:
-    """Harmonics (K, 3) that best explain differences (V, H, W, 3) by the direction from eyes (V, 3) to points (H, W, 3)."""
-    view, row, column = (index[::GLOSS_EVERY] for index in np.nonzero(visible))
-    ways = points[row, column] - eyes[view]
-    basis = sh_basis(ways / np.linalg.norm(ways, axis=1, keepdims=True), GLOSS_DEGREE)
-    pull = GLOSS_PULL * np.eye(basis.shape[1])
-    # All eyes look down: over them the other harmonics have means, which the constant takes away again.
-    pull[0, 0] = 1e-3
-    return np.asarray(
-        np.linalg.solve(basis.T @ basis + pull, basis.T @ difference[view, row, column]), np.float64
-    )
+    usual = float(np.median(spread[seen])) if seen.any() else 0.0
+    seen &= spread <= max(UNSURE * usual, NOISE)
+    # An opening in which the picture goes on beyond its end.
+    seen &= binary_dilation(binary_erosion(seen, iterations=OPENED, border_value=1), iterations=OPENED)
+    return Mosaic(colors_srgb=np.where(seen[..., None], median, 0.0).astype(np.float64), seen=seen)

@@ -10,33 +10,32 @@ from scipy.ndimage import binary_dilation, binary_opening, gaussian_filter, labe
 from scipy.spatial import ConvexHull
 
 from aomgen.conventions import BACKGROUND, MOVING, STATIC
-from aomgen.core.gaussians import SH_C0, Gaussians, gaussians_of
-from aomgen.core.transforms import apply, quat_from_matrix
+from aomgen.core.gaussians import Gaussians
 from aomgen.core.values import Array
 from aomgen.replacement.mosaic import Photograph, photograph_surface
+from aomgen.replacement.new_surface import renew_surface
 from aomgen.replacement.old_shadow import shadow_gain
 from aomgen.robots.robot import RobotModel
 from aomgen.splatting.rasterizer import contribution_weights
-from aomgen.twin.support import SURFACE, Support, cover_from_above, find_support, on_surface
+from aomgen.twin.plan_view import PlanView
+from aomgen.twin.support import SURFACE, Support, find_support, on_surface
 from aomgen.twin.twin import Twin, posed
 
 # Remains of the object are looked for this far around it, [m].
 HALO: Final = 0.025
 # What the object hid more than all but this share of is not known.
 SEEN_SHARE: Final = 0.2
-# The surface is made new this far beyond the object's footprint, and reaches as far again under the old one, [m].
-MARGIN: Final = 0.03
+# The surface is made new this far beyond the object's footprint, [m].
+MARGIN: Final = 0.045
 # So near to the footprint photographs show the object's foot, [m].
 FOOT: Final = 0.02
 # Where a shadow is so deep that colors would be lifted by more, they are invented, sRGB.
 MAX_LIFT: Final = 1.35
 # Texture and shadow are judged on a ring this wide, [m].
 RING: Final = 0.28
-# Cell of the image from above and of the new surface, one Gaussian each, [m].
+# Cell of the picture from above, [m].
 CELL: Final = 0.004
-# New surface lies this far below the old one, so that the old covers it where it is sound, [m].
-BELOW: Final = 0.0015
-# Cells of the image from above that are covered this much are known.
+# Cells of the picture from above that are covered less have gaps.
 MIN_ALPHA: Final = 0.6
 # Difference of chromaticity from most of the surface that is certainly another thing.
 MIN_TINT: Final = 0.07
@@ -87,28 +86,31 @@ def clear_object(twin: Twin, robot: RobotModel, views: Sequence[Photograph], inp
     )
     leftover = scene & (_leftover(world, support) | _hardly_seen(world, of_object, views))
     remaining = twin.select(~of_object & ~leftover)
-    table = remaining.of_scene & on_surface(remaining.gaussians, support)
-    low, high = support.low - RING, support.high + RING
-    extent = cover_from_above(world.select(scene), support, low, high, CELL)
-    alpha = cover_from_above(remaining.gaussians.select(table), support, low, high, CELL)
-    xy = _cell_centres(low, alpha.shape)
-    outside = support.outside(xy)
-    photographed = photograph_surface(world, scene, views, support.T_world_plane, xy)
+    plan = PlanView(support=support, low=support.low - RING, high=support.high + RING, cell=CELL)
+    outside = support.outside(plan.xy)
+    photographed = photograph_surface(world, scene, views, support.T_world_plane, plan.xy)
     picture = photographed.colors_srgb
     covered = photographed.seen & (outside > FOOT)
     known = _same_material(picture, covered)
+    near, other = outside < MARGIN, covered & ~known
     # What lies close to the footprint and is not the table is the object's: its foot, its mirror image.
-    rest = _in_cells(remaining.gaussians, support, low, covered & ~known & (outside < 1.5 * MARGIN)) & table
-    remaining, table = remaining.select(~rest), table[~rest]
-    gain = shadow_gain(world.select(of_object), support.T_world_plane, low, CELL, picture, known)
-    known &= gain.max(-1) < MAX_LIFT
-    lightened = _lightened(remaining.gaussians, table, support, low, gain)
+    of_foot = plan.lookup(other & near, remaining.gaussians, False)
+    rest = of_foot & remaining.of_scene & on_surface(remaining.gaussians, support)
+    remaining = remaining.select(~rest)
+    gain = shadow_gain(world.select(of_object), support.T_world_plane, plan.low, CELL, picture, known)
+    deep = known & (gain.max(-1) > MAX_LIFT)
+    known &= ~deep
+    table = remaining.of_scene & on_surface(remaining.gaussians, support)
+    factors = np.where(table[:, None], plan.lookup(gain, remaining.gaussians, 1.0), 1.0)
+    lightened = remaining.gaussians.brightened(factors)
     texture = inpaint(np.clip(picture * gain, 0, 1), known)
     # Where nothing was scanned before either, the table ends; gaps within it are closed too.
-    thin = (alpha < MIN_ALPHA) & (outside <= 0.7 * RING)
-    where = (outside <= 0) | (((outside <= 2 * MARGIN) | thin) & _hull(extent > 0.5))
-    fill = _surface(texture, xy, where, support, photographed.gloss_sh)
-    cleared = replace(remaining, gaussians=lightened).extended(fill, 0, BACKGROUND)
+    area = (outside <= 0) | (_hull(plan.cover(world.select(scene)) > 0.5) & (near | ~binary_dilation(other)))
+    thin = (plan.cover(lightened.select(table)) < MIN_ALPHA) & (outside <= 0.7 * RING)
+    new = area & (near | deep)
+    fill, kept = renew_surface(lightened, table, plan, texture, known, new, area & (new | thin), area)
+    faded = replace(lightened, opacities=lightened.opacities * kept)
+    cleared = replace(remaining, gaussians=faded).select(kept > 0).extended(fill, 0, BACKGROUND)
     return Cleared(
         cleared, remaining.scene, support, removed=int(leftover.sum() + rest.sum()), filled=len(fill)
     )
@@ -155,12 +157,6 @@ def _hull(cells: NDArray[np.bool_]) -> NDArray[np.bool_]:
     return np.asarray(inside).reshape(cells.shape)
 
 
-def _cell_centres(low: Array, shape: tuple[int, ...]) -> Array:
-    """Plane coordinates (H, W, 2) of the cells of an image from above."""
-    columns, rows = np.meshgrid(np.arange(shape[1]) + 0.5, np.arange(shape[0]) + 0.5)
-    return low + np.stack([columns, rows], -1) * CELL
-
-
 def _same_material(picture: Array, known: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """Known cells (H, W) that look like most of the surface, lit or in shadow, not like things on it."""
     if not known.sum() > 200:
@@ -173,48 +169,3 @@ def _same_material(picture: Array, known: NDArray[np.bool_]) -> NDArray[np.bool_
     other = (tint > max(4 * float(np.median(tint[known])), MIN_TINT)) | (level < -1.2)
     other |= level > max(4 * float(np.median(np.abs(level[known]))), 0.3)
     return known & ~binary_dilation(other & known, iterations=2)
-
-
-def _cells(
-    gaussians: Gaussians, support: Support, low: Array, shape: tuple[int, ...]
-) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
-    """Column and row (N, 2) of each Gaussian in the image from above, and which are inside it."""
-    cells = np.floor((support.coordinates(gaussians.means)[:, :2] - low) / CELL).astype(np.int64)
-    return cells, np.asarray(((cells >= 0) & (cells < shape[1::-1])).all(1))
-
-
-def _in_cells(
-    gaussians: Gaussians, support: Support, low: Array, chosen: NDArray[np.bool_]
-) -> NDArray[np.bool_]:
-    cells, inside = _cells(gaussians, support, low, chosen.shape)
-    inside[inside] = chosen[cells[inside, 1], cells[inside, 0]]
-    return inside
-
-
-def _lightened(
-    gaussians: Gaussians, table: NDArray[np.bool_], support: Support, low: Array, gain: Array
-) -> Gaussians:
-    """The table's Gaussians brighter by the gain of their cell."""
-    cells, inside = _cells(gaussians, support, low, gain.shape)
-    inside &= table
-    factor = np.ones((len(gaussians), 3))
-    factor[inside] = gain[cells[inside, 1], cells[inside, 0]]
-    return gaussians.brightened(factor)
-
-
-def _surface(
-    texture: Array, xy: Array, where: NDArray[np.bool_], support: Support, gloss_sh: Array
-) -> Gaussians:
-    """Flat Gaussians, one for each cell, with the surface's gloss (K, 3)."""
-    places = np.column_stack([xy[where], np.full(int(where.sum()), -BELOW)])
-    count = len(places)
-    sh = np.tile(gloss_sh, (count, 1, 1))
-    sh[:, 0] += (texture[where] - 0.5) / SH_C0
-    quat = quat_from_matrix(support.T_world_plane[:3, :3])
-    return gaussians_of(
-        means=apply(support.T_world_plane, places),
-        quats=np.broadcast_to(quat, (count, 4)),
-        scales=np.broadcast_to([0.8 * CELL, 0.8 * CELL, 0.1 * CELL], (count, 3)),
-        opacities=np.full(count, 0.98),
-        sh=sh,
-    )

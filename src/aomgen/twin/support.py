@@ -1,4 +1,4 @@
-"""The plane that the recorded object stands on, and what covers it, from straight above."""
+"""The plane that the recorded object stands on."""
 
 from dataclasses import dataclass
 from typing import Annotated, Final
@@ -10,8 +10,6 @@ from aomgen.core.gaussians import Gaussians
 from aomgen.core.transforms import apply, invert, transform
 from aomgen.core.values import Array, Matrix4, freeze_arrays
 from aomgen.errors import ReconstructionError
-from aomgen.splatting.rasterizer import render
-from aomgen.twin.shadow import distant_camera
 
 # Height above the plane up to which a Gaussian belongs to its surface, [m].
 SURFACE: Final = 0.012
@@ -124,22 +122,6 @@ def find_support(
         reach_high=np.quantile(inside, 0.997, axis=0)[:2],
         top=top,
     )
-
-
-def cover_from_above(gaussians: Gaussians, support: Support, low: Array, high: Array, cell: float) -> Array:
-    """How much of what lies on the plane covers it (H, W), 0..1; cell (i, j) at `low + (j + 0.5, i + 0.5) * cell`.
-
-    Args:
-        low, high: Rectangle (2,), plane frame, [m].
-        cell: Size of a pixel, [m].
-    """
-    flat = on_surface(gaussians, support)
-    width, height = (int(n) for n in np.ceil((high - low) / cell))
-    # x right, y forward in the plane: a camera above, looking down, with its y axis along +y.
-    R = support.T_world_plane[:3, :3] * [1.0, -1.0, -1.0]
-    center = apply(support.T_world_plane, np.append(low + np.array([width, height]) * cell / 2, 0.0))
-    camera = distant_camera(R, center, cell, (width, height))
-    return render(gaussians.select(flat).with_sh_degree(0), camera).alpha[::-1].astype(np.float64)
 
 
 def on_surface(gaussians: Gaussians, support: Support) -> NDArray[np.bool_]:

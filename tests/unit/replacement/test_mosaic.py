@@ -46,16 +46,29 @@ def cells(reach=0.1):
     return np.stack(np.meshgrid(places, places), -1)
 
 
-def test_color_and_gloss_of_a_surface_are_what_its_photographs_show(table):
+def test_colors_of_a_surface_are_what_its_photographs_show_in_the_middle(table):
     views = photographs(table)
     found = photograph_surface(table, np.ones(len(table), bool), views, LEVEL, cells())
     assert found.seen.all()
+    shown = []
     for view in views:
         ways = np.concatenate([cells(), np.zeros((*cells().shape[:2], 1))], -1) - view.camera.center
         ways /= np.linalg.norm(ways, axis=-1, keepdims=True)
-        color = (0.5, 0.4, 0.3) + np.einsum("hwk,kc->hwc", sh_basis(ways, 1), GLOSS)
-        gloss = np.einsum("hwk,kc->hwc", sh_basis(ways, 2), found.gloss_sh)
-        assert np.abs(found.colors_srgb + gloss - color).max() < 0.015
+        shown.append((0.5, 0.4, 0.3) + np.einsum("hwk,kc->hwc", sh_basis(ways, 1), GLOSS))
+    assert np.abs(found.colors_srgb - np.median(shown, 0)).max() < 0.015
+
+
+def test_where_views_show_different_things_nothing_is_known(table):
+    """A mirror image lies elsewhere in every view: here a strip that is brighter from view to view."""
+    views, strip = [], np.abs(table.means[:, 0]) < 0.03
+    for number in range(len(photographs(table))):
+        sh = table.sh.copy()
+        sh[strip, 0] += 0.4 * number - 2.2
+        views.append(photographs(table.with_sh(sh))[number])
+    found = photograph_surface(table, np.ones(len(table), bool), views, LEVEL, cells(0.15))
+    across = np.abs(cells(0.15)[..., 0])
+    assert not found.seen[across < 0.02].any()
+    assert found.seen[across > 0.08].all()
 
 
 def test_what_stands_on_the_surface_is_not_taken_for_it(table):

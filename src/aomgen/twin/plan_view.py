@@ -1,0 +1,75 @@
+"""Pictures of the plane that an object stands on, from straight above."""
+
+from dataclasses import dataclass
+from typing import Annotated
+
+import numpy as np
+from numpy.typing import NDArray
+
+from aomgen.core.camera import Camera
+from aomgen.core.gaussians import Gaussians
+from aomgen.core.transforms import apply
+from aomgen.core.values import Array, freeze_arrays
+from aomgen.splatting.rasterizer import render
+from aomgen.twin.shadow import distant_camera
+from aomgen.twin.support import Support, on_surface
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PlanView:
+    """Cells (H, W) of a plane; cell (i, j) is about `low + (j + 0.5, i + 0.5) * cell`.
+
+    Attributes:
+        support: The plane.
+        low, high: Rectangle, plane frame, [m].
+        cell: Side of a cell, [m].
+    """
+
+    support: Support
+    low: Annotated[Array, "2"]
+    high: Annotated[Array, "2"]
+    cell: float
+
+    __post_init__ = freeze_arrays
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Rows and columns."""
+        columns, rows = (int(n) for n in np.ceil((self.high - self.low) / self.cell))
+        return rows, columns
+
+    @property
+    def xy(self) -> Array:
+        """Middles of the cells (H, W, 2), plane frame."""
+        rows, columns = np.indices(self.shape)
+        return self.low + (np.stack([columns, rows], -1) + 0.5) * self.cell
+
+    @property
+    def camera(self) -> Camera:
+        """Far above, rows from the top; its x axis is the plane's, its y axis the opposite of the plane's."""
+        rows, columns = self.shape
+        R = self.support.T_world_plane[:3, :3] * [1.0, -1.0, -1.0]
+        middle = np.append(self.low + np.array([columns, rows]) * self.cell / 2, 0.0)
+        center = apply(self.support.T_world_plane, middle)
+        return distant_camera(R, center, self.cell, (columns, rows))
+
+    def cover(self, gaussians: Gaussians) -> Array:
+        """How much of what lies on the plane covers each cell (H, W), 0..1."""
+        return self.mean(gaussians, np.zeros((len(gaussians), 1), np.float32))[1]
+
+    def mean(self, gaussians: Gaussians, values: NDArray[np.float32]) -> tuple[Array, Array]:
+        """Means (H, W, K) of values (N, K) of what lies on the plane, and how much it covers (H, W)."""
+        flat = on_surface(gaussians, self.support)
+        drawn = render(gaussians.select(flat).with_sh_degree(0), self.camera, features=values[flat])
+        cover, sums = (np.asarray(image, np.float64)[::-1] for image in (drawn.alpha, drawn.features))
+        return sums / np.maximum(cover, 1e-6)[..., None], cover
+
+    def lookup(self, image: Array, gaussians: Gaussians, otherwise: float) -> Array:
+        """Values (N, ...) of an image (H, W, ...) where Gaussians are; another value beyond it."""
+        cells = np.floor((self.support.coordinates(gaussians.means)[:, :2] - self.low) / self.cell)
+        column, row = cells.astype(np.int64).T
+        rows, columns = self.shape
+        inside = (column >= 0) & (row >= 0) & (column < columns) & (row < rows)
+        values = np.full((len(gaussians), *image.shape[2:]), otherwise, image.dtype)
+        values[inside] = image[row[inside], column[inside]]
+        return values
