@@ -82,11 +82,10 @@ class AssetRenderer(ModelRenderer):
 
 def _pooled(image: NDArray[np.uint8]) -> NDArray[np.float32]:
     """The means 0..1 of squares of an image (H, W, C) of 0..255."""
-    sums = sum(
-        image[row::SAMPLES, column::SAMPLES].astype(np.uint16)
-        for row in range(SAMPLES)
-        for column in range(SAMPLES)
-    )
+    sums = np.zeros((image.shape[0] // SAMPLES, image.shape[1] // SAMPLES, image.shape[2]), np.float32)
+    for row in range(SAMPLES):
+        for column in range(SAMPLES):
+            sums += image[row::SAMPLES, column::SAMPLES]
     return sums / np.float32(255 * SAMPLES**2)
 
 

@@ -22,7 +22,7 @@ FADE: Final = 0.05
 BELOW: Final = 0.0015
 # Standard deviation and thickness of a cell's Gaussian, in cells, and its opacity.
 SPREAD, THICKNESS, OPACITY = 0.8, 0.1, 0.98
-# The old surface is sound where it covers so much.
+# The old surface has no gaps where it covers so much.
 SOUND: Final = 0.6
 
 

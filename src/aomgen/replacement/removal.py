@@ -13,7 +13,7 @@ from aomgen.conventions import BACKGROUND, MOVING, STATIC
 from aomgen.core.gaussians import Gaussians
 from aomgen.core.values import Array
 from aomgen.replacement.mosaic import Photograph, photograph_surface
-from aomgen.replacement.new_surface import renew_surface
+from aomgen.replacement.new_surface import SOUND, renew_surface
 from aomgen.replacement.old_shadow import shadow_gain
 from aomgen.robots.robot import RobotModel
 from aomgen.splatting.rasterizer import contribution_weights
@@ -35,8 +35,6 @@ MAX_LIFT: Final = 1.35
 RING: Final = 0.28
 # Cell of the picture from above, [m].
 CELL: Final = 0.004
-# Cells of the picture from above that are covered less have gaps.
-MIN_ALPHA: Final = 0.6
 # Difference of chromaticity from most of the surface that is certainly another thing.
 MIN_TINT: Final = 0.07
 
@@ -106,7 +104,7 @@ def clear_object(twin: Twin, robot: RobotModel, views: Sequence[Photograph], inp
     texture = inpaint(np.clip(picture * gain, 0, 1), known)
     # Where nothing was scanned before either, the table ends; gaps within it are closed too.
     area = (outside <= 0) | (_hull(plan.cover(world.select(scene)) > 0.5) & (near | ~binary_dilation(other)))
-    thin = (plan.cover(lightened.select(table)) < MIN_ALPHA) & (outside <= 0.7 * RING)
+    thin = (plan.cover(lightened.select(table)) < SOUND) & (outside <= 0.7 * RING)
     new = area & (near | deep)
     fill, kept = renew_surface(lightened, table, plan, texture, known, new, area & (new | thin), area)
     faded = replace(lightened, opacities=lightened.opacities * kept)

@@ -161,7 +161,7 @@ class _Solid:
         empty = np.ones(tuple(shape), bool)
         empty[tuple(((surface - self._low) / self.cell).astype(int).T + 1)] = False
         # Cells to the nearest solid one; a ray that has gone so many of its steps, each at most a cell, has missed nothing.
-        self._free = distance_transform_cdt(empty, "chessboard")
+        self._free = np.asarray(distance_transform_cdt(empty, "chessboard"))
 
     def blocks(self, start: Array, direction: Array) -> NDArray[np.bool_]:
         """Which rays from `start` (N, 3) meet a solid cell."""

@@ -1,7 +1,7 @@
 """Pictures of the plane that an object stands on, from straight above."""
 
 from dataclasses import dataclass
-from typing import Annotated
+from typing import Annotated, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +13,8 @@ from aomgen.core.values import Array, freeze_arrays
 from aomgen.splatting.rasterizer import render
 from aomgen.twin.shadow import distant_camera
 from aomgen.twin.support import Support, on_surface
+
+Value = TypeVar("Value", bound=np.generic)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -64,7 +66,7 @@ class PlanView:
         cover, sums = (np.asarray(image, np.float64)[::-1] for image in (drawn.alpha, drawn.features))
         return sums / np.maximum(cover, 1e-6)[..., None], cover
 
-    def lookup(self, image: Array, gaussians: Gaussians, otherwise: float) -> Array:
+    def lookup(self, image: NDArray[Value], gaussians: Gaussians, otherwise: float) -> NDArray[Value]:
         """Values (N, ...) of an image (H, W, ...) where Gaussians are; another value beyond it."""
         cells = np.floor((self.support.coordinates(gaussians.means)[:, :2] - self.low) / self.cell)
         column, row = cells.astype(np.int64).T

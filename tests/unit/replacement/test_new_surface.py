@@ -2,10 +2,10 @@
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from aomgen.core.camera import Camera, look_at
 from aomgen.core.gaussians import SH_C0, Gaussians, concatenate, gaussians_of
-from aomgen.core.values import Array
 from aomgen.replacement.new_surface import FADE, renew_surface
 from aomgen.splatting.rasterizer import render
 from aomgen.twin.plan_view import PlanView
@@ -39,8 +39,8 @@ def table() -> Gaussians:
     )
 
 
-def in_hole(xy: Array) -> Array:
-    return np.abs(xy).max(-1) < HOLE_M
+def in_hole(xy: NDArray[np.floating]) -> NDArray[np.bool_]:
+    return np.asarray(np.abs(xy).max(-1) < HOLE_M)
 
 
 def renewed() -> tuple[Gaussians, Gaussians]:
