@@ -66,7 +66,7 @@ def evaluate_policy(
     policy: Annotated[
         str,
         typer.Option(
-            help="oracle_replay, nearest_replay[=RUN or DATASET], lerobot:DIR, openpi://HOST:PORT or openvla://HOST:PORT."
+            help="oracle_replay, nearest_replay[=RUN or DATASET], lerobot:DIR, openpi://HOST:PORT or openvla://HOST:PORT[/DATASET]."
         ),
     ],
     actions: Annotated[

@@ -19,7 +19,7 @@ from aomgen.evaluation.policy_servers import NUMBERS, OpenpiServer, OpenvlaServe
 from aomgen.io.schema import suggest
 
 SCHEMES: Final = ("openpi", "openvla")
-_NAME: Final = re.compile(r"([a-z]+)://([\w.-]+|\[[0-9a-fA-F:.]+\]):([0-9]{1,5})")
+_NAME: Final = re.compile(r"([a-z]+)://([\w.-]+|\[[0-9a-fA-F:.]+\]):([0-9]{1,5})(?:/([\w.+-]+))?")
 # Numbers of OpenVLA's action: a motion and the gripper; joints of its state.
 OPENVLA_ACTION, OPENVLA_JOINTS = 7, 7
 # Names of what the recipes' policies are told, see recipes/pi05_openpi.py.
@@ -91,10 +91,16 @@ def open_remote(name: str, task: RemoteTask) -> RemotePolicy:
     found = _NAME.fullmatch(name)
     if not found or not 0 < int(found[3]) < 1 << 16:
         raise ConfigError("--policy", f"'{name}' is no address of a server", "want openpi://HOST:PORT")
-    if found[1] not in SCHEMES:
-        raise ConfigError("--policy", f"'{found[1]}' is unknown", suggest(found[1], SCHEMES))
-    opener = {"openpi": _open_openpi, "openvla": _open_openvla}[found[1]]
-    return opener(f"{found[2]}:{found[3]}", task)
+    scheme, address, dataset = found[1], f"{found[2]}:{found[3]}", found[4]
+    if scheme not in SCHEMES:
+        raise ConfigError("--policy", f"'{scheme}' is unknown", suggest(scheme, SCHEMES))
+    if scheme == "openvla":
+        return _open_openvla(address, dataset, task)
+    if dataset:
+        raise ConfigError(
+            "--policy", f"'{name}' names a dataset", "openpi knows its own: want openpi://HOST:PORT"
+        )
+    return _open_openpi(address, task)
 
 
 def _open_openpi(address: str, task: RemoteTask) -> RemotePolicy:
@@ -118,7 +124,8 @@ def _open_openpi(address: str, task: RemoteTask) -> RemotePolicy:
     return RemotePolicy(ask, lambda: lambda action, _: action)
 
 
-def _open_openvla(address: str, task: RemoteTask) -> RemotePolicy:
+def _open_openvla(address: str, dataset: str | None, task: RemoteTask) -> RemotePolicy:
+    """OpenVLA's server; a checkpoint of several datasets is told whose statistics scale its actions."""
     where = f"openvla://{address}"
     _require_space(where, "ee_delta", task)
     if not task.joints <= OPENVLA_JOINTS:
@@ -131,6 +138,7 @@ def _open_openvla(address: str, task: RemoteTask) -> RemotePolicy:
         state[: task.joints], state[-1] = measured[:-1], 1 - measured[-1]
         # OpenVLA reads the image, OpenVLA-OFT the full image and the state.
         payload = {"image": image, "full_image": image, "state": state, "instruction": task.instruction}
+        payload |= {"unnorm_key": dataset} if dataset else {}
         return _chunk(where, server.act(payload), OPENVLA_ACTION)
 
     return RemotePolicy(ask, lambda: OpenvlaActions(task.ee_poses))

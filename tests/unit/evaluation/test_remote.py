@@ -225,6 +225,14 @@ def test_a_policy_of_something_else_is_refused(metadata, kind, said):
     assert said in str(caught.value)
 
 
+def test_a_checkpoint_of_several_datasets_is_told_whose_statistics_count():
+    with openvla_server(lambda _: json_array(CHUNK[0])) as served:
+        open_remote(f"openvla://{served.address}/opening", task_in("ee_delta")).act(observation())
+        assert served.asked[0]["unnorm_key"] == "opening"
+    with pytest.raises(ConfigError, match="names a dataset"):
+        open_remote("openpi://localhost:1/opening", task_in("joint"))
+
+
 def test_openvla_acts_in_deltas_and_knows_seven_joints():
     with pytest.raises(
         ConfigError, match="acts in ee_delta, the suite's actions are joint; pass --actions ee_delta"
