@@ -66,8 +66,9 @@ class AssetRenderer(ModelRenderer):
         self._option.geomgroup[BACKDROP_GROUP] = 1
         before_white, _ = self._render(fine, [theta], ids=False)
         self._option.geomgroup[BACKDROP_GROUP] = 0
-        shone = (_pooled(before_white) - _pooled(colors)).mean(-1, keepdims=True)
-        return np.concatenate([_pooled(colors), np.clip(1 - shone, 0, 1)], -1)
+        rgb = _pooled(colors)
+        shone = (_pooled(before_white) - rgb).mean(-1, keepdims=True)
+        return np.concatenate([rgb, np.clip(1 - shone, 0, 1)], -1)
 
     def draw_normals(self, camera: Camera, theta: float) -> NDArray[np.float32]:
         """Unit normals (H, W, 3) towards the camera, asset frame; zero at edges, where nothing is and where it shows through."""

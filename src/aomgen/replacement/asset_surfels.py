@@ -68,7 +68,7 @@ FOCAL: Final = 1.2
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Picture:
-    """Of the meshes; colors and cover (4, H, W), and normals (3, H, W), zero where there is no one face; small ones have none."""
+    """Of the meshes; colors and cover (4, H, W), and normals (3, H, W), zero where there is no one face, if they count."""
 
     camera: Camera
     theta: float
@@ -189,8 +189,9 @@ def _fit(
         for place, index in enumerate(rng.permutation(len(pictures))):
             step = turn * len(pictures) + place
             picture = pictures[index] if step % 2 else small[index]
-            with_normals = step % NORMAL_EVERY == 1
-            gradients = _gradients(asset, parameters, surface.select(sources), picture, with_normals)
+            if step % NORMAL_EVERY != 1:
+                picture = replace(picture, normals=None)
+            gradients = _gradients(asset, parameters, surface.select(sources), picture)
             decay = DECAY ** (step / steps)
             parameters.step(gradients, parameter_rates(RATES, step_m * decay, decay, 0), compute)
             parameters.values["sh"].clamp_(-0.5 / SH_C0, 0.5 / SH_C0)
@@ -215,16 +216,15 @@ def _gradients(
     parameters: Parameters,
     surface: _Surface,
     picture: _Picture,
-    with_normals: bool,
 ) -> dict[str, Tensor]:
-    """Gradients of the squared error of a picture's colors and cover, and of normals if asked for, by name."""
+    """Gradients of the squared error of a picture's colors and cover, and of its normals if it has any, by name."""
     leaves, poses = parameters.leaves(), _link_poses(asset, picture.theta)
     parts = PartTensors(
         indices=torch.tensor(surface.links, dtype=torch.int32),
         Ts_world_part=torch.tensor(poses, dtype=torch.float32),
     )
     features = None
-    if with_normals:
+    if picture.normals is not None:
         means = leaves["means"].detach().numpy()
         to_eye = _to_eye(means, poses[surface.links], surface.normals, picture.camera)
         features = torch.tensor(to_eye, dtype=torch.float32)

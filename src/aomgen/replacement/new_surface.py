@@ -33,9 +33,9 @@ def renew_surface(
     texture: Array,
     known: NDArray[np.bool_],
     new: NDArray[np.bool_],
-    filled: NDArray[np.bool_],
+    closed: NDArray[np.bool_],
     area: NDArray[np.bool_],
-) -> tuple[Gaussians, Array]:
+) -> tuple[Gaussians, NDArray[np.float32]]:
     """Flat Gaussians, one a cell, and the share (N,) of their opacity that the old ones keep.
 
     Args:
@@ -45,22 +45,21 @@ def renew_surface(
         texture: Its picture, 0..1.
         known: Where that was photographed.
         new: Where nothing of the old surface shall stay.
-        filled: Where there shall be new surface, there and in gaps.
+        closed: Where gaps in it are closed too.
         area: Where it is, and no flat thing lies on it.
     """
+    sh = old.sh[table].reshape(int(table.sum()), -1)
+    around, cover = plan.mean(old.select(table), sh)
+    sound = cover >= SOUND
+    # Harmonics that the trained surface has beside its picture.
+    around[..., :3] -= (texture - 0.5) / SH_C0
+    looks = continue_smoothly(around, known & sound).reshape(*plan.shape, -1, 3)
+    filled = area & (new | (closed & ~sound))
     beyond = np.asarray(distance_transform_edt(~filled)) * plan.cell
-    opacity = np.clip(2 - 2 * beyond / FADE, 0, 1) * area
-    fill = _flat(plan, texture, _looks(old.select(table), plan, texture, known), opacity)
+    fill = _flat(plan, texture, looks, np.clip(2 - 2 * beyond / FADE, 0, 1) * area)
     # Feet of things on the surface, which are neither known nor new, stay.
     kept = np.where(known | new, np.clip(2 * beyond / FADE, 0, 1), 1.0)
-    return fill, np.where(table, plan.lookup(kept, old, 1.0), 1.0)
-
-
-def _looks(surface: Gaussians, plan: PlanView, texture: Array, known: NDArray[np.bool_]) -> Array:
-    """Harmonics (H, W, K, 3) that the trained surface has beside its picture, continued to where it is not known."""
-    around, cover = plan.mean(surface, surface.sh.reshape(len(surface), -1))
-    around[..., :3] -= (texture - 0.5) / SH_C0
-    return continue_smoothly(around, known & (cover > SOUND)).reshape(*plan.shape, -1, 3)
+    return fill, np.where(table, plan.lookup(kept, old, 1.0), 1.0).astype(np.float32)
 
 
 def _flat(plan: PlanView, texture: Array, looks: Array, opacity: Array) -> Gaussians:

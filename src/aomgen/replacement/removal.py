@@ -13,7 +13,7 @@ from aomgen.conventions import BACKGROUND, MOVING, STATIC
 from aomgen.core.gaussians import Gaussians
 from aomgen.core.values import Array
 from aomgen.replacement.mosaic import Photograph, photograph_surface
-from aomgen.replacement.new_surface import SOUND, renew_surface
+from aomgen.replacement.new_surface import renew_surface
 from aomgen.replacement.old_shadow import shadow_gain
 from aomgen.robots.robot import RobotModel
 from aomgen.splatting.rasterizer import contribution_weights
@@ -104,9 +104,8 @@ def clear_object(twin: Twin, robot: RobotModel, views: Sequence[Photograph], inp
     texture = inpaint(np.clip(picture * gain, 0, 1), known)
     # Where nothing was scanned before either, the table ends; gaps within it are closed too.
     area = (outside <= 0) | (_hull(plan.cover(world.select(scene)) > 0.5) & (near | ~binary_dilation(other)))
-    thin = (plan.cover(lightened.select(table)) < SOUND) & (outside <= 0.7 * RING)
-    new = area & (near | deep)
-    fill, kept = renew_surface(lightened, table, plan, texture, known, new, area & (new | thin), area)
+    new, closed = area & (near | deep), outside <= 0.7 * RING
+    fill, kept = renew_surface(lightened, table, plan, texture, known, new, closed, area)
     faded = replace(lightened, opacities=lightened.opacities * kept)
     cleared = replace(remaining, gaussians=faded).select(kept > 0).extended(fill, 0, BACKGROUND)
     return Cleared(
