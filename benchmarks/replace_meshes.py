@@ -23,6 +23,7 @@ from aomgen.replacement.asset_pictures import AssetRenderer
 from aomgen.replacement.asset_surfels import asset_surfels
 from aomgen.replacement.light_estimation import SceneLight
 from aomgen.replacement.reflection import show_in_light
+from aomgen.replacement.tone_curve import ToneCurve
 from aomgen.splatting.metrics import psnr
 from aomgen.splatting.rasterizer import render
 from aomgen.splatting.surfels import Surfels
@@ -141,7 +142,7 @@ def run_meshes(assets: list[ArticulatedAsset], seed: int, tell: Callable[[str], 
 
 def _other_seconds(asset: ArticulatedAsset, links: tuple[Surfels, Surfels]) -> float:
     """What reading an asset's USD file and lighting its Gaussians takes."""
-    light = SceneLight(hemisphere_light(np.ones(3), np.full(3, 0.5)), color_loss=0.0, source="scene")
+    light = SceneLight(hemisphere_light(np.ones(3), np.full(3, 0.5)), ToneCurve(), "scene")
     with tempfile.TemporaryDirectory() as scratch:
         path = Path(scratch) / "asset.usda"
         write_usd(asset, path)

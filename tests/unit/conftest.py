@@ -17,6 +17,7 @@ from aomgen.core.gaussians import SH_C0, Gaussians, concatenate, gaussians_of
 from aomgen.core.light import Light, hemisphere_light, shaded_srgb
 from aomgen.core.mesh import face_normals_areas, sample_surface
 from aomgen.core.transforms import apply, matrix_from_rotvec, transform
+from aomgen.replacement.light_estimation import REFLECTED
 from aomgen.robots.loading import load_robot
 from aomgen.robots.robot import RobotModel
 from aomgen.splatting.surfels import Surfels, surfels_of
@@ -67,7 +68,7 @@ def robot_gaussians(robot: RobotModel, Ts: np.ndarray, light: Light, rng) -> tup
         vertices = apply(Ts[mesh.body], mesh.vertices_body)
         points, faces, _ = sample_surface(vertices, mesh.faces, 250, rng)
         normals = face_normals_areas(vertices, mesh.faces)[0][faces]
-        colors = srgb_from_linear(linear_from_srgb(mesh.color_srgb) * light.irradiance(normals))
+        colors = srgb_from_linear((linear_from_srgb(mesh.color_srgb) + REFLECTED) * light.irradiance(normals))
         parts.append(
             gaussians_of(
                 means=points,

@@ -56,14 +56,15 @@ class Light:
 
 
 def turned_radiance(radiance_sh: ArrayLike, R_world_body: ArrayLike) -> Array:
-    """Coefficients (..., 9, C) in the frames of bodies turned by (..., 3, 3) of radiance (9, C) in the world's."""
-    radiance, Rs_body_world = np.asarray(radiance_sh), np.asarray(R_world_body, np.float64).swapaxes(-1, -2)
-    constant = np.broadcast_to(radiance[:1], (*Rs_body_world.shape[:-2], 1, radiance.shape[1]))
+    """Coefficients (..., 9, C) in the frames of bodies turned by (..., 3, 3) of radiance (9, C), or one each, in the world's."""
+    Rs_body_world = np.asarray(R_world_body, np.float64).swapaxes(-1, -2)
+    radiance = np.asarray(radiance_sh)
+    radiance = np.broadcast_to(radiance, (*Rs_body_world.shape[:-2], *radiance.shape[-2:]))
     turned = [
-        matrix @ radiance[band * band : (band + 1) ** 2]
+        matrix @ radiance[..., band * band : (band + 1) ** 2, :]
         for band, matrix in enumerate(sh_rotation(Rs_body_world, 2), start=1)
     ]
-    return np.concatenate([constant, *turned], -2)
+    return np.concatenate([radiance[..., :1, :], *turned], -2)
 
 
 def project_radiance(directions: ArrayLike, solid_angles: ArrayLike, radiance: ArrayLike) -> Array:

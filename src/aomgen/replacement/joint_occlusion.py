@@ -18,8 +18,8 @@ STATES: Final = (0.0, 0.5, 1.0)
 # Occlusion is found at every so many discs, and is a mean over so many of these, among which another direction
 # counts as so much distance, [m].
 THINNED, NEAR, ALIKE_M = 2, 8, 0.2
-# What is open in no state counts alike in all.
-CLOSED: Final = 1e-3
+# What is open to less than this share of the sky in every state is not seen: faces of a gap, insides of bodies.
+CLOSED: Final = 0.02
 
 
 class Occlusion(NamedTuple):
@@ -59,7 +59,11 @@ def find_occlusion(
             other = apply(motion if k == 0 else invert(motion), solids[1 - k])
             transfer, seen = estimate_transfer(points, normals, np.concatenate([solids[k], other]))
             transfers.append(transfer)
-            shares.append(seen + CLOSED)
-        weights = np.array(shares) / np.sum(shares, 0)
-        found.append(Occlusion(points, normals, np.einsum("sn,snk->nk", weights, np.array(transfers))))
+            shares.append(seen)
+        opened = np.array(shares)
+        outer = opened.max(0) > CLOSED
+        outer |= not outer.any()
+        weights = (opened + 1e-9) / np.sum(opened + 1e-9, 0)
+        transfer = np.einsum("sn,snk->nk", weights, np.array(transfers))
+        found.append(Occlusion(points[outer], normals[outer], transfer[outer]))
     return found

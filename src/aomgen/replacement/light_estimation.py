@@ -5,6 +5,7 @@ down. The robot is a surface whose shape and colors are known; what it receives 
 there. Where too little of the robot was seen, the light falls from above with the brightness of the scene.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Annotated, Final, NamedTuple
 
@@ -14,6 +15,7 @@ from scipy.optimize import least_squares
 from scipy.spatial import cKDTree
 
 from aomgen.conventions import BACKGROUND, ROBOT, linear_from_srgb, srgb_from_linear
+from aomgen.core.camera import Camera
 from aomgen.core.environment_map import EnvironmentMap
 from aomgen.core.gaussians import SH_C0, Gaussians
 from aomgen.core.light import Light, cosine_answer, hemisphere_light
@@ -22,8 +24,9 @@ from aomgen.core.sh import sh_basis
 from aomgen.core.transforms import apply
 from aomgen.core.values import Array, freeze_arrays
 from aomgen.replacement.probe import Probe, probe_light
+from aomgen.replacement.tone_curve import ToneCurve
 from aomgen.robots.robot import RobotModel
-from aomgen.splatting.surfaces import sphere_directions
+from aomgen.splatting.surfaces import DIRECTIONS, estimate_transfer, sphere_directions
 from aomgen.twin.twin import Twin, body_poses, posed
 
 # Fewer Gaussians on the robot do not constrain the light; more than the second number tell no more.
@@ -32,21 +35,21 @@ MIN_SAMPLES, MAX_SAMPLES = 200, 3000
 MAX_DISTANCE: Final = 0.008
 # Points drawn on each body of the robot.
 POINTS_PER_BODY: Final = 3000
-# A surface is seen by eyes above this sine of its plane; so many of all eyes must see it.
-FACING, MIN_EYES = 0.2, 0.15
+# A surface is seen by eyes above this sine of its plane; so many of all eyes must see it, and it so much of the sky.
+FACING, MIN_EYES, MIN_OPEN = 0.2, 0.15, 0.25
 # Share of the light that paint and plastic reflect beside their own color: normal incidence, refractive index 1.5.
 REFLECTED: Final = 0.04
 # Errors of colors beyond this are outliers: glints, wrong links, sRGB.
 OUTLIER: Final = 0.05
-# Standard deviations of bands 1 and 2 of what is not seen, shares of its mean, and of the camera's loss of
-# color; what share of all colors weighs as much as one of them.
-BAND_SD, LOSS_SD, PRIOR_COLORS = (0.6, 0.4), 0.3, 1e-4
-# The camera's loss of color stays between these.
-LOSSES: Final = (0.0, 0.8)
+# Standard deviations of bands 1 and 2 of what is not seen, shares of its mean, and of the camera's tone curve about a
+# plain one; what share of all colors weighs as much as one of them.
+BAND_SD, TONE_SD, PRIOR_COLORS = (0.6, 0.4), (0.3, 0.3), 1e-4
+# Power and loss of color of a tone curve stay between these.
+TONE_LIMITS: Final = ((0.4, 1.4), (0.0, 0.95))
+# A cell of the table weighs as much as so many colors of the robot: that it is grained differs from cell to cell.
+TABLE: Final = 4.0
 # Nearly black surfaces show reflections rather than light, linear.
 MIN_ALBEDO: Final = 0.05
-# Directions in which a light is checked.
-NORMALS: Final = 200
 # Mean albedo of things, to judge the brightness of light when the robot cannot.
 MEAN_ALBEDO: Final = 0.4
 # Brightness of a white, level surface stays within these limits, linear, 1 = image white.
@@ -54,38 +57,35 @@ LIMITS: Final = (0.3, 1.6)
 
 
 class SceneLight(NamedTuple):
-    """What a new object is lit by, and how the scene's pictures show colors.
+    """What a new object is lit by, and how the scene's pictures show it.
 
     Attributes:
-        light: Where the object stands, in the colors in which pictures show it on a grey surface.
-        color_loss: Share of a color's distance from grey that the camera's tone curve takes, 0..1.
+        arriving: Where the object stands.
+        tone: Of the cameras.
         source: "robot", or "scene" when too little of the robot was seen, or "file" or "diffusion" of a map.
     """
 
-    light: Light
-    color_loss: float
+    arriving: Light
+    tone: ToneCurve
     source: str
+
+    @property
+    def shown(self) -> Light:
+        """The light in the colors in which pictures show white surfaces."""
+        answer = cosine_answer(sphere_directions(DIRECTIONS))
+        white = self.tone.show(answer @ self.arriving.radiance_sh)
+        return Light(radiance_sh=np.asarray(np.linalg.lstsq(answer, white)[0], np.float64))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LitSamples:
-    """N places of the robot's surface: unit normals, colors of the model and colors seen, linear."""
+    """N places of the robot's surface: what its shape lets light reach, colors of the model and colors seen, linear."""
 
-    normals: Annotated[Array, "N 3"]
+    transfer: Annotated[Array, "N 9"]
     albedo: Annotated[Array, "N 3"]
     seen: Annotated[Array, "N 3"]
 
     __post_init__ = freeze_arrays
-
-    def select(self, which: NDArray) -> "LitSamples":
-        """Some of them."""
-        return LitSamples(normals=self.normals[which], albedo=self.albedo[which], seen=self.seen[which])
-
-
-def lose_color(colors_linear: Array, loss: float) -> Array:
-    """Colors (..., 3) drawn to their grey by a share; a negative share takes them away from it."""
-    grey = colors_linear.mean(-1, keepdims=True)
-    return grey + (1 - loss) * (colors_linear - grey)
 
 
 def estimate_light(
@@ -93,7 +93,8 @@ def estimate_light(
     robot: RobotModel,
     around: Gaussians,
     place: Array,
-    eyes_world: Array,
+    table: LitSamples,
+    views: Sequence[Camera],
     rng: np.random.Generator,
 ) -> SceneLight:
     """Find the light that the scan was taken under.
@@ -103,7 +104,8 @@ def estimate_light(
         robot: Its robot.
         around: What stands still about the object, in its shadow too, world frame.
         place: Where the light is wanted (3,), world frame.
-        eyes_world: Where the scan's cameras were (K, 3).
+        table: Of the table about the object, whose shadow falls on it.
+        views: The scan's cameras.
         rng: Chooses points on the robot.
 
     Not checked: the real robot may be painted otherwise than its model; a uniform difference
@@ -111,13 +113,17 @@ def estimate_light(
     """
     world = posed(twin, robot, twin.scan_state)
     of_robot = (twin.labels == ROBOT) & (twin.bodies > 0)
-    samples = _robot_samples(twin, world, robot, eyes_world, rng)
-    if not len(samples.normals) >= MIN_SAMPLES:
-        return SceneLight(scene_light(world, twin.labels), 0.0, "scene")
+    eyes = np.stack([view.center for view in views])
+    samples = _robot_samples(twin, world, robot, eyes, rng)
+    if not len(samples.albedo) >= MIN_SAMPLES:
+        return SceneLight(scene_light(world, twin.labels), ToneCurve(), "scene")
     middle = np.median(world.means[of_robot], 0).astype(np.float64)
-    unseen, loss = fit_unseen(samples, probe_light(world.select(twin.labels != ROBOT), middle))
-    radiance = lose_color(radiance_around(probe_light(around, place), unseen, loss), loss)
-    return SceneLight(limit_light(_positive(radiance)), loss, "robot")
+    here = probe_light(around, place, views)
+    unseen, tone = fit_unseen(
+        samples, probe_light(world.select(twin.labels != ROBOT), middle, views), table, here
+    )
+    radiance = radiance_around(here, unseen, tone)
+    return limit_light(SceneLight(Light(radiance_sh=radiance), tone, "robot"))
 
 
 def scene_light(world: Gaussians, labels: NDArray[np.uint8]) -> Light:
@@ -131,63 +137,68 @@ def scene_light(world: Gaussians, labels: NDArray[np.uint8]) -> Light:
     return hemisphere_light(np.full(3, level), np.full(3, 0.4 * level))
 
 
-def fit_unseen(samples: LitSamples, around: Probe) -> tuple[Array, float]:
-    """What comes to the robot from where the scan shows nothing, as harmonics (9, 3), and the camera's loss of color.
+def fit_unseen(samples: LitSamples, around: Probe, table: LitSamples, here: Probe) -> tuple[Array, ToneCurve]:
+    """What comes from where the scan shows nothing, as harmonics (9, 3), and the camera's tone curve.
 
     Args:
         samples: On the robot.
         around: What is seen from its middle.
+        table: In the shadow of the recorded object and beside it.
+        here: What is seen from the object's place.
     """
-    answer, wanted = cosine_answer(samples.normals), srgb_from_linear(np.clip(samples.seen, 0, 1))
+    wanted = srgb_from_linear(np.clip(samples.seen, 0, 1))
+    grey = srgb_from_linear(np.clip(table.seen.mean(1), 0, 1))
     spreads = np.repeat(BAND_SD, [3, 5])[:, None]
     weight = np.sqrt(PRIOR_COLORS * len(wanted))
 
     def residuals(unknown: Array) -> Array:
-        unseen, loss = unknown[:27].reshape(9, 3), float(unknown[27])
-        irradiance = np.maximum(answer @ radiance_around(around, unseen, loss), 0)
-        sent = lose_color((samples.albedo + REFLECTED) * irradiance, loss)
-        level = max(float(np.abs(unseen[0]).mean()), 1e-3)
-        prior = np.append(unseen[1:] / (level * spreads), loss / LOSS_SD)
-        return np.append((srgb_from_linear(np.maximum(sent, 1e-6)) - wanted).ravel(), weight * prior)
+        unseen, tone, albedo = unknown[:27].reshape(9, 3), ToneCurve(*unknown[27:29]), unknown[29]
+        irradiance = np.maximum(samples.transfer @ radiance_around(around, unseen, tone), 0)
+        shown = tone.show((samples.albedo + REFLECTED) * irradiance)
+        level = np.maximum(table.transfer @ radiance_around(here, unseen, tone), 0).mean(1)
+        shadow = srgb_from_linear(np.maximum((albedo * level) ** tone.gamma, 1e-6)) - grey
+        mean = max(float(np.abs(unseen[0]).mean()), 1e-3)
+        prior = np.append(unseen[1:] / (mean * spreads), (unknown[27:29] - ToneCurve()) / TONE_SD)
+        robot = srgb_from_linear(np.maximum(shown, 1e-6)) - wanted
+        return np.concatenate([robot.ravel(), TABLE * shadow, weight * prior])
 
-    start = np.concatenate([np.ones(3), np.zeros(24), [0.1]])
+    start = np.concatenate([np.ones(3), np.zeros(24), [0.9, 0.1, MEAN_ALBEDO]])
     low, high = (
-        np.append(np.full(27, end), limit) for end, limit in zip((-np.inf, np.inf), LOSSES, strict=True)
+        np.concatenate([np.full(27, end), limits, [albedo]])
+        for end, limits, albedo in zip(
+            (-np.inf, np.inf), zip(*TONE_LIMITS, strict=True), (0.01, 1.0), strict=True
+        )
     )
     found = least_squares(residuals, start, bounds=(low, high), loss="soft_l1", f_scale=OUTLIER).x
-    return found[:27].reshape(9, 3), float(found[27])
+    return found[:27].reshape(9, 3), ToneCurve(*found[27:29])
 
 
-def radiance_around(around: Probe, unseen: Array, loss: float) -> Array:
-    """Harmonics (9, 3) of all that arrives at a probe: what it sees, in the colors before the camera, and the rest."""
-    shown = np.maximum(lose_color(around.radiance_linear, -loss / (1 - loss)), 0)
+def radiance_around(around: Probe, unseen: Array, tone: ToneCurve) -> Array:
+    """Harmonics (9, 3) of all that arrives at a probe: what it sees, before the camera, and the rest."""
     rest = np.maximum(sh_basis(around.directions, 2) @ unseen, 0)
-    return around.project(around.seen[:, None] * shown + (1 - around.seen[:, None]) * rest)
+    seen = around.seen[:, None]
+    return around.project(seen * tone.undo(around.radiance_linear) + (1 - seen) * rest)
 
 
-def limit_light(light: Light) -> Light:
-    """The light with the brightness of a level white surface inside `LIMITS`."""
-    level = _level(light)
-    return light.scaled(np.clip(level, *LIMITS) / max(level, 1e-6))
+def limit_light(light: SceneLight) -> SceneLight:
+    """The light with the shown brightness of a level white surface inside `LIMITS`."""
+    return _with_level(light, np.clip(_level(light), *LIMITS))
 
 
 def light_of_map(around: EnvironmentMap, scan: SceneLight, source: str) -> SceneLight:
-    """The light of a map, as bright on a level surface and with as much color lost as the light found in a scan."""
-    light = _positive(lose_color(around.light().radiance_sh, scan.color_loss))
-    return SceneLight(light.scaled(_level(scan.light) / _level(light)), scan.color_loss, source)
+    """The light of a map, as bright on a level surface and shown as the light found in a scan."""
+    return _with_level(SceneLight(around.light(), scan.tone, source), _level(scan))
 
 
-def _level(light: Light) -> float:
-    """Brightness of a level white surface, linear, mean of the channels."""
-    return float(light.irradiance(np.array([[0, 0, 1.0]])).mean())
+def _level(light: SceneLight) -> float:
+    """Brightness that pictures show of a level white surface, linear, mean of the channels."""
+    return float(light.shown.irradiance(np.array([[0, 0, 1.0]])).mean())
 
 
-def _positive(coefficients: Array) -> Light:
-    """Bands 1 and 2 shrunk until no surface direction is darker than a tenth of the mean."""
-    weighted = cosine_answer(sphere_directions(NORMALS))
-    mean, rest = weighted[:, :1] @ coefficients[:1], weighted[:, 1:] @ coefficients[1:]
-    share = min(1.0, float((0.9 * mean / np.maximum(-rest, 1e-9)).min()))
-    return Light(radiance_sh=np.concatenate([coefficients[:1], coefficients[1:] * max(share, 0.0)]))
+def _with_level(light: SceneLight, level: float) -> SceneLight:
+    """The light made brighter or darker, so that a level white surface is shown with a brightness."""
+    gain = (level / max(_level(light), 1e-6)) ** (1 / light.tone.gamma)
+    return light._replace(arriving=light.arriving.scaled(gain))
 
 
 def _robot_samples(
@@ -198,7 +209,7 @@ def _robot_samples(
     points, normals, colors = _surface_points(robot, Ts[1 : 1 + len(robot.body_names)], rng)
     mine = np.flatnonzero((twin.labels == ROBOT) & (world.opacities > 0.3) & (twin.bodies > 0))
     if not len(points):
-        return LitSamples(normals=points, albedo=colors, seen=colors)
+        return LitSamples(transfer=np.zeros((0, 9)), albedo=colors, seen=colors)
     distances, nearest = cKDTree(points).query(world.means[mine])
     close = (distances < MAX_DISTANCE) & (colors[nearest].mean(1) > MIN_ALBEDO)
     mine, nearest = mine[close], nearest[close]
@@ -208,9 +219,17 @@ def _robot_samples(
     ways = eyes_world - points[nearest][:, None]
     ways /= np.linalg.norm(ways, axis=-1, keepdims=True)
     facing = np.einsum("nki,ni->nk", ways, normals[nearest]) > FACING
-    seen = linear_from_srgb(np.clip(0.5 + SH_C0 * world.sh[mine, 0], 0, 1))
-    found = LitSamples(normals=normals[nearest], albedo=colors[nearest], seen=np.asarray(seen, np.float64))
-    return found.select(facing.mean(1) > MIN_EYES)
+    often = facing.mean(1) > MIN_EYES
+    mine, nearest = mine[often], nearest[often]
+    # Links stand in each other's light, and in their own. What is closed in is not the surface that is seen.
+    transfer, open_ = estimate_transfer(points[nearest], normals[nearest], points)
+    outer = open_ > MIN_OPEN
+    mine, nearest = mine[outer], nearest[outer]
+    return LitSamples(
+        transfer=transfer[outer],
+        albedo=colors[nearest],
+        seen=np.asarray(linear_from_srgb(np.clip(0.5 + SH_C0 * world.sh[mine, 0], 0, 1)), np.float64),
+    )
 
 
 def _surface_points(

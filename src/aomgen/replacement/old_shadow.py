@@ -13,9 +13,10 @@ from scipy.optimize import nnls
 
 from aomgen.conventions import SRGB_POWER, linear_from_srgb
 from aomgen.core.gaussians import Gaussians
-from aomgen.core.transforms import invert
+from aomgen.core.transforms import apply, invert
 from aomgen.core.values import Array
-from aomgen.splatting.surfaces import sphere_directions
+from aomgen.replacement.light_estimation import LitSamples
+from aomgen.splatting.surfaces import sphere_directions, transfer_past
 from aomgen.twin.plane_shadow import PlaneGrid, cast_body
 
 # Cells of the picture from above that are one cell of the shadow, along a side: it is softer than wood is grained.
@@ -30,8 +31,9 @@ MAX_GAIN: Final = 4.0
 SMOOTH: Final = 1.5
 # Wood is by so much brighter in some places than on the whole, linear.
 GRAIN: Final = 1.1
-# Fewer cells do not tell a shadow from the grain.
-MIN_CELLS: Final = 200
+# A cell of which more than this share is known tells; fewer such cells do not tell a shadow from the grain, and more than
+# the second number tell no more.
+SURE, MIN_CELLS, MAX_CELLS = 0.5, 200, 1500
 
 
 def shadow_gain(
@@ -56,12 +58,8 @@ def shadow_gain(
     left so.
     """
     gain = np.ones((*known.shape, 3))
-    rows, columns = (-(-side // COARSER) for side in known.shape)
-    grid = PlaneGrid(low=low, cell=COARSER * cell, columns=columns, rows=rows)
-    weight = _pooled(known.astype(float), rows, columns)
-    linear = np.asarray(linear_from_srgb(picture_srgb), np.float64)
-    colors = _pooled(linear * known[..., None], rows, columns)
-    sure = weight > 0.5
+    grid, colors, weight = _coarse(low, cell, picture_srgb, known)
+    sure = weight > SURE
     if not sure.sum() >= MIN_CELLS:
         return gain
     directions = sphere_directions(DIRECTIONS)
@@ -89,6 +87,41 @@ def shadow_gain(
         fine = map_coordinates(lift, places, order=1, mode="nearest")
         gain[..., channel] = np.clip(fine, 1, MAX_GAIN) ** SRGB_POWER
     return gain
+
+
+def lit_cells(
+    caster: Gaussians,
+    T_world_plane: Array,
+    low: Array,
+    cell: float,
+    picture_srgb: Array,
+    known: NDArray[np.bool_],
+    rng: np.random.Generator,
+) -> LitSamples:
+    """Places of a table in the shadow of what stood on it and beside it; arguments as above. Their albedo is not known, 1."""
+    grid, colors, weight = _coarse(low, cell, picture_srgb, known)
+    sure = np.argwhere(weight > SURE)
+    if not len(sure) >= MIN_CELLS:
+        sure = sure[:0]
+    sure = tuple(rng.permutation(sure)[:MAX_CELLS].T)
+    points = apply(T_world_plane, grid.points()[sure])
+    up = np.tile(T_world_plane[:3, 2], (len(points), 1))
+    return LitSamples(
+        transfer=transfer_past(points, up, caster.means.astype(np.float64)),
+        albedo=np.ones((len(points), 3)),
+        seen=colors[sure] / weight[sure][:, None],
+    )
+
+
+def _coarse(
+    low: Array, cell: float, picture_srgb: Array, known: NDArray[np.bool_]
+) -> tuple[PlaneGrid, Array, Array]:
+    """Cells of the shadow: where they are, the sums (h, w, 3) of the linear colors known in them, and how much is (h, w)."""
+    rows, columns = (-(-side // COARSER) for side in known.shape)
+    grid = PlaneGrid(low=low, cell=COARSER * cell, columns=columns, rows=rows)
+    linear = np.asarray(linear_from_srgb(picture_srgb), np.float64)
+    colors = _pooled(linear * known[..., None], rows, columns)
+    return grid, colors, _pooled(known.astype(float), rows, columns)
 
 
 def _pooled(image: Array, rows: int, columns: int) -> Array:

@@ -1,9 +1,11 @@
 """What arrives at a place from all around: the twin drawn outward, and how much of the sphere it shows."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Annotated, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from aomgen.conventions import linear_from_srgb
 from aomgen.core.camera import Camera
@@ -12,6 +14,7 @@ from aomgen.core.light import project_radiance
 from aomgen.core.transforms import transform
 from aomgen.core.values import Array, freeze_arrays
 from aomgen.splatting.rasterizer import render
+from aomgen.splatting.surfaces import seen_points
 
 # Pixels along the side of a face of the cube.
 FACE_PX: Final = 24
@@ -46,8 +49,11 @@ class Probe:
         return project_radiance(self.directions, self.solid_angles, radiance)
 
 
-def probe_light(world: Gaussians, place: Array) -> Probe:
-    """Draw Gaussians, world frame, outward from a place (3,)."""
+def probe_light(world: Gaussians, place: Array, views: Sequence[Camera]) -> Probe:
+    """Draw Gaussians, world frame, outward from a place (3,).
+
+    What no view of the scan has in its frame is not known: Gaussians far out there explain other things.
+    """
     found = []
     half = FACE_PX / 2
     for R in FACES:
@@ -57,11 +63,14 @@ def probe_light(world: Gaussians, place: Array) -> Probe:
         drawn, rays = render(world, camera), camera.directions()
         length = np.linalg.norm(rays, axis=-1)
         shown = np.asarray(drawn.rgb, np.float64) / np.maximum(drawn.alpha, MIN_ALPHA)[..., None]
+        known = (drawn.alpha > MIN_ALPHA).ravel() & _in_frame(
+            seen_points(world, camera).reshape(-1, 3), views
+        )
         found.append((
             (rays / length[..., None]).reshape(-1, 3),
             # A pixel of the unit cube, seen under the cosine, at its distance.
             ((2 / FACE_PX) ** 2 / length**3).ravel(),
-            np.where(drawn.alpha > MIN_ALPHA, drawn.alpha, 0.0).ravel(),
+            np.where(known, drawn.alpha.ravel(), 0.0),
             linear_from_srgb(np.clip(shown, 0, 1)).reshape(-1, 3),
         ))  # fmt: skip
     directions, solid_angles, seen, radiance = (np.concatenate(part) for part in zip(*found, strict=True))
@@ -71,3 +80,13 @@ def probe_light(world: Gaussians, place: Array) -> Probe:
         seen=seen,
         radiance_linear=np.asarray(radiance, np.float64),
     )
+
+
+def _in_frame(points: Array, views: Sequence[Camera]) -> NDArray[np.bool_]:
+    """Points (N, 3) that lie in the frame of one of the views; NaN lie nowhere."""
+    inside = np.zeros(len(points), bool)
+    for view in views:
+        pixels, depth = view.project(points)
+        with np.errstate(invalid="ignore"):
+            inside |= (depth > 0) & ((pixels >= 0) & (pixels < (view.width, view.height))).all(-1)
+    return inside

@@ -1,28 +1,36 @@
 """What a new object's surfaces show of a scene's light: colors as its camera shows them, and reflections.
 
 A reflection is a function of where a surface is seen from. Mirrored at the surface, the harmonics of the light are those
-of what is seen in it, blurred by roughness; Gaussians keep them beside their color, in the frame of their link. They are
-right where the object was recorded and turn with the part: about the vertical little changes, because light comes from above.
+of what is seen in it, blurred by roughness; the flatter the look, the more is reflected, the less so the rougher. Gaussians
+keep harmonics of it beside their color, in the frame of their link. They are right where the object was recorded and turn
+with the part: about the vertical little changes, because light comes from above.
+
+Source: Schlick 1994 (reflection by angle); Lagarde 2011 (of a rough surface).
 """
 
 from dataclasses import replace
+from functools import cache
 from typing import Final
 
 import numpy as np
 
-from aomgen.conventions import srgb_from_linear
+from aomgen.conventions import linear_from_srgb, srgb_from_linear
 from aomgen.core.gaussians import SH_C0
 from aomgen.core.light import turned_radiance
+from aomgen.core.sh import sh_basis
 from aomgen.core.values import Array
-from aomgen.replacement.light_estimation import REFLECTED, SceneLight, lose_color
+from aomgen.replacement.light_estimation import REFLECTED, SceneLight
+from aomgen.splatting.surfaces import sphere_directions
 from aomgen.splatting.surfels import Surfels
 
 # Band of each of the nine harmonics.
 BANDS: Final = np.repeat([0, 1, 2], [1, 3, 5])
-# The slope of sRGB is taken above this, linear: nearer to black it would make small differences large.
+# Views of a surface with the normal z, along which it is looked at: half of them show it.
+VIEWS: Final = sphere_directions(128)
+# What the other half would show counts so much; without it harmonics would be anything there.
+BACK: Final = 0.001
+# Nothing is lit less than this, linear: dividing by it would make small differences large.
 BLACK: Final = 0.002
-# Step of the slope, as a share.
-STEP: Final = 0.05
 
 
 def show_in_light(surfels: Surfels, light: SceneLight, R_world_asset: Array) -> Surfels:
@@ -31,29 +39,50 @@ def show_in_light(surfels: Surfels, light: SceneLight, R_world_asset: Array) -> 
     The albedo becomes what a diffuse surface would need to look alike on the whole; harmonics of the Gaussians add how
     the reflection differs from its mean.
     """
-    radiance = light.light.seen_from(R_world_asset)
+    radiance, shown = (part.seen_from(R_world_asset) for part in (light.arriving, light.shown))
     metallic = surfels.metallic[:, None].astype(np.float64)
-    colors = lose_color(surfels.albedo_linear.astype(np.float64), light.color_loss)
+    colors = surfels.albedo_linear.astype(np.float64)
     share = REFLECTED * (1 - metallic) + metallic * colors
     # The constant part of an open surface's transfer is the constant harmonic.
     open_ = np.clip(surfels.transfer[:, :1] / SH_C0, 0, 1)
-    mirrored = _mirror(radiance, surfels.shading_normals.astype(np.float64))
+    roughness = surfels.roughness[:, None].astype(np.float64)
     # Lobes of microfacets: a GGX width of the square of the roughness.
-    blur = np.exp(-((BANDS * surfels.roughness[:, None].astype(np.float64) ** 2) ** 2))
-    reflection = (share * open_)[:, None] * blur[..., None] * mirrored
-    arriving = np.maximum(surfels.transfer.astype(np.float64) @ radiance, BLACK)
-    sent = colors * (1 - metallic) * arriving + np.maximum(reflection[:, 0] * SH_C0, 0)
-    sent = np.clip(sent, BLACK, 1 / (1 + STEP))
-    slope = (srgb_from_linear(sent * (1 + STEP)) - srgb_from_linear(sent * (1 - STEP))) / (2 * STEP * sent)
-    sh = np.zeros((len(sent), 9, 3), np.float32)
+    blur = np.exp(-((BANDS * roughness**2) ** 2))
+    half_turns = _to_upright(surfels.shading_normals.astype(np.float64))
+    above = blur[..., None] * turned_radiance(radiance, half_turns)
+    views, fit = _views()
+    mirrored = np.maximum(sh_basis(views * (1, 1, -1), 2) @ above, 0)
+    # Schlick's, which roughness makes smaller, for every view.
+    more = (np.maximum(1 - roughness, share) - share)[:, None] * (1 + views[:, 2:]) ** 5
+    transfer = surfels.transfer.astype(np.float64)
+    diffuse = colors * (1 - metallic) * np.maximum(transfer @ radiance, 0)
+    sent = diffuse[:, None] + open_[..., None] * (share[:, None] + more) * mirrored
+    colors_srgb = srgb_from_linear(np.minimum(light.tone.show(sent), 1))
+    sh = turned_radiance(fit @ colors_srgb, half_turns).astype(np.float32)
+    albedo = linear_from_srgb(np.clip(SH_C0 * sh[:, 0], 0, 1)) / np.maximum(transfer @ shown, BLACK)
     sh[:, 0] = surfels.gaussians.sh[:, 0]
-    sh[:, 1:] = reflection[:, 1:] * slope[:, None]
-    albedo = sent / arriving
     return replace(surfels, gaussians=surfels.gaussians.with_sh(sh), albedo_linear=albedo.astype(np.float32))
 
 
-def _mirror(radiance: Array, normals: Array) -> Array:
-    """Harmonics (N, 9, 3), by the direction in which a surface is seen, of what mirrors with normals (N, 3) show."""
-    # A mirror is half a turn about its normal and a point reflection, which changes the sign of odd bands.
-    half_turns = 2 * normals[:, :, None] * normals[:, None] - np.eye(3)
-    return np.where(BANDS % 2, -1.0, 1.0)[:, None] * turned_radiance(radiance, half_turns)
+def _to_upright(normals: Array) -> Array:
+    """Half turns (N, 3, 3) that swap normals (N, 3) and z."""
+    between = normals + (0, 0, 1)
+    between[np.linalg.norm(between, axis=1) < 1e-3] = (1, 0, 0)
+    between /= np.linalg.norm(between, axis=1, keepdims=True)
+    return 2 * between[:, :, None] * between[:, None] - np.eye(3)
+
+
+@cache
+def _views() -> tuple[Array, Array]:
+    """Views (K, 3) that show a surface, and a matrix (9, K) that fits harmonics to what they show.
+
+    They count by how large the surface appears. Where it is not seen harmonics are held near the mean.
+    """
+    views, hidden = VIEWS[VIEWS[:, 2] < 0], VIEWS[VIEWS[:, 2] >= 0]
+    weights = -views[:, 2] / -views[:, 2].sum()
+    held = np.full(len(hidden), np.sqrt(BACK / len(hidden)))
+    basis = np.concatenate(
+        [np.sqrt(weights)[:, None] * sh_basis(views, 2), held[:, None] * sh_basis(hidden, 2)]
+    )
+    wanted = np.concatenate([np.diag(np.sqrt(weights)), np.outer(held, weights)])
+    return views, np.asarray(np.linalg.pinv(basis) @ wanted, np.float64)

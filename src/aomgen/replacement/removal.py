@@ -12,9 +12,10 @@ from scipy.spatial import ConvexHull
 from aomgen.conventions import BACKGROUND, MOVING, STATIC
 from aomgen.core.gaussians import Gaussians
 from aomgen.core.values import Array
+from aomgen.replacement.light_estimation import LitSamples
 from aomgen.replacement.mosaic import Photograph, photograph_surface
 from aomgen.replacement.new_surface import renew_surface
-from aomgen.replacement.old_shadow import shadow_gain
+from aomgen.replacement.old_shadow import lit_cells, shadow_gain
 from aomgen.robots.robot import RobotModel
 from aomgen.splatting.rasterizer import contribution_weights
 from aomgen.twin.plan_view import PlanView
@@ -48,6 +49,7 @@ class Cleared(NamedTuple):
         twin: All labels are background or robot; no Gaussian belongs to "object" or "part".
         shadowed: What never moves as it was scanned: the object's shadow on it, nothing made new; world frame.
         support: The plane the object stood on.
+        table: Places on it as they were scanned, in the object's shadow too.
         removed: Gaussians taken away beyond those labelled as the object.
         filled: Gaussians of new surface.
     """
@@ -55,6 +57,7 @@ class Cleared(NamedTuple):
     twin: Twin
     shadowed: Gaussians
     support: Support
+    table: LitSamples
     removed: int
     filled: int
 
@@ -95,22 +98,22 @@ def clear_object(twin: Twin, robot: RobotModel, views: Sequence[Photograph], inp
     of_foot = plan.lookup(other & near, remaining.gaussians, False)
     rest = of_foot & remaining.of_scene & on_surface(remaining.gaussians, support)
     remaining = remaining.select(~rest)
-    gain = shadow_gain(world.select(of_object), support.T_world_plane, plan.low, CELL, picture, known)
+    shadowed = (world.select(of_object), support.T_world_plane, plan.low, CELL, picture, known)
+    table, gain = lit_cells(*shadowed, np.random.default_rng(0)), shadow_gain(*shadowed)
     deep = known & (gain.max(-1) > MAX_LIFT)
     known &= ~deep
-    table = remaining.of_scene & on_surface(remaining.gaussians, support)
-    factors = np.where(table[:, None], plan.lookup(gain, remaining.gaussians, 1.0), 1.0)
+    level = remaining.of_scene & on_surface(remaining.gaussians, support)
+    factors = np.where(level[:, None], plan.lookup(gain, remaining.gaussians, 1.0), 1.0)
     lightened = remaining.gaussians.brightened(factors)
     texture = inpaint(np.clip(picture * gain, 0, 1), known)
     # Where nothing was scanned before either, the table ends; gaps within it are closed too.
     area = (outside <= 0) | (_hull(plan.cover(world.select(scene)) > 0.5) & (near | ~binary_dilation(other)))
     new, closed = area & (near | deep), outside <= 0.7 * RING
-    fill, kept = renew_surface(lightened, table, plan, texture, known, new, closed, area)
+    fill, kept = renew_surface(lightened, level, plan, texture, known, new, closed, area)
     faded = replace(lightened, opacities=lightened.opacities * kept)
     cleared = replace(remaining, gaussians=faded).select(kept > 0).extended(fill, 0, BACKGROUND)
-    return Cleared(
-        cleared, remaining.scene, support, removed=int(leftover.sum() + rest.sum()), filled=len(fill)
-    )
+    removed = int(leftover.sum() + rest.sum())
+    return Cleared(cleared, remaining.scene, support, table, removed=removed, filled=len(fill))
 
 
 def _leftover(world: Gaussians, support: Support) -> NDArray[np.bool_]:

@@ -84,7 +84,7 @@ def run(results: Results, folder: Path, progress: Progress) -> dict[str, Any]:
         support=support,
         obstacles=obstacles,
         T_world_plane=cleared.support.T_world_plane,
-        light=light.light,
+        light=light.shown,
         light_source=light.source,
         cameras=episode_cameras(results),
     )
@@ -115,7 +115,8 @@ def _light_at_object(results: Results, cleared: Cleared) -> SceneLight:
         results.robot,
         cleared.shadowed,
         _middle(cleared),
-        _eyes(results),
+        cleared.table,
+        list(results.scan_cameras.values()),
         np.random.default_rng(results.project.seed),
     )
 
@@ -147,7 +148,7 @@ def _things_in_light(results: Results, cleared: Cleared, light: SceneLight) -> T
         np.isin(recorded.labels, (STATIC, MOVING))
     )
     scene, lamp = twin.scene, recorded.directional_light
-    cast = cast_on_things(scene, body, light.light, lamp, _eyes(results), T_world_plane, len(scene))
+    cast = cast_on_things(scene, body, light.shown, lamp, _eyes(results), T_world_plane, len(scene))
     gain = np.ones((len(twin.gaussians), 1))
     gain[twin.of_scene] = 1 / np.maximum(cast.factors(scene, T_world_plane), MAX_GAIN**-SRGB_POWER)
     return replace(twin, gaussians=twin.gaussians.brightened(gain))
@@ -221,4 +222,4 @@ def asset_twin(background: Twin, fitted: FittedAsset, light: SceneLight, seed: i
         show_in_light(link, light, T[:3, :3])
         for link in asset_surfels(fitted.asset, np.random.default_rng(seed))
     )
-    return with_object(background, static, moving, fitted.asset.joint, light.light, T)
+    return with_object(background, static, moving, fitted.asset.joint, light.shown, T)

@@ -6,11 +6,12 @@ import pytest
 from aomgen.assets.choice import make_asset
 from aomgen.conventions import srgb_from_linear
 from aomgen.core.gaussians import SH_C0
-from aomgen.core.light import Light, hemisphere_light
+from aomgen.core.light import Light, hemisphere_light, open_transfer
 from aomgen.core.sh import sh_basis
 from aomgen.core.transforms import matrix_from_rotvec
 from aomgen.replacement.light_estimation import REFLECTED, SceneLight
 from aomgen.replacement.reflection import show_in_light
+from aomgen.replacement.tone_curve import ToneCurve
 from aomgen.splatting.surfels import surfels_of
 
 UPRIGHT = np.eye(3)
@@ -22,12 +23,12 @@ def link():
 
 
 def scene_light(loss=0.0, sky=(0.9, 0.9, 0.9), ground=(0.2, 0.2, 0.2)):
-    return SceneLight(hemisphere_light(sky, ground), loss, "robot")
+    return SceneLight(hemisphere_light(sky, ground), ToneCurve(color_loss=loss), "robot")
 
 
 def seen_from(surfels, light, ways):
     """Linear colors (N, 3) of surfels seen in directions (N, 3), lit."""
-    arriving = surfels.transfer @ light.light.radiance_sh
+    arriving = surfels.transfer @ light.shown.radiance_sh
     base = srgb_from_linear(np.clip(surfels.albedo_linear * arriving, 0, 1))
     rest = np.einsum("nk,nkc->nc", sh_basis(ways, 2)[:, 1:], surfels.gaussians.sh[:, 1:])
     return base + rest
@@ -52,7 +53,7 @@ def test_a_mirror_shows_what_lies_in_the_mirrored_direction(link):
     radiance = [
         float(
             np.maximum(
-                sh_basis(np.array([[0, -np.cos(a), np.sin(a)]]), 2) @ light.light.radiance_sh, 0
+                sh_basis(np.array([[0, -np.cos(a), np.sin(a)]]), 2) @ light.shown.radiance_sh, 0
             ).mean()
         )
         for a in (-0.7, 0.7)
@@ -71,11 +72,28 @@ def test_rough_surfaces_reflect_less_of_a_difference(link):
     assert sizes[1] < 0.6 * sizes[0]
 
 
-def test_a_light_from_everywhere_shows_no_view(link):
-    constant = np.zeros((9, 3))
-    constant[0] = 1.0
-    even = SceneLight(Light(radiance_sh=constant), 0.0, "robot")
-    assert np.abs(show_in_light(link, even, UPRIGHT).gaussians.sh[:, 1:]).max() < 1e-6
+def test_the_flatter_the_look_the_more_a_smooth_surface_reflects(link):
+    """A dark plate in an even light of 1: Schlick's law, and nothing of it when rough."""
+    count = len(link.normals)
+    front = np.tile([0.0, -1.0, 0.0], (count, 1)).astype(np.float32)
+    even = SceneLight(hemisphere_light(np.ones(3), np.ones(3)), ToneCurve(), "robot")
+    angles = np.radians([0, 30, 50, 65])
+    for roughness, grazing in ((0.2, 0.8), (1.0, REFLECTED)):
+        plate = replace(
+            link,
+            normals=front,
+            bends=np.zeros_like(front),
+            transfer=open_transfer(front),
+            albedo_linear=np.full((count, 3), 0.05, np.float32),
+            roughness=np.full(count, roughness, np.float32),
+            metallic=np.zeros(count, np.float32),
+        )
+        shown = show_in_light(plate, even, UPRIGHT)
+        ours = [
+            seen_from(shown, even, np.tile([np.sin(a), np.cos(a), 0.0], (count, 1))).mean() for a in angles
+        ]
+        true = srgb_from_linear(0.05 + REFLECTED + (grazing - REFLECTED) * (1 - np.cos(angles)) ** 5)
+        np.testing.assert_allclose(ours, true, atol=0.04)
 
 
 def test_turning_object_and_light_together_changes_nothing(link):
@@ -83,9 +101,9 @@ def test_turning_object_and_light_together_changes_nothing(link):
     radiance[0] = 3.0
     light = Light(radiance_sh=radiance)
     R = matrix_from_rotvec([0.0, 0.0, 0.8])
-    turned = Light(radiance_sh=light.seen_from(R.T))
-    one = show_in_light(link, SceneLight(light, 0.1, "robot"), UPRIGHT)
-    other = show_in_light(link, SceneLight(turned, 0.1, "robot"), R)
+    turned, tone = Light(radiance_sh=light.seen_from(R.T)), ToneCurve(0.8, 0.1)
+    one = show_in_light(link, SceneLight(light, tone, "robot"), UPRIGHT)
+    other = show_in_light(link, SceneLight(turned, tone, "robot"), R)
     np.testing.assert_allclose(one.albedo_linear, other.albedo_linear, atol=1e-4)
     np.testing.assert_allclose(one.gaussians.sh, other.gaussians.sh, atol=1e-4)
 
@@ -96,9 +114,9 @@ def test_a_camera_that_loses_color_shows_greyer_surfaces(link):
     )
     spreads = [
         np.ptp(show_in_light(red, scene_light(loss), UPRIGHT).albedo_linear, axis=1).mean()
-        for loss in (0.0, 0.5)
+        for loss in (0.0, 0.9)
     ]
-    assert spreads[1] == pytest.approx(spreads[0] / 2, rel=0.1)
+    assert spreads[1] < 0.85 * spreads[0]
 
 
 def test_the_fitted_color_is_kept_for_its_own_sake(link):

@@ -12,6 +12,7 @@ from aomgen.core.light import hemisphere_light
 from aomgen.errors import EstimationError
 from aomgen.replacement.light_estimation import SceneLight
 from aomgen.replacement.stage import fit_assets, light_of_assets
+from aomgen.replacement.tone_curve import ToneCurve
 from recordings import gripped_recording
 
 
@@ -44,7 +45,7 @@ def test_a_project_without_assets_has_none() -> None:
     assert fits() == ([], {})
 
 
-SCAN_LIGHT = SceneLight(hemisphere_light(np.ones(3), np.full(3, 0.4)), 0.1, "robot")
+SCAN_LIGHT = SceneLight(hemisphere_light(np.ones(3), np.full(3, 0.4)), ToneCurve(0.8, 0.1), "robot")
 
 
 def chosen(light: str, yaw_deg: float = 0.0) -> SceneLight:
@@ -61,7 +62,7 @@ def test_assets_are_in_the_light_of_the_scene_unless_a_file_is_named(tmp_path: P
     path = tmp_path / "window.pfm"
     path.write_bytes(b"PF\n64 32\n-1.0\n" + window[::-1].astype("<f4").tobytes())
     towards_x, towards_y = (
-        chosen(str(path), yaw_deg).light.irradiance(np.eye(3)).mean(1) for yaw_deg in (0.0, 90.0)
+        chosen(str(path), yaw_deg).shown.irradiance(np.eye(3)).mean(1) for yaw_deg in (0.0, 90.0)
     )
     assert chosen(str(path)).source == "file"
     assert towards_x[0] > 2 * towards_x[1]
