@@ -16,7 +16,7 @@ from torch.nn.functional import avg_pool2d
 from aomgen.conventions import linear_from_srgb
 from aomgen.core.asset import ArticulatedAsset
 from aomgen.core.camera import Camera, look_at
-from aomgen.core.gaussians import SH_C0, concatenate
+from aomgen.core.gaussians import SH_C0, Gaussians, concatenate
 from aomgen.core.light import open_transfer
 from aomgen.core.transforms import apply
 from aomgen.core.values import Array
@@ -33,6 +33,7 @@ from aomgen.splatting.optimizer import (
     parameters_of,
     relocate_and_grow,
 )
+from aomgen.splatting.rasterizer import contribution_weights
 from aomgen.splatting.surfaces import outward_normals
 from aomgen.splatting.surfels import OPACITY, Surfels, bend_normals, hiding_points, surfels_of
 from aomgen.splatting.training import one_torch_thread
@@ -48,6 +49,9 @@ PICTURES, PICTURE_PX = 40, 512
 ROUNDS: Final = 8
 # Gaussians are added after these rounds, where the error of so many pictures is.
 GROW_AFTER, ERROR_PICTURES = (0, 1, 2), 12
+# A Gaussian that paints so much of all pictures, [px] of half their size, takes the normal that they show there, if its
+# parts point the same way by so much.
+SEEN_PX, ONE_SIDE = 0.5, 0.7
 # Opaque enough to hide what is behind, with a gradient left.
 START_OPACITY: Final = 0.7
 # Squared error that a surface may cost which is opaque: what shines through it would be lit as what lies behind.
@@ -108,8 +112,10 @@ def asset_surfels(asset: ArticulatedAsset, rng: np.random.Generator) -> tuple[Su
     with one_torch_thread():
         normals = np.concatenate([cover.normals for cover in covers])
         surface = _Surface(links=links, normals=normals, opaque=opaque)
-        parameters, sources = _fit(asset, parameters_of(discs, 0), surface, _pictures(asset, rng), rng)
+        pictures = _pictures(asset, rng)
+        parameters, sources = _fit(asset, parameters_of(discs, 0), surface, pictures, rng)
     gaussians, count = gaussians_of(parameters), len(covers[0].gaussians)
+    seen = _seen_normals(asset, gaussians, surface.select(sources), pictures)
     albedo = linear_from_srgb(np.clip(0.5 + SH_C0 * gaussians.sh[:, 0], 0, 1)).astype(np.float32)
     fitted = []
     for link, (cover, occlusion) in enumerate(
@@ -117,7 +123,10 @@ def asset_surfels(asset: ArticulatedAsset, rng: np.random.Generator) -> tuple[Su
     ):
         mine = np.flatnonzero(links[sources] == link)
         of_cover = sources[mine] - count * link
-        normals, bends = cover.normals[of_cover], cover.bends[of_cover]
+        normals = seen[mine]
+        # What a normal map adds is in the surface that it was made for.
+        same = (normals * cover.normals[of_cover]).sum(-1, keepdims=True) > ONE_SIDE
+        bends = cover.bends[of_cover] * same
         transfer = occlusion.at(gaussians.means[mine], normals)
         fitted.append(
             Surfels(
@@ -263,6 +272,30 @@ def _shares(
         posed = move_bodies(gaussians, links.astype(np.int32), _link_poses(asset, picture.theta))
         shares += error_shares(posed, [picture.camera], [picture.rgba[:3].numpy()])
     return shares
+
+
+def _seen_normals(
+    asset: ArticulatedAsset, gaussians: Gaussians, surface: _Surface, pictures: list[_Picture]
+) -> NDArray[np.float32]:
+    """Unit normals (N, 3), link frames, of what pictures show where Gaussians are seen: some have come over an edge, or
+    through a wall. Those that are not seen, or from both sides, keep theirs.
+    """
+    sums, weights = np.zeros((len(gaussians), 3)), np.zeros(len(gaussians))
+    for picture in pictures:
+        if picture.normals is None:
+            continue
+        poses = _link_poses(asset, picture.theta)
+        posed = move_bodies(gaussians, surface.links.astype(np.int32), poses)
+        normals = avg_pool2d(picture.normals, 2).numpy()
+        masks = np.concatenate([normals, np.linalg.norm(normals, axis=0, keepdims=True)])
+        half = picture.camera.resized(masks.shape[2], masks.shape[1])
+        painted = contribution_weights(posed, half, masks)
+        sums += np.einsum("nji,nj->ni", poses[surface.links][:, :3, :3], painted[:, :3])
+        weights += painted[:, 3]
+    length = np.linalg.norm(sums, axis=1)
+    known = (weights > SEEN_PX) & (length > ONE_SIDE * weights)
+    found = sums / np.maximum(length, 1e-9)[:, None]
+    return np.where(known[:, None], found, surface.normals).astype(np.float32)
 
 
 def _link_poses(asset: ArticulatedAsset, theta: float) -> Array:

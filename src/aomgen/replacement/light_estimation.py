@@ -41,15 +41,15 @@ FACING, MIN_EYES, MIN_OPEN = 0.2, 0.15, 0.25
 REFLECTED: Final = 0.04
 # Errors of colors beyond this are outliers: glints, wrong links, sRGB.
 OUTLIER: Final = 0.05
-# Standard deviations of bands 1 and 2 of what is not seen, shares of its mean, and of the camera's tone curve about a
-# plain one; what share of all colors weighs as much as one of them.
-BAND_SD, TONE_SD, PRIOR_COLORS = (0.6, 0.4), (0.3, 0.3), 1e-4
-# Power and loss of color of a tone curve stay between these.
-TONE_LIMITS: Final = ((0.4, 1.4), (0.0, 0.95))
+# Standard deviations of bands 1 and 2 of what is not seen, shares of its mean, and of the tone curve; what share of all
+# colors weighs as much as one of them.
+BAND_SD, TONE_SD, PRIOR_COLORS = (0.6, 0.4), 0.3, 1e-4
+# Shoulder and loss of color are at most these.
+MAX_TONE: Final = (2.0, 0.95)
 # A cell of the table weighs as much as so many colors of the robot: that it is grained differs from cell to cell.
 TABLE: Final = 4.0
-# Nearly black surfaces show reflections rather than light, linear.
-MIN_ALBEDO: Final = 0.05
+# Nearly black surfaces show reflections rather than light; below the second number they show both, linear.
+MIN_ALBEDO, BRIGHT = 0.05, 0.1
 # Mean albedo of things, to judge the brightness of light when the robot cannot.
 MEAN_ALBEDO: Final = 0.4
 # Brightness of a white, level surface stays within these limits, linear, 1 = image white.
@@ -86,6 +86,10 @@ class LitSamples:
     seen: Annotated[Array, "N 3"]
 
     __post_init__ = freeze_arrays
+
+    def select(self, which: NDArray | slice) -> "LitSamples":
+        """Some of them."""
+        return LitSamples(transfer=self.transfer[which], albedo=self.albedo[which], seen=self.seen[which])
 
 
 def estimate_light(
@@ -140,37 +144,42 @@ def scene_light(world: Gaussians, labels: NDArray[np.uint8]) -> Light:
 def fit_unseen(samples: LitSamples, around: Probe, table: LitSamples, here: Probe) -> tuple[Array, ToneCurve]:
     """What comes from where the scan shows nothing, as harmonics (9, 3), and the camera's tone curve.
 
+    Dark beside bright parts of the robot tell the curve. But they show reflections too, so that bright ones tell the light.
+
     Args:
         samples: On the robot.
         around: What is seen from its middle.
         table: In the shadow of the recorded object and beside it.
         here: What is seen from the object's place.
     """
+    _, tone = _explain(samples, around, table.select(slice(0)), here, None)
+    bright = samples.select(samples.albedo.mean(1) > BRIGHT)
+    return _explain(bright if len(bright.albedo) else samples, around, table, here, tone)
+
+
+def _explain(
+    samples: LitSamples, around: Probe, table: LitSamples, here: Probe, known: ToneCurve | None
+) -> tuple[Array, ToneCurve]:
+    """The light, and the tone curve unless it is known, that explain samples and table best."""
     wanted = srgb_from_linear(np.clip(samples.seen, 0, 1))
-    grey = srgb_from_linear(np.clip(table.seen.mean(1), 0, 1))
+    grey = srgb_from_linear(np.clip(table.seen.mean(1, keepdims=True), 0, 1))
     spreads = np.repeat(BAND_SD, [3, 5])[:, None]
     weight = np.sqrt(PRIOR_COLORS * len(wanted))
 
     def residuals(unknown: Array) -> Array:
-        unseen, tone, albedo = unknown[:27].reshape(9, 3), ToneCurve(*unknown[27:29]), unknown[29]
-        irradiance = np.maximum(samples.transfer @ radiance_around(around, unseen, tone), 0)
-        shown = tone.show((samples.albedo + REFLECTED) * irradiance)
-        level = np.maximum(table.transfer @ radiance_around(here, unseen, tone), 0).mean(1)
-        shadow = srgb_from_linear(np.maximum((albedo * level) ** tone.gamma, 1e-6)) - grey
+        unseen, albedo, tone = unknown[:27].reshape(9, 3), unknown[27], known or ToneCurve(*unknown[28:])
+        robot = (samples.albedo + REFLECTED) * (samples.transfer @ radiance_around(around, unseen, tone))
+        level = albedo * (table.transfer @ radiance_around(here, unseen, tone)).mean(1, keepdims=True)
+        shown, shadow = (srgb_from_linear(np.maximum(tone.show(light), 1e-6)) for light in (robot, level))
         mean = max(float(np.abs(unseen[0]).mean()), 1e-3)
-        prior = np.append(unseen[1:] / (mean * spreads), (unknown[27:29] - ToneCurve()) / TONE_SD)
-        robot = srgb_from_linear(np.maximum(shown, 1e-6)) - wanted
-        return np.concatenate([robot.ravel(), TABLE * shadow, weight * prior])
+        prior = np.append(unseen[1:] / (mean * spreads), unknown[28:] / TONE_SD)
+        return np.concatenate([(shown - wanted).ravel(), TABLE * (shadow - grey).ravel(), weight * prior])
 
-    start = np.concatenate([np.ones(3), np.zeros(24), [0.9, 0.1, MEAN_ALBEDO]])
-    low, high = (
-        np.concatenate([np.full(27, end), limits, [albedo]])
-        for end, limits, albedo in zip(
-            (-np.inf, np.inf), zip(*TONE_LIMITS, strict=True), (0.01, 1.0), strict=True
-        )
-    )
+    start = np.concatenate([np.ones(3), np.zeros(24), [MEAN_ALBEDO, 0.2, 0.1]])
+    low, high = np.full(30, -np.inf), np.full(30, np.inf)
+    low[27:], high[27:] = (0.01, 0, 0), (1, *MAX_TONE)
     found = least_squares(residuals, start, bounds=(low, high), loss="soft_l1", f_scale=OUTLIER).x
-    return found[:27].reshape(9, 3), ToneCurve(*found[27:29])
+    return found[:27].reshape(9, 3), known or ToneCurve(*found[28:])
 
 
 def radiance_around(around: Probe, unseen: Array, tone: ToneCurve) -> Array:
@@ -197,8 +206,8 @@ def _level(light: SceneLight) -> float:
 
 def _with_level(light: SceneLight, level: float) -> SceneLight:
     """The light made brighter or darker, so that a level white surface is shown with a brightness."""
-    gain = (level / max(_level(light), 1e-6)) ** (1 / light.tone.gamma)
-    return light._replace(arriving=light.arriving.scaled(gain))
+    wanted, now = light.tone.undo(np.array([[level], [_level(light)]])).ravel()
+    return light._replace(arriving=light.arriving.scaled(wanted / max(now, 1e-6)))
 
 
 def _robot_samples(

@@ -28,7 +28,7 @@ BANDS: Final = np.repeat([0, 1, 2], [1, 3, 5])
 # Views of a surface with the normal z, along which it is looked at: half of them show it.
 VIEWS: Final = sphere_directions(128)
 # What the other half would show counts so much; without it harmonics would be anything there.
-BACK: Final = 0.001
+BACK: Final = 0.02
 # Nothing is lit less than this, linear: dividing by it would make small differences large.
 BLACK: Final = 0.002
 
