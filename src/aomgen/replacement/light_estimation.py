@@ -191,7 +191,7 @@ def radiance_around(around: Probe, unseen: Array, tone: ToneCurve) -> Array:
 
 def limit_light(light: SceneLight) -> SceneLight:
     """The light with the shown brightness of a level white surface inside `LIMITS`."""
-    return _with_level(light, np.clip(_level(light), *LIMITS))
+    return _with_level(light, float(np.clip(_level(light), *LIMITS)))
 
 
 def light_of_map(around: EnvironmentMap, scan: SceneLight, source: str) -> SceneLight:
@@ -200,14 +200,19 @@ def light_of_map(around: EnvironmentMap, scan: SceneLight, source: str) -> Scene
 
 
 def _level(light: SceneLight) -> float:
-    """Brightness that pictures show of a level white surface, linear, mean of the channels."""
-    return float(light.shown.irradiance(np.array([[0, 0, 1.0]])).mean())
+    """Brightness that pictures show of a level white surface in as much light without its color, linear."""
+    return float(light.tone.show(np.full(3, _up(light)))[0])
 
 
 def _with_level(light: SceneLight, level: float) -> SceneLight:
     """The light made brighter or darker, so that a level white surface is shown with a brightness."""
-    wanted, now = light.tone.undo(np.array([[level], [_level(light)]])).ravel()
-    return light._replace(arriving=light.arriving.scaled(wanted / max(now, 1e-6)))
+    wanted = float(light.tone.undo(np.full(3, level))[0])
+    return light._replace(arriving=light.arriving.scaled(wanted / max(_up(light), 1e-6)))
+
+
+def _up(light: SceneLight) -> float:
+    """What a level white surface sends back, linear, mean of the channels."""
+    return float(light.arriving.irradiance(np.array([[0, 0, 1.0]])).mean())
 
 
 def _robot_samples(

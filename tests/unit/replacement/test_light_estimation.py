@@ -82,15 +82,17 @@ def table_in(around, tone, albedo):
     [
         (ToneCurve(), 0.0),
         (ToneCurve(color_loss=0.6), 0.0),
-        (ToneCurve(gamma=0.75, color_loss=0.3), 0.0),
-        (ToneCurve(gamma=0.9, color_loss=0.2), 0.1),
+        (ToneCurve(shoulder=0.8, color_loss=0.3), 0.0),
+        (ToneCurve(shoulder=0.3, color_loss=0.2), 0.1),
     ],
 )
 def test_light_from_where_nothing_was_scanned_is_found_on_the_robot(tone, glints):
     around = probe(1.0, tone.show(np.array([0.2, 0.15, 0.1])))
     samples = robot_in(around, tone, np.random.default_rng(0), glints)
     unseen, found = fit_unseen(samples, around, NO_TABLE, around)
-    np.testing.assert_allclose(found, tone, atol=0.08)
+    assert found.shoulder == pytest.approx(tone.shoulder, abs=0.08)
+    # One blue tells little of what is lost of it.
+    assert found.color_loss == pytest.approx(tone.color_loss, abs=0.2)
     true, ours = (
         curve.show(cosine_answer(AXES) @ radiance_around(around, light, curve))
         for light, curve in ((UNSEEN, tone), (unseen, found))
@@ -130,10 +132,9 @@ def test_at_another_place_what_is_seen_there_counts():
     assert (shaded[3] > 0.7 * free[3]).all()
 
 
-def test_a_tone_curve_keeps_white_and_can_be_undone():
-    tone = ToneCurve(gamma=0.7, color_loss=0.6)
+def test_a_tone_curve_can_be_undone():
+    tone = ToneCurve(shoulder=0.7, color_loss=0.6)
     colors = np.random.default_rng(0).uniform(0, 1, (50, 3))
-    np.testing.assert_allclose(tone.show(np.ones((1, 3))), 1)
     np.testing.assert_allclose(tone.undo(tone.show(colors)), colors, atol=1e-12)
     np.testing.assert_allclose(ToneCurve().show(colors), colors)
 
@@ -141,7 +142,7 @@ def test_a_tone_curve_keeps_white_and_can_be_undone():
 def test_bright_colors_lose_more_than_dark_ones():
     red = np.array([0.9, 0.45, 0.45])
     ratios = [
-        float(np.ptp(shown) / shown.max()) for shown in (ToneCurve(1, 0.6).show(red * k) for k in (1, 0.1))
+        float(np.ptp(shown) / shown.max()) for shown in (ToneCurve(0.0, 0.6).show(red * k) for k in (1, 0.1))
     ]
     assert ratios[0] < 0.8 * ratios[1]
 
@@ -268,7 +269,7 @@ def test_a_map_is_as_bright_as_the_scene_and_keeps_its_directions_and_colors(gai
     found = light_of_map(EnvironmentMap(radiance_linear=gain * radiance), scan, "file")
     assert (found.tone, found.source) == (tone, "file")
     answer = found.shown.irradiance(AXES)
-    assert answer[2].mean() == pytest.approx(scan.shown.irradiance(AXES)[2].mean())
+    assert answer[2].mean() == pytest.approx(scan.shown.irradiance(AXES)[2].mean(), rel=0.05)
     arriving = found.arriving.irradiance(AXES)
     assert arriving[1, 0] > 3 * arriving[4, 0] > 0
     assert arriving[1, 0] / arriving[1, 1] == pytest.approx(2.3, abs=0.7)

@@ -62,7 +62,7 @@ def test_assets_are_in_the_light_of_the_scene_unless_a_file_is_named(tmp_path: P
     path = tmp_path / "window.pfm"
     path.write_bytes(b"PF\n64 32\n-1.0\n" + window[::-1].astype("<f4").tobytes())
     towards_x, towards_y = (
-        chosen(str(path), yaw_deg).shown.irradiance(np.eye(3)).mean(1) for yaw_deg in (0.0, 90.0)
+        chosen(str(path), yaw_deg).arriving.irradiance(np.eye(3)).mean(1) for yaw_deg in (0.0, 90.0)
     )
     assert chosen(str(path)).source == "file"
     assert towards_x[0] > 2 * towards_x[1]
