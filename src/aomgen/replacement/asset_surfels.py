@@ -49,7 +49,7 @@ PICTURES, PICTURE_PX = 40, 512
 ROUNDS: Final = 8
 # Gaussians are added after these rounds, where the error of so many pictures is.
 GROW_AFTER, ERROR_PICTURES = (0, 1, 2), 12
-# A Gaussian that paints so much of all pictures, [px] of half their size, takes the normal that they show there, if its
+# A Gaussian that paints so much of every other picture, [px] of half their size, takes the normal that they show there, if its
 # parts point the same way by so much.
 SEEN_PX, ONE_SIDE = 0.5, 0.7
 # Opaque enough to hide what is behind, with a gradient left.
@@ -281,7 +281,7 @@ def _seen_normals(
     through a wall. Those that are not seen, or from both sides, keep theirs.
     """
     sums, weights = np.zeros((len(gaussians), 3)), np.zeros(len(gaussians))
-    for picture in pictures:
+    for picture in pictures[::2]:
         if picture.normals is None:
             continue
         poses = _link_poses(asset, picture.theta)
