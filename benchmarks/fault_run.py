@@ -161,6 +161,7 @@ def _in_own_group(work: Callable[[], object]) -> None:
     try:
         work()
     except AomgenError as error:
+        print(error, file=sys.stderr, flush=True)
         sys.exit(error.exit_code)
 
 

@@ -5,6 +5,7 @@ import os
 import re
 import signal
 import threading
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from functools import partial
@@ -35,6 +36,8 @@ HANGS_S: Final = 1200.0
 NODE: Final = {"num_cpus": 1, "object_store_memory": 80 << 20}
 # Episodes of an asset in a run on Ray; after so many units a worker dies, then a node.
 RAY_POSES, RAY_FAULTS_AFTER = 3, (1, 3)
+# A cluster whose workers are all idle for so long has nothing to do, [s].
+IDLE_S: Final = 20.0
 
 
 def worker_deaths(scratch: Path, deaths: int = 50, requested: int = 200) -> dict[str, int]:
@@ -148,18 +151,21 @@ def _cluster() -> Iterator[Any]:
 
 
 def _kill_ray_worker(cluster: Any) -> None:
-    """Kill a process that is at work.
+    """Kill a process that is at work; between two units none is.
 
     Raises:
-        WorkerError: None is.
+        WorkerError: None is for a while.
     """
-    for node in cluster.list_all_nodes():
-        (raylet,) = node.all_processes["raylet"]
-        for child in _children(raylet.process.pid):
-            with suppress(FileNotFoundError):  # it has ended
-                if b"_do_on_ray" in Path(f"/proc/{child}/cmdline").read_bytes():
-                    os.kill(child, signal.SIGKILL)
-                    return
+    end = time.monotonic() + IDLE_S
+    while time.monotonic() < end:
+        for node in cluster.list_all_nodes():
+            (raylet,) = node.all_processes["raylet"]
+            for child in _children(raylet.process.pid):
+                with suppress(FileNotFoundError, ProcessLookupError):  # it has ended
+                    if b"_do_on_ray" in Path(f"/proc/{child}/cmdline").read_bytes():
+                        os.kill(child, signal.SIGKILL)
+                        return
+        time.sleep(0.01)
     raise WorkerError("ray", "has no worker at work")
 
 
