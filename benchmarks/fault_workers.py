@@ -158,15 +158,22 @@ def _kill_ray_worker(cluster: Any) -> None:
     """
     end = time.monotonic() + IDLE_S
     while time.monotonic() < end:
-        for node in cluster.list_all_nodes():
-            (raylet,) = node.all_processes["raylet"]
-            for child in _children(raylet.process.pid):
-                with suppress(FileNotFoundError, ProcessLookupError):  # it has ended
-                    if b"_do_on_ray" in Path(f"/proc/{child}/cmdline").read_bytes():
-                        os.kill(child, signal.SIGKILL)
-                        return
+        for worker in _at_work(cluster):
+            with suppress(ProcessLookupError):  # it has ended
+                os.kill(worker, signal.SIGKILL)
+                return
         time.sleep(0.01)
     raise WorkerError("ray", "has no worker at work")
+
+
+def _at_work(cluster: Any) -> Iterator[int]:
+    """Processes of a cluster that do a unit now."""
+    for node in cluster.list_all_nodes():
+        (raylet,) = node.all_processes["raylet"]
+        for child in _children(raylet.process.pid):
+            with suppress(FileNotFoundError, ProcessLookupError):  # it has ended
+                if b"_do_on_ray" in Path(f"/proc/{child}/cmdline").read_bytes():
+                    yield child
 
 
 def _children(process: int) -> list[int]:

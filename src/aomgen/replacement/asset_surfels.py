@@ -72,12 +72,12 @@ FOCAL: Final = 1.2
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Picture:
-    """Of the meshes; colors and cover (4, H, W), and normals (3, H, W), zero where there is no one face, if they count."""
+    """Of the meshes; colors and cover (4, H, W), and normals (3, H, W), zero where there is no one face."""
 
     camera: Camera
     theta: float
     rgba: Tensor
-    normals: Tensor | None
+    normals: Tensor
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -198,9 +198,8 @@ def _fit(
         for place, index in enumerate(rng.permutation(len(pictures))):
             step = turn * len(pictures) + place
             picture = pictures[index] if step % 2 else small[index]
-            if step % NORMAL_EVERY != 1:
-                picture = replace(picture, normals=None)
-            gradients = _gradients(asset, parameters, surface.select(sources), picture)
+            with_normals = step % NORMAL_EVERY == 1
+            gradients = _gradients(asset, parameters, surface.select(sources), picture, with_normals)
             decay = DECAY ** (step / steps)
             parameters.step(gradients, parameter_rates(RATES, step_m * decay, decay, 0), compute)
             parameters.values["sh"].clamp_(-0.5 / SH_C0, 0.5 / SH_C0)
@@ -217,7 +216,9 @@ def _fit(
 def _halved(picture: _Picture) -> _Picture:
     half = PICTURE_PX // 2
     camera = picture.camera.resized(half, half)
-    return replace(picture, camera=camera, rgba=avg_pool2d(picture.rgba, 2), normals=None)
+    return replace(
+        picture, camera=camera, rgba=avg_pool2d(picture.rgba, 2), normals=avg_pool2d(picture.normals, 2)
+    )
 
 
 def _gradients(
@@ -225,15 +226,16 @@ def _gradients(
     parameters: Parameters,
     surface: _Surface,
     picture: _Picture,
+    with_normals: bool,
 ) -> dict[str, Tensor]:
-    """Gradients of the squared error of a picture's colors and cover, and of its normals if it has any, by name."""
+    """Gradients of the squared error of a picture's colors and cover, and of its normals if asked for, by name."""
     leaves, poses = parameters.leaves(), _link_poses(asset, picture.theta)
     parts = PartTensors(
         indices=torch.tensor(surface.links, dtype=torch.int32),
         Ts_world_part=torch.tensor(poses, dtype=torch.float32),
     )
     features = None
-    if picture.normals is not None:
+    if with_normals:
         means = leaves["means"].detach().numpy()
         to_eye = _to_eye(means, poses[surface.links], surface.normals, picture.camera)
         features = torch.tensor(to_eye, dtype=torch.float32)
@@ -242,7 +244,7 @@ def _gradients(
     )
     error = (drawn.rgb - picture.rgba[:3]).square().mean() + (drawn.alpha - picture.rgba[3]).square().mean()
     error = error - OPAQUE * (leaves["logit_opacities"].sigmoid() * torch.tensor(surface.opaque)).mean()
-    if drawn.features is not None and picture.normals is not None:
+    if drawn.features is not None:
         one_face = picture.normals.square().sum(0) > 0
         away = (drawn.features.permute(2, 0, 1) - picture.normals) * one_face
         error = error + NORMAL * away.square().mean()
@@ -281,15 +283,12 @@ def _seen_normals(
     through a wall. Those that are not seen, or from both sides, keep theirs.
     """
     sums, weights = np.zeros((len(gaussians), 3)), np.zeros(len(gaussians))
-    for picture in pictures[::2]:
-        if picture.normals is None:
-            continue
+    for picture in map(_halved, pictures[::2]):
         poses = _link_poses(asset, picture.theta)
         posed = move_bodies(gaussians, surface.links.astype(np.int32), poses)
-        normals = avg_pool2d(picture.normals, 2).numpy()
+        normals = picture.normals.numpy()
         masks = np.concatenate([normals, np.linalg.norm(normals, axis=0, keepdims=True)])
-        half = picture.camera.resized(masks.shape[2], masks.shape[1])
-        painted = contribution_weights(posed, half, masks)
+        painted = contribution_weights(posed, picture.camera, masks)
         sums += np.einsum("nji,nj->ni", poses[surface.links][:, :3, :3], painted[:, :3])
         weights += painted[:, 3]
     length = np.linalg.norm(sums, axis=1)

@@ -60,10 +60,9 @@ def find_occlusion(
             transfer, seen = estimate_transfer(points, normals, np.concatenate([solids[k], other]))
             transfers.append(transfer)
             shares.append(seen)
-        opened = np.array(shares)
+        opened = np.array(shares) + 1e-9
         outer = opened.max(0) > CLOSED
         outer |= not outer.any()
-        weights = (opened + 1e-9) / np.sum(opened + 1e-9, 0)
-        transfer = np.einsum("sn,snk->nk", weights, np.array(transfers))
+        transfer = np.einsum("sn,snk->nk", opened / opened.sum(0), np.array(transfers))
         found.append(Occlusion(points[outer], normals[outer], transfer[outer]))
     return found

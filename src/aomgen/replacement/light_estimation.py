@@ -79,7 +79,7 @@ class SceneLight(NamedTuple):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LitSamples:
-    """N places of the robot's surface: what its shape lets light reach, colors of the model and colors seen, linear."""
+    """N places of a surface: what light its shape and what is around let through, its own colors and those seen, linear."""
 
     transfer: Annotated[Array, "N 9"]
     albedo: Annotated[Array, "N 3"]
@@ -191,23 +191,18 @@ def radiance_around(around: Probe, unseen: Array, tone: ToneCurve) -> Array:
 
 def limit_light(light: SceneLight) -> SceneLight:
     """The light with the shown brightness of a level white surface inside `LIMITS`."""
-    return _with_level(light, float(np.clip(_level(light), *LIMITS)))
+    shown = np.clip(light.tone.show(np.full(3, _up(light))), *LIMITS)
+    return _with_level(light, float(light.tone.undo(shown)[0]))
 
 
 def light_of_map(around: EnvironmentMap, scan: SceneLight, source: str) -> SceneLight:
     """The light of a map, as bright on a level surface and shown as the light found in a scan."""
-    return _with_level(SceneLight(around.light(), scan.tone, source), _level(scan))
-
-
-def _level(light: SceneLight) -> float:
-    """Brightness that pictures show of a level white surface in as much light without its color, linear."""
-    return float(light.tone.show(np.full(3, _up(light)))[0])
+    return _with_level(SceneLight(around.light(), scan.tone, source), _up(scan))
 
 
 def _with_level(light: SceneLight, level: float) -> SceneLight:
-    """The light made brighter or darker, so that a level white surface is shown with a brightness."""
-    wanted = float(light.tone.undo(np.full(3, level))[0])
-    return light._replace(arriving=light.arriving.scaled(wanted / max(_up(light), 1e-6)))
+    """The light made brighter or darker, so that a level white surface sends back so much, linear."""
+    return light._replace(arriving=light.arriving.scaled(level / max(_up(light), 1e-6)))
 
 
 def _up(light: SceneLight) -> float:

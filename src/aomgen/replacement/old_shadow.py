@@ -4,6 +4,8 @@ What the object keeps from every place of the table is known for every direction
 explains the brightness that was seen best. Dividing by what arrives takes the shadow away, soft or crisp.
 """
 
+from dataclasses import dataclass
+from functools import cached_property
 from typing import Final
 
 import numpy as np
@@ -36,29 +38,44 @@ GRAIN: Final = 1.1
 SURE, MIN_CELLS, MAX_CELLS = 0.5, 200, 1500
 
 
-def shadow_gain(
-    caster: Gaussians,
-    T_world_plane: Array,
-    low: Array,
-    cell: float,
-    picture_srgb: Array,
-    known: NDArray[np.bool_],
-) -> Array:
-    """Factors (H, W, 3), 1 or more, on sRGB colors of a table that take away the shadow of what stood on it.
+@dataclass(frozen=True, kw_only=True)
+class ShadowedTable:
+    """A table from above, and what stood on it when it was photographed.
 
-    Args:
+    Attributes:
         caster: The object, world frame.
         T_world_plane: The table, z = 0 on it.
         low: Corner of the picture, plane frame (2,).
         cell: Side of its cells, [m].
         picture_srgb: The table from above (H, W, 3).
         known: Cells (H, W) that show the table.
+    """
+
+    caster: Gaussians
+    T_world_plane: Array
+    low: Array
+    cell: float
+    picture_srgb: Array
+    known: NDArray[np.bool_]
+
+    @cached_property
+    def coarse(self) -> tuple[PlaneGrid, Array, Array]:
+        """Cells of the shadow: where they are, the sums (h, w, 3) of the linear colors known in them, and how much is (h, w)."""
+        rows, columns = (-(-side // COARSER) for side in self.known.shape)
+        grid = PlaneGrid(low=self.low, cell=COARSER * self.cell, columns=columns, rows=rows)
+        linear = np.asarray(linear_from_srgb(self.picture_srgb), np.float64)
+        colors = _pooled(linear * self.known[..., None], rows, columns)
+        return grid, colors, _pooled(self.known.astype(float), rows, columns)
+
+
+def shadow_gain(table: ShadowedTable) -> Array:
+    """Factors (H, W, 3), 1 or more, on sRGB colors of a table that take away the shadow of what stood on it.
 
     Not checked: that the table has one color on the whole. Where its brightness changes evenly from side to side it is
     left so.
     """
+    known, (grid, colors, weight) = table.known, table.coarse
     gain = np.ones((*known.shape, 3))
-    grid, colors, weight = _coarse(low, cell, picture_srgb, known)
     sure = weight > SURE
     if not sure.sum() >= MIN_CELLS:
         return gain
@@ -67,7 +84,7 @@ def shadow_gain(
     # An even sky lights a table by the sine of the elevation.
     sines = directions[:, 2]
     # What the object lets through of each.
-    passed = 1 - cast_body(caster, invert(T_world_plane), directions, grid).astype(np.float64)
+    passed = 1 - cast_body(table.caster, invert(table.T_world_plane), directions, grid).astype(np.float64)
     middle = grid.points()[..., :2] - grid.points()[..., :2][sure].mean(0)
     slopes = [sign * middle[..., k] for k in range(2) for sign in (1, -1)]
     A = np.stack([*passed, *slopes], -1)[sure]
@@ -89,39 +106,20 @@ def shadow_gain(
     return gain
 
 
-def lit_cells(
-    caster: Gaussians,
-    T_world_plane: Array,
-    low: Array,
-    cell: float,
-    picture_srgb: Array,
-    known: NDArray[np.bool_],
-    rng: np.random.Generator,
-) -> LitSamples:
-    """Places of a table in the shadow of what stood on it and beside it; arguments as above. Their albedo is not known, 1."""
-    grid, colors, weight = _coarse(low, cell, picture_srgb, known)
+def lit_cells(table: ShadowedTable, rng: np.random.Generator) -> LitSamples:
+    """Places of a table in the shadow of what stood on it and beside it. Their albedo is not known, 1."""
+    grid, colors, weight = table.coarse
     sure = np.argwhere(weight > SURE)
     if not len(sure) >= MIN_CELLS:
         sure = sure[:0]
     sure = tuple(rng.permutation(sure)[:MAX_CELLS].T)
-    points = apply(T_world_plane, grid.points()[sure])
-    up = np.tile(T_world_plane[:3, 2], (len(points), 1))
+    points = apply(table.T_world_plane, grid.points()[sure])
+    up = np.tile(table.T_world_plane[:3, 2], (len(points), 1))
     return LitSamples(
-        transfer=transfer_past(points, up, caster.means.astype(np.float64)),
+        transfer=transfer_past(points, up, table.caster.means.astype(np.float64)),
         albedo=np.ones((len(points), 3)),
         seen=colors[sure] / weight[sure][:, None],
     )
-
-
-def _coarse(
-    low: Array, cell: float, picture_srgb: Array, known: NDArray[np.bool_]
-) -> tuple[PlaneGrid, Array, Array]:
-    """Cells of the shadow: where they are, the sums (h, w, 3) of the linear colors known in them, and how much is (h, w)."""
-    rows, columns = (-(-side // COARSER) for side in known.shape)
-    grid = PlaneGrid(low=low, cell=COARSER * cell, columns=columns, rows=rows)
-    linear = np.asarray(linear_from_srgb(picture_srgb), np.float64)
-    colors = _pooled(linear * known[..., None], rows, columns)
-    return grid, colors, _pooled(known.astype(float), rows, columns)
 
 
 def _pooled(image: Array, rows: int, columns: int) -> Array:

@@ -14,7 +14,7 @@ from aomgen.core.light import project_radiance
 from aomgen.core.transforms import transform
 from aomgen.core.values import Array, freeze_arrays
 from aomgen.splatting.rasterizer import render
-from aomgen.splatting.surfaces import seen_points
+from aomgen.splatting.surfaces import drawn_points
 
 # Pixels along the side of a face of the cube.
 FACE_PX: Final = 24
@@ -60,11 +60,11 @@ def probe_light(world: Gaussians, place: Array, views: Sequence[Camera]) -> Prob
         camera = Camera(
             fx=half, fy=half, cx=half, cy=half, width=FACE_PX, height=FACE_PX, T_world_cam=transform(R, place)
         )
-        drawn, rays = render(world, camera), camera.directions()
+        drawn, rays = render(world, camera, with_ids=True), camera.directions()
         length = np.linalg.norm(rays, axis=-1)
         shown = np.asarray(drawn.rgb, np.float64) / np.maximum(drawn.alpha, MIN_ALPHA)[..., None]
         known = (drawn.alpha > MIN_ALPHA).ravel() & _in_frame(
-            seen_points(world, camera).reshape(-1, 3), views
+            drawn_points(drawn, camera).reshape(-1, 3), views
         )
         found.append((
             (rays / length[..., None]).reshape(-1, 3),

@@ -15,7 +15,7 @@ from aomgen.core.values import Array
 from aomgen.replacement.light_estimation import LitSamples
 from aomgen.replacement.mosaic import Photograph, photograph_surface
 from aomgen.replacement.new_surface import renew_surface
-from aomgen.replacement.old_shadow import lit_cells, shadow_gain
+from aomgen.replacement.old_shadow import ShadowedTable, lit_cells, shadow_gain
 from aomgen.robots.robot import RobotModel
 from aomgen.splatting.rasterizer import contribution_weights
 from aomgen.twin.plan_view import PlanView
@@ -98,10 +98,13 @@ def clear_object(twin: Twin, robot: RobotModel, views: Sequence[Photograph], inp
     of_foot = plan.lookup(other & near, remaining.gaussians, False)
     rest = of_foot & remaining.of_scene & on_surface(remaining.gaussians, support)
     remaining = remaining.select(~rest)
-    shadowed = (world.select(of_object), support.T_world_plane, plan.low, CELL, picture, known)
-    table, gain = lit_cells(*shadowed, np.random.default_rng(0)), shadow_gain(*shadowed)
+    shadowed = ShadowedTable(
+        caster=world.select(of_object), T_world_plane=support.T_world_plane, low=plan.low, cell=CELL,
+        picture_srgb=picture, known=known,
+    )  # fmt: skip
+    table, gain = lit_cells(shadowed, np.random.default_rng(0)), shadow_gain(shadowed)
     deep = known & (gain.max(-1) > MAX_LIFT)
-    known &= ~deep
+    known = known & ~deep
     level = remaining.of_scene & on_surface(remaining.gaussians, support)
     factors = np.where(level[:, None], plan.lookup(gain, remaining.gaussians, 1.0), 1.0)
     lightened = remaining.gaussians.brightened(factors)

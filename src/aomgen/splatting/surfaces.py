@@ -11,7 +11,7 @@ from aomgen.core.camera import Camera
 from aomgen.core.gaussians import Gaussians
 from aomgen.core.sh import sh_basis
 from aomgen.core.values import Array
-from aomgen.splatting.rasterizer import render
+from aomgen.splatting.rasterizer import Rendering, render
 
 # Views are looked at in this width: a pixel is then as wide as depth is uncertain, roughly.
 WIDTH_PX = 320
@@ -75,7 +75,12 @@ def seen_points(gaussians: Gaussians, camera: Camera) -> Array:
 
     The median depth: the mean one is no surface where a few Gaussians shine past an edge from far behind.
     """
-    depth = np.asarray(render(gaussians, camera, with_ids=True).median_depth, np.float64)
+    return drawn_points(render(gaussians, camera, with_ids=True), camera)
+
+
+def drawn_points(drawn: Rendering, camera: Camera) -> Array:
+    """As above, of a picture that was drawn with ids."""
+    depth = np.asarray(drawn.median_depth, np.float64)
     return camera.center + camera.directions() * np.where(depth > 0, depth, np.nan)[..., None]
 
 

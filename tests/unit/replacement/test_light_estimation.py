@@ -271,6 +271,7 @@ def test_a_map_is_as_bright_as_the_scene_and_keeps_its_directions_and_colors(gai
     answer = found.shown.irradiance(AXES)
     assert answer[2].mean() == pytest.approx(scan.shown.irradiance(AXES)[2].mean(), rel=0.05)
     arriving = found.arriving.irradiance(AXES)
+    assert arriving[2].mean() == pytest.approx(scan.arriving.irradiance(AXES)[2].mean())
     assert arriving[1, 0] > 3 * arriving[4, 0] > 0
     assert arriving[1, 0] / arriving[1, 1] == pytest.approx(2.3, abs=0.7)
     assert 1 < answer[1, 0] / answer[1, 1] <= arriving[1, 0] / arriving[1, 1] * 1.001

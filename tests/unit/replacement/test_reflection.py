@@ -113,11 +113,13 @@ def test_a_camera_that_loses_color_shows_greyer_surfaces(link):
     red = replace(
         link, albedo_linear=np.tile(np.array([[0.6, 0.1, 0.1]], np.float32), (len(link.normals), 1))
     )
-    spreads = [
-        np.ptp(show_in_light(red, scene_light(loss), UPRIGHT).albedo_linear, axis=1).mean()
-        for loss in (0.0, 0.9)
-    ]
+    full, lost = (show_in_light(red, scene_light(loss), UPRIGHT).albedo_linear for loss in (0.0, 0.9))
+    spreads = [np.ptp(albedo, axis=1).mean() for albedo in (full, lost)]
     assert spreads[1] < 0.85 * spreads[0]
+    # In proportion to how bright a surface is shown.
+    brightness = (full * (red.transfer @ scene_light().shown.radiance_sh)).mean(1)
+    expected = np.ptp(full, axis=1) * (1 - 0.9 * brightness)
+    assert spreads[1] == pytest.approx(expected.mean(), rel=0.1)
 
 
 def test_the_fitted_color_is_kept_for_its_own_sake(link):
