@@ -44,7 +44,7 @@ class World:
         assets: As in a project.
         demonstrations: Over all objects; 0 where policies are only tried.
         ranges: `episodes.ranges` that are not at their defaults.
-        like: Name of a world with the same recording and objects, whose results up to the fitted objects are taken.
+        like: Name of a world with the same recording, whose results are taken as far as they are the same.
     """
 
     recording: str
@@ -54,6 +54,7 @@ class World:
     like: str = ""
 
 
+UNSEEN: Final = "unseen_microwaves"
 SIZES: Final = {"scale": [0.6, 1.0]}
 VIEWS: Final = {"around": {"turn_deg": [-8.0, 8.0], "tilt_deg": [-8.0, 8.0], "distance": [0.9, 1.1]}}
 WORLDS: Final = {
@@ -63,9 +64,14 @@ WORLDS: Final = {
     "microwave_recovery": World(
         recording="microwave", assets=("microwave:1",), ranges={"push_m": [0.0, 0.02]}, like="microwave"
     ),
-    "microwaves": World(recording="microwave", assets=tuple(f"microwave:{seed}" for seed in range(1, 11))),
-    "unseen_microwaves": World(
-        recording="microwave", assets=tuple(f"microwave:{seed}" for seed in range(21, 26)), demonstrations=0
+    "microwaves": World(
+        recording="microwave", assets=tuple(f"microwave:{seed}" for seed in range(101, 151)), like="microwave"
+    ),
+    UNSEEN: World(
+        recording="microwave",
+        assets=tuple(f"microwave:{seed}" for seed in range(21, 25)),
+        demonstrations=0,
+        like="microwave",
     ),
     "drawer": World(recording="drawer", assets=("drawer:1",)),
     "drawer_sizes": World(recording="drawer", assets=("drawer:1",), ranges=SIZES, like="drawer"),
@@ -102,6 +108,7 @@ class PolicyData:
         run_project: Runs a project until a stage.
         trials: Of a suite.
         demonstrations: At most so many, over all objects of a world.
+        assets: Of the user's, tried beside the made objects that no policy saw.
         workers: Processes.
         tell: Hears what is made.
     """
@@ -113,18 +120,20 @@ class PolicyData:
     tell: Tell
     trials: int = 200
     demonstrations: int = 150
+    assets: tuple[str, ...] = ()
 
     def run(self, name: str) -> Path:
         """Folder of a world's run, up to its episodes, or to its fitted objects where it has none."""
         world, home = WORLDS[name], self.folder / "runs" / name
         wanted = min(world.demonstrations, self.demonstrations)
+        assets = (*world.assets, *(self.assets if name == UNSEEN else ()))
         if world.like and not home.exists():
             self._copy(self.run(world.like), home)
         project = Project(
             capture=self._capture(world.recording),
             out=home,
-            assets=world.assets,
-            poses=max(1, -(-wanted // len(world.assets))),
+            assets=assets,
+            poses=max(1, -(-wanted // len(assets))),
             image_size=DRAWN_SIZE,
             params={"episodes": {"ranges": dict(world.ranges)}} if world.ranges else {},
         )

@@ -81,6 +81,10 @@ def bench_policy(
     quick: Annotated[
         bool, typer.Option("--quick", help="A few demonstrations, steps and trials: whether all of it works.")
     ] = False,
+    assets: Annotated[
+        list[str] | None,
+        typer.Option("--asset", help="Also opened in unseen_table: a USD file, or FILE#JOINT; repeatable."),
+    ] = None,
     workers: Annotated[
         int, typer.Option(min=1, help="Trainings, episodes and rollouts at the same time.")
     ] = 2,
@@ -90,17 +94,22 @@ def bench_policy(
 
     Run it from .venv-policy (`make policy-env`). Hours for all tables; figures are told by `docs/policies.md`.
     """
+    from aomgen.assets.choice import asset_file, open_asset
     from benchmarks.policy import PolicyBench
     from benchmarks.policy_data import PolicyData
     from benchmarks.policy_tables import QUICK, chosen_tables
     from benchmarks.policy_training import QUICK_STEPS, STEPS, Trainer
 
+    named = [str(Path(asset).resolve()) if asset_file(asset) else asset for asset in assets or []]
+    for asset in named:
+        open_asset(asset)
     data = PolicyData(
         folder=out.resolve(),
         capture=sample_capture(),
         run_project=run_project,
         workers=workers,
         tell=partial(print, file=sys.stderr, flush=True),
+        assets=tuple(named),
         **({"trials": 2, "demonstrations": 2} if quick else {}),
     )
     tables = chosen_tables(cells or ([QUICK] if quick else []))

@@ -9,12 +9,13 @@ import numpy as np
 import pytest
 
 from aomgen.core.camera import Camera
+from aomgen.core.project import Project
 from aomgen.episodes.factory import GenerationParams
 from aomgen.errors import BackendError, ConfigError
 from aomgen.io.schema import override
 from benchmarks import policy_video
 from benchmarks.policy import PolicyBench, beats, folder_digest, table_figures
-from benchmarks.policy_data import WORLDS, Trials, moved_cameras
+from benchmarks.policy_data import UNSEEN, WORLDS, PolicyData, Trials, moved_cameras
 from benchmarks.policy_tables import FILMED, QUICK, TABLES, VIDEO, Row, Training, chosen_tables
 from benchmarks.policy_training import Trainer, front_features
 from benchmarks.policy_video import mean_trajectory_error, video_error
@@ -85,8 +86,27 @@ def test_every_cell_has_its_worlds() -> None:
             for policy in row.policies:
                 assert isinstance(policy, str) or WORLDS[policy.world].demonstrations > 0
                 assert isinstance(policy, str) or policy.demonstrations <= WORLDS[policy.world].demonstrations
-    assert not {"microwave:1"} & set(WORLDS["unseen_microwaves"].assets)
-    assert not set(WORLDS["microwaves"].assets) & set(WORLDS["unseen_microwaves"].assets)
+    assert not {"microwave:1"} & set(WORLDS[UNSEEN].assets)
+    assert not set(WORLDS["microwaves"].assets) & set(WORLDS[UNSEEN].assets)
+
+
+def test_objects_of_the_user_are_opened_but_not_learned_from(tmp_path: Path) -> None:
+    made: dict[str, tuple[str, ...]] = {}
+
+    def run_project(project: Project, **_: Any) -> None:
+        project.out.mkdir(parents=True, exist_ok=True)
+        made[project.out.name] = project.assets
+
+    data = PolicyData(
+        folder=tmp_path,
+        capture=tmp_path,
+        run_project=run_project,
+        workers=1,
+        tell=lambda _: None,
+        assets=("mine.usda",),
+    )
+    data.run(UNSEEN)
+    assert made == {"microwave": ("microwave:1",), UNSEEN: (*WORLDS[UNSEEN].assets, "mine.usda")}
 
 
 def test_cameras_move_by_the_asked_way_the_same_way_for_all_lengths() -> None:
