@@ -255,8 +255,15 @@ def walk(solver: IkSolver, T_world_from: Array, Ts_world_to: Array, start: Array
     return joints
 
 
-def converge(solver: IkSolver, Ts_world_ee: Array, starts: Array, iterations: int) -> Array:
+def converge(
+    solver: IkSolver,
+    Ts_world_ee: Array,
+    starts: Array,
+    iterations: int,
+    close: tuple[float, float] = (CLOSE_M, CLOSE_RAD),
+) -> Array:
     """Joints (N, J) after Gauss-Newton steps from `starts` (N, J) towards poses (N, 4, 4), within the joint limits."""
+    close_m, close_rad = close
     low, high = solver.robot.joint_limits.T
     weights = np.repeat([1.0, TURN_WEIGHT_M], 3)[:, None]
     joints = np.clip(starts, low, high)
@@ -264,7 +271,7 @@ def converge(solver: IkSolver, Ts_world_ee: Array, starts: Array, iterations: in
     for _ in range(iterations):
         errors, jacobians = solver.errors(Ts_world_ee[rows], joints[rows])
         squares = errors**2
-        left = (squares[:, :3].sum(1) >= CLOSE_M**2) | (squares[:, 3:].sum(1) >= CLOSE_RAD**2)
+        left = (squares[:, :3].sum(1) >= close_m**2) | (squares[:, 3:].sum(1) >= close_rad**2)
         if not left.any():
             break
         rows, errors, J = rows[left], weights * errors[left, :, None], weights * jacobians[left]

@@ -71,6 +71,21 @@ def test_planned_actions_mean_the_planned_joints(world: World, space) -> None:
         assert target[-1] == plan.gripper[frame + 1]
 
 
+@pytest.mark.parametrize("space", ["ee_absolute", "ee_delta"])
+def test_an_arm_that_is_nearly_stretched_does_not_lag_behind_its_hand(world: World, space) -> None:
+    """There the last tenths of a millimetre are degrees of the elbow, and an arm that catches up is too fast."""
+    plan, solver = world.plan(0), world.factory.solver
+    joints = np.repeat(plan.joints[:1], len(plan), 0)
+    elbow = np.deg2rad(3.0 + 32.0 * np.linspace(-1, 1, len(plan)) ** 2)
+    joints[:, 2] = np.copysign(elbow, joints[0, 2])
+    stretched = replace(plan, joints=joints, Ts_world_ee=solver.robot.ee_poses(joints))
+    targets = Targets(space, solver, np.append(joints[0], 0.0))
+    for frame in range(len(plan) - 1):
+        target = targets.take(planned_action(stretched, frame, space).astype(np.float32).astype(float))
+        assert target is not None
+        np.testing.assert_allclose(target[:-1], joints[frame + 1], atol=np.deg2rad(0.2))
+
+
 def test_who_does_nothing_opens_nothing(world: World) -> None:
     still = np.append(world.suite.trials[0].joints, 0.0)
     rollout = played(world, 0, np.tile(still, (world.suite.max_frames, 1)))
