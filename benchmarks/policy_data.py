@@ -54,6 +54,8 @@ class World:
     like: str = ""
 
 
+# Seeds of microwaves to learn from: between 101 and 150 all that find room on the recorded table.
+SMALL: Final = sorted({*range(101, 151)} - {117, 118, 119, 123, 125, 130, 131, 137, 141, 142, 147})
 UNSEEN: Final = "unseen_microwaves"
 SIZES: Final = {"scale": [0.6, 1.0]}
 VIEWS: Final = {"around": {"turn_deg": [-8.0, 8.0], "tilt_deg": [-8.0, 8.0], "distance": [0.9, 1.1]}}
@@ -65,7 +67,7 @@ WORLDS: Final = {
         recording="microwave", assets=("microwave:1",), ranges={"push_m": [0.0, 0.02]}, like="microwave"
     ),
     "microwaves": World(
-        recording="microwave", assets=tuple(f"microwave:{seed}" for seed in range(101, 151)), like="microwave"
+        recording="microwave", assets=tuple(f"microwave:{seed}" for seed in SMALL), like="microwave"
     ),
     UNSEEN: World(
         recording="microwave",
