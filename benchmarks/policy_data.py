@@ -16,7 +16,7 @@ from aomgen.datasets.selection import MARK
 from aomgen.evaluation.draws import SuiteRequest, make_suite
 from aomgen.evaluation.suite import open_results, open_suite, write_suite
 from aomgen.io.episode_folder import list_committed
-from aomgen.pipeline.runner import results_of
+from aomgen.pipeline.runner import LOCK_FILE, results_of
 from aomgen.pipeline.stages import PROJECT_FILE, STAGES
 from aomgen.synthetic.world import make_capture
 from benchmarks.policy_visuals import redraw
@@ -191,7 +191,7 @@ class PolicyData:
     def _copy(source: Path, home: Path) -> None:
         """The results of a run up to its fitted objects, without taking space."""
         own = [stage.folder for stage in STAGES if stage.name in OWN_STAGES]
-        ignored = shutil.ignore_patterns(PROJECT_FILE, "run.json", *own)
+        ignored = shutil.ignore_patterns(PROJECT_FILE, "run.json", LOCK_FILE, *own)
         shutil.copytree(source, home, copy_function=os.link, ignore=ignored)
 
 

@@ -27,6 +27,7 @@ from aomgen.results import Results
 
 TIMINGS = "timings.json"
 STARTED = "started.json"
+LOCK_FILE = ".lock"
 # Figures under this name are sentences that the user should read: what may go wrong with this input.
 WARNINGS = "warnings"
 
@@ -215,7 +216,7 @@ def locked(out: Path) -> Iterator[None]:
         StorageError: The disk refuses.
     """
     _make_folder(out)
-    path = out / ".lock"
+    path = out / LOCK_FILE
     if not path.exists():
         write_text(path, "")
     with path.open("r+") as file:

@@ -13,6 +13,7 @@ from aomgen.core.project import Project
 from aomgen.episodes.factory import GenerationParams
 from aomgen.errors import BackendError, ConfigError
 from aomgen.io.schema import override
+from aomgen.pipeline.runner import LOCK_FILE
 from benchmarks import policy_video
 from benchmarks.policy import PolicyBench, beats, folder_digest, table_figures
 from benchmarks.policy_data import UNSEEN, WORLDS, PolicyData, Trials, moved_cameras
@@ -95,6 +96,7 @@ def test_objects_of_the_user_are_opened_but_not_learned_from(tmp_path: Path) -> 
 
     def run_project(project: Project, **_: Any) -> None:
         project.out.mkdir(parents=True, exist_ok=True)
+        (project.out / LOCK_FILE).touch()
         made[project.out.name] = project.assets
 
     data = PolicyData(
@@ -107,6 +109,9 @@ def test_objects_of_the_user_are_opened_but_not_learned_from(tmp_path: Path) -> 
     )
     data.run(UNSEEN)
     assert made == {"microwave": ("microwave:1",), UNSEEN: (*WORLDS[UNSEEN].assets, "mine.usda")}
+    # Both may be worked on at the same time.
+    locks = [tmp_path / "runs" / name / LOCK_FILE for name in made]
+    assert len({lock.stat().st_ino for lock in locks}) == 2
 
 
 def test_cameras_move_by_the_asked_way_the_same_way_for_all_lengths() -> None:
