@@ -71,7 +71,7 @@ WORLDS: Final = {
     ),
     UNSEEN: World(
         recording="microwave",
-        assets=tuple(f"microwave:{seed}" for seed in range(21, 25)),
+        assets=tuple(f"microwave:{seed}" for seed in range(22, 26)),
         demonstrations=0,
         like="microwave",
     ),
