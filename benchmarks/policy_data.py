@@ -135,7 +135,8 @@ class PolicyData:
             capture=self._capture(world.recording),
             out=home,
             assets=assets,
-            poses=max(1, -(-wanted // len(assets))),
+            # Of many objects some find no more: the others make up for them.
+            poses=max(1, -(-wanted // len(assets))) + (len(assets) > 1),
             image_size=DRAWN_SIZE,
             params={"episodes": {"ranges": dict(world.ranges)}} if world.ranges else {},
         )
