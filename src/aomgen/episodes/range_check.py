@@ -1,4 +1,4 @@
-"""Refuse ranges in which an object can stand or be held nowhere, before anything is made."""
+"""Refuse ranges in which no object can stand or be held anywhere, before anything is made."""
 
 from collections import Counter
 from pathlib import Path
@@ -29,11 +29,14 @@ WORDS: Final = {
 
 
 def check_ranges(factory: EpisodeFactory, folder: Path) -> None:
-    """Look at the first draws of every asset; write a picture into `folder` where none of one's can be used.
+    """Look at the first draws of every asset; write a picture into `folder` where none of any one's can be used.
+
+    An asset that alone finds no place is left to the drawing, which says so in its account.
 
     Raises:
-        ConfigError: Which asset, where its draws are, and where table and arm are.
+        ConfigError: Where the first asset's draws are, and where table and arm are.
     """
+    homeless = []
     for number, (fitted, found) in enumerate(
         zip(factory.results.fitted_assets, factory.reach_maps, strict=True)
     ):
@@ -42,9 +45,10 @@ def check_ranges(factory: EpisodeFactory, folder: Path) -> None:
             variation = factory.variation(Unit(asset=number, index=index))
             reasons[variation] = _reason(factory, variation, fitted, found)
             if not reasons[variation]:
-                break
-        else:
-            raise _refusal(factory, fitted, reasons, folder / PICTURE)
+                return
+        homeless.append((fitted, reasons))
+    fitted, reasons = homeless[0]
+    raise _refusal(factory, fitted, reasons, folder / PICTURE)
 
 
 def _reason(factory: EpisodeFactory, variation: Variation, fitted: FittedAsset, found: ReachMap) -> str:

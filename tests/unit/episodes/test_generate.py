@@ -311,6 +311,21 @@ def test_ranges_that_hold_no_place_are_refused_before_work(tmp_path, name):
     ElementTree.parse(picture)
 
 
+def test_an_asset_without_a_place_leaves_the_others_theirs(tmp_path):
+    around = fitted_drawer().T_world_asset[:2, 3]
+    table = replace(SUPPORT, low_xy=around - 2, high_xy=around + 2)
+    results = toy_run(tmp_path, assets=2, poses=1, support=table)
+    here, there = results.fitted_assets
+    T = there.T_world_asset.copy()
+    T[0, 3] += 3.0
+    vars(results)["fitted_assets"] = [replace(there, T_world_asset=T), here]
+    found = run(results, results.folders["episodes"], lambda share, text: None)
+    assert found["episodes"] == 1
+    (warning,) = found["warnings"]
+    assert warning.startswith("asset drawer-1: 0 of 1 episodes after 0 attempts")
+    assert "off_table" in warning
+
+
 def test_what_a_user_sets_by_name_arrives(tmp_path):
     named = {"attempts_per_episode": 2, "free_cameras": 1, "ranges": {"x_m": [0, 0.1], "polygon": []}}
     wanted = GenerationParams(attempts_per_episode=2, free_cameras=1, ranges=Ranges(x_m=(0.0, 0.1)))
