@@ -29,9 +29,9 @@ WORDS: Final = {
 
 
 def check_ranges(factory: EpisodeFactory, folder: Path) -> None:
-    """Look at the first draws of every asset; write a picture into `folder` where none of any one's can be used.
+    """Look at the first draws of the assets until one can be used; where none can, write a picture into `folder`.
 
-    An asset that alone finds no place is left to the drawing, which says so in its account.
+    An asset that alone finds no place is told of in its account when the others are made.
 
     Raises:
         ConfigError: Where the first asset's draws are, and where table and arm are.
