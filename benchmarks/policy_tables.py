@@ -8,7 +8,7 @@ from aomgen.errors import ConfigError
 from aomgen.evaluation.policies import NEAREST, ORACLE
 from aomgen.evaluation.views import VISUALS, Visuals
 from aomgen.io.schema import suggest
-from benchmarks.policy_data import Sight, Trials
+from benchmarks.policy_data import UNSEEN, Sight, Trials
 
 SEEDS: Final = (0, 1, 2)
 FULL: Final = 150
@@ -122,11 +122,15 @@ TABLES: Final = {
     "gpu.diffusion": _on_gpu("diffusion"),
     "unseen_table": [
         Row(
-            label={"training": label},
-            policies=(Training(world=world),),
-            test=Trials(world="unseen_microwaves"),
+            label={"training": label, "demonstrations": count},
+            policies=(Training(world=world, demonstrations=count),),
+            test=Trials(world=UNSEEN),
         )
-        for label, world in (("single", "microwave"), ("mixed", "microwaves"))
+        for label, world, count in (
+            ("single", "microwave", FULL),
+            ("mixed", "microwaves", FULL),
+            ("mixed", "microwaves", 3 * FULL),
+        )
     ],
     "renderer_table": [
         Row(

@@ -9,6 +9,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final
 
+from pyarrow.parquet import read_table
+
 from aomgen.errors import BackendError
 from aomgen.evaluation.lerobot_policy import IMAGES, LAST, STATE, TRAINING, WEIGHTS
 from aomgen.io.artifact import read_json
@@ -19,6 +21,8 @@ from benchmarks.policy_tables import Kind, Training
 # Of every training: AdamW's steps, demonstrations a step, and steps between checkpoints, from which a killed one goes on.
 STEPS, BATCH, SAVE_EVERY = 5000, 32, 1000
 QUICK_STEPS: Final = 3
+# Column of the dataset's table of demonstrations.
+ASSET: Final = "aomgen/asset"
 # LeRobot's own policies would ask its hub for the weights of an encoder.
 ON_GPU: Final = ("--policy.device=cuda", "--policy.pretrained_backbone_weights=null")
 NETWORKS: Final[Mapping[Kind, tuple[str, ...]]] = {
@@ -74,8 +78,7 @@ class Trainer:
             words = [
                 *NETWORKS[training.kind], "--policy.push_to_hub=false",
                 f"--dataset.repo_id=local/{training.world}", f"--dataset.root={dataset}",
-                # Draws fill their ranges evenly from the first on.
-                f"--dataset.episodes={list(range(max(training.demonstrations, 1)))}",
+                f"--dataset.episodes={first_draws(dataset, max(training.demonstrations, 1))}",
                 f"--output_dir={home}", f"--seed={training.seed}", f"--steps={steps}",
                 f"--batch_size={BATCH}", "--num_workers=0", f"--save_freq={min(SAVE_EVERY, steps)}",
                 "--wandb.enable=false", "--eval_freq=0",
@@ -94,6 +97,14 @@ class Trainer:
         if done.returncode:
             raise BackendError("lerobot-train", f"ended with exit code {done.returncode}", f"see {log}")
         return home
+
+
+def first_draws(dataset: Path, count: int) -> list[int]:
+    """Numbers of so many demonstrations, of as many objects as there are; draws fill their ranges evenly from the first on."""
+    files = sorted((dataset / "meta" / "episodes").rglob("*.parquet"))
+    assets = [name for file in files for name in read_table(file, columns=[ASSET])[ASSET].to_pylist()]
+    before = [assets[:number].count(name) for number, name in enumerate(assets)]
+    return sorted(sorted(range(len(assets)), key=before.__getitem__)[:count])
 
 
 def front_features(dataset: Path) -> dict[str, Any]:

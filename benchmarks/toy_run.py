@@ -17,8 +17,10 @@ from aomgen.core.gaussians import gaussians_of
 from aomgen.core.light import hemisphere_light
 from aomgen.core.project import Project
 from aomgen.core.transforms import transform
-from aomgen.episodes.grasp_choice import GRASPS_FOLDER, GraspChoice
+from aomgen.episodes.grasp_choice import GRASPS_FOLDER, WorkingGrasps, choose_grasp
+from aomgen.episodes.grasps import grasps
 from aomgen.episodes.ik import ik_solver
+from aomgen.episodes.retarget import DemonstratedMotion
 from aomgen.io.artifact import save_artifact
 from aomgen.results import ASSET_USD, FITTED, Results
 from aomgen.robots.loading import load_robot
@@ -30,8 +32,8 @@ from aomgen.twin.twin import Twin, TwinState, body_list
 from benchmarks.toy_drawer import SUPPORT, fitted_drawer, opening
 
 SURFELS = 300
-# What is chosen for the drawer.
-GRASP = GraspChoice(usual="tilt +0, turn 1.00", mean_rad=0.011, draws=24)
+# How the drawer is held.
+GRASP_NAME = "tilt +0, turn 1.00"
 SIZE = (64, 48)
 FOLDERS = {"replacement": "07_replacement", "episodes": "08_episodes", "dataset": "dataset"}
 
@@ -116,6 +118,10 @@ def toy_run(
         surfels_of(link.meshes, SURFELS, np.random.default_rng(0))
         for link in (fitted.asset.static, fitted.asset.moving)
     )
+    shown = DemonstratedMotion(results.demonstration)
+    offered = grasps(fitted, shown.hand_at_closed(fitted), [0.01], shown.demo.ee_turn_ratio)
+    working = WorkingGrasps(draws=(tuple(grasp for grasp in offered if grasp.name == GRASP_NAME),))
+    chosen = folders["episodes"] / GRASPS_FOLDER
     for number in range(len(results.project.assets)):
         home = results.asset_folder(number)
         named = replace(fitted, asset=replace(plain, name=f"drawer-{number}"))
@@ -124,7 +130,8 @@ def toy_run(
         background = _table(robot, fitted.T_world_asset)
         twin = with_object(background, static, moving, fitted.asset.joint, light, fitted.T_world_asset)
         save_artifact(home, "twin", twin)
-        save_artifact(folders["episodes"] / GRASPS_FOLDER, unit_name(number), GRASP)
+        save_artifact(chosen, unit_name(number), working)
+    save_artifact(chosen, fitted.asset.category, choose_grasp(working.draws))
     return results
 
 

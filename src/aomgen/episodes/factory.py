@@ -17,7 +17,14 @@ from aomgen.assets.usd_write import write_for_replay
 from aomgen.core.camera import Camera
 from aomgen.core.plan import EpisodePlan, FittedAsset, Rejection, Variation, VerifiedEpisode
 from aomgen.episodes.generate import MAX_SKIPPED
-from aomgen.episodes.grasp_choice import DRAWS, GRASPS_FOLDER, GraspChoice, choose_grasp
+from aomgen.episodes.grasp_choice import (
+    DRAWS,
+    GRASPS_FOLDER,
+    LEAST_DRAWS,
+    GraspChoice,
+    WorkingGrasps,
+    choose_grasp,
+)
 from aomgen.episodes.grasp_plan import PlanParams
 from aomgen.episodes.grasps import Grasp
 from aomgen.episodes.ik import IkSolver, ik_solver
@@ -171,23 +178,35 @@ class EpisodeFactory:
                 fitted, demo, variation, scene, self.solver, self.plan_params, opened.usual_grasp
             )
 
-    def grasp_choice(self, number: int) -> GraspChoice:
-        """The usual grasp of an asset, from its first draws; that of the stage where it has chosen."""
+    def usual_grasp(self, category: str) -> GraspChoice:
+        """Of all objects of a category; that of the stage where it has chosen."""
         chosen = self.folder / GRASPS_FOLDER
-        if (chosen / f"{unit_name(number)}.json").is_file():
-            return load_artifact(chosen, unit_name(number), GraspChoice)
+        if (chosen / f"{category}.json").is_file():
+            return load_artifact(chosen, category, GraspChoice)
+        working = [self.working_grasps(number).draws for number in self._alike(category)]
+        return choose_grasp([grasps for draws in working for grasps in draws])
+
+    def working_grasps(self, number: int) -> WorkingGrasps:
+        """Of the first draws of an asset; those of the stage where it has looked."""
+        found = self.folder / GRASPS_FOLDER
+        if (found / f"{unit_name(number)}.json").is_file():
+            return load_artifact(found, unit_name(number), WorkingGrasps)
+        opened, demo = self.asset(number), self.results.demonstration
+        # The paper's method knows one grasp.
+        wanted = max(LEAST_DRAWS, DRAWS // len(self._alike(opened.fitted.asset.category)))
+        wanted *= self.plan_params.method != "paper"
         draws = (self.screen(Unit(asset=number, index=index)) for index in range(MAX_SKIPPED))
         passing = (variation for variation, rejection in draws if rejection is None)
-        # The paper's method knows one grasp.
-        wanted = 0 if self.plan_params.method == "paper" else DRAWS
-        return choose_grasp(
-            [self._working_grasps(number, variation) for variation in islice(passing, wanted)]
+        tasks = (
+            open_task(fitted, demo, variation, scene, self.solver, self.plan_params)
+            for variation in islice(passing, wanted)
+            for fitted, scene in [opened.sized(variation.scale)]
         )
+        return WorkingGrasps(draws=tuple(tuple(working_grasps(task)) for task in tasks))
 
-    def _working_grasps(self, number: int, variation: Variation) -> list[Grasp]:
-        fitted, scene = self.asset(number).sized(variation.scale)
-        demo = self.results.demonstration
-        return working_grasps(open_task(fitted, demo, variation, scene, self.solver, self.plan_params))
+    def _alike(self, category: str) -> list[int]:
+        assets = enumerate(self.results.fitted_assets)
+        return [number for number, fitted in assets if fitted.asset.category == category]
 
     def certify(self, opened: "OpenAsset", variation: Variation) -> VerifiedEpisode | Rejection:
         """Plan for a variation of an asset and verify the plan."""
@@ -280,9 +299,9 @@ class OpenAsset:
     digests: Mapping[str, str]
 
     @cached_property
-    def usual_grasp(self) -> str:
-        """Name of the grasp that plans keep near to."""
-        return self.factory.grasp_choice(self.number).usual
+    def usual_grasp(self) -> Grasp | None:
+        """That plans keep near to."""
+        return self.factory.usual_grasp(self.fitted.asset.category).usual
 
     @cached_property
     def sized(self) -> Callable[[float], tuple[FittedAsset, Scene]]:
@@ -326,9 +345,9 @@ class OpenAsset:
         return cast_soft_shadow(self.twin, self.factory.results.episode_scene.T_world_plane, 1)
 
 
-def open_choosing(results: Results, folder: Path) -> Callable[[int], GraspChoice]:
-    """What a worker calls that chooses the grasps of assets."""
-    return EpisodeFactory(results, folder).grasp_choice
+def open_grasping(results: Results, folder: Path) -> Callable[[int], WorkingGrasps]:
+    """What a worker calls that looks which grasps work for assets."""
+    return EpisodeFactory(results, folder).working_grasps
 
 
 def open_factory(results: Results, folder: Path) -> Work:

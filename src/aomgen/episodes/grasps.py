@@ -108,7 +108,7 @@ def grasps(
     R_front_ee: Array,
     depths: Sequence[float],
     turn_ratio: float,
-    usual: str = "",
+    usual: Grasp | None = None,
 ) -> Iterator[Grasp]:
     """Grasps to try with the first depth, those like the usual one first, or else like the demonstrated one.
 
@@ -118,7 +118,7 @@ def grasps(
         R_front_ee: As for `orientations`.
         depths: See `grasp_depths`, [m].
         turn_ratio: Demonstrated turn of the hand over turn of the part; a revolute part may be followed with less.
-        usual: Name of a grasp, see `grasp_choice`.
+        usual: See `grasp_choice`; maybe another object's.
     """
     asset, revolute = fitted.asset, fitted.asset.joint.type == "revolute"
     ratio = float(np.clip(turn_ratio, 0.0, 1.0)) if revolute else 1.0
@@ -130,9 +130,8 @@ def grasps(
         for share in ratios
         if plate is None or abs(plate @ R[:, 1]) >= MIN_ACROSS_RIM
     ]
-    like = next((way for way in ways if way.name == usual), None)
-    if like is not None:
-        ways.sort(key=lambda way: round(difference(way, like), 6))
+    if usual is not None:
+        ways.sort(key=lambda way: round(difference(way, usual), 6))
     for depth, way in product(depths, ways):
         yield replace(way, held_ee=np.array([0.0, 0.0, depth]))
 

@@ -54,7 +54,7 @@ def plan_episode(
     scene: Scene,
     solver: IkSolver,
     params: PlanParams,
-    usual: str = "",
+    usual: Grasp | None = None,
 ) -> EpisodePlan | Rejection:
     """Plan one episode, with the grasp most like the usual one that works, or else like the demonstrated one.
 
@@ -62,7 +62,7 @@ def plan_episode(
         fitted: The object and its planned motion. It faces as the recorded object did, so its
             axes are those in which the demonstrated hand is understood.
         scene: Robot, table and this asset, at any pose.
-        usual: Name of a grasp, see `grasp_choice`.
+        usual: See `grasp_choice`.
 
     Returns:
         The plan; or the Rejection of the grasp that came farthest, its metrics with the number of
@@ -73,7 +73,7 @@ def plan_episode(
     found = _plan(task, motions, WAYS + DETOURS if params.method == "aomgen" else WAYS[:1])
     if isinstance(found, Rejection):
         return found
-    return _nearer(task, motions[0], found).plan if motions[0].grasp.name == usual else found.plan
+    return found.plan if usual is None else _nearer(task, motions[0], found).plan
 
 
 class _Planned(NamedTuple):
@@ -176,7 +176,7 @@ def open_task(
     )
 
 
-def _motions(task: PlanTask, usual: str = "") -> list[RetargetedMotion]:
+def _motions(task: PlanTask, usual: Grasp | None = None) -> list[RetargetedMotion]:
     """Of all grasps, from the arm's first joints."""
     robot, fitted = task.placed.robot, task.fitted
     moved = not np.array_equal(task.start, task.shown.demo.joints[0])
@@ -209,7 +209,7 @@ def retarget(
     robot: RobotModel,
     method: Method,
     T_world_start: Array | None = None,
-    usual: str = "",
+    usual: Grasp | None = None,
 ) -> list[RetargetedMotion]:
     """The motions with all grasps that a method tries, in the order of `grasps`.
 

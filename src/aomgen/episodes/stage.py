@@ -12,9 +12,9 @@ from typing import Any
 
 from aomgen.core.progress import Progress
 from aomgen.episodes.distributions import distributions
-from aomgen.episodes.factory import EpisodeFactory, open_choosing, open_factory
+from aomgen.episodes.factory import EpisodeFactory, open_factory, open_grasping
 from aomgen.episodes.generate import generate
-from aomgen.episodes.grasp_choice import GRASPS_FOLDER, GraspChoice
+from aomgen.episodes.grasp_choice import GRASPS_FOLDER, WorkingGrasps
 from aomgen.episodes.ledger import Account, Request, read_accounts, read_draws
 from aomgen.episodes.range_check import check_ranges
 from aomgen.episodes.reach_map import REACH_MAP
@@ -45,11 +45,13 @@ def run(
         save_artifact(folder, REACH_MAP.format(number), found)
     # A copy without what has been read.
     opened = (replace(results), folder)
-    SavedUnits(folder / GRASPS_FOLDER, {}, GraspChoice).make(
+    SavedUnits(folder / GRASPS_FOLDER, {}, WorkingGrasps).make(
         range(len(request.assets)),
-        open_executor(results, partial(open_choosing, *opened), factory.params.timeout_s),
-        lambda share, text: progress(0.0, f"grasps of {text} assets chosen"),
+        open_executor(results, partial(open_grasping, *opened), factory.params.timeout_s),
+        lambda share, text: progress(0.0, f"grasps of {text} assets tried"),
     )
+    for category in {fitted.asset.category for fitted in results.fitted_assets}:
+        save_artifact(folder / GRASPS_FOLDER, category, factory.usual_grasp(category))
     with open_executor(results, partial(open_factory, *opened), factory.params.timeout_s) as executor:
         generate(folder, request, executor, factory.screen, progress, on_done)
     accounts = read_accounts(folder)

@@ -213,11 +213,15 @@ def test_episodes_of_a_toy_run_are_real(tmp_path):
         },
     )
     folder = results.folders["episodes"]
-    chosen = load_artifact(folder / GRASPS_FOLDER, "0000", GraspChoice)
+    assert results.fitted_assets[0].asset.category == "drawer"
+    chosen = load_artifact(folder / GRASPS_FOLDER, "drawer", GraspChoice).usual
+    assert chosen is not None
     shutil.rmtree(folder / GRASPS_FOLDER)
     figures = run(results, folder, lambda share, text: None)
     assert (figures["episodes"], figures["short"]) == (2, 0)
-    assert load_artifact(folder / GRASPS_FOLDER, "0000", GraspChoice).usual == chosen.usual
+    found = load_artifact(folder / GRASPS_FOLDER, "drawer", GraspChoice).usual
+    assert found is not None
+    assert (found.name, found.turn_ratio) == (chosen.name, chosen.turn_ratio)
     assert (folder / DRAWS_FILE).is_file()
     committed, _ = ended_units(folder)
     for path in list_committed(folder):

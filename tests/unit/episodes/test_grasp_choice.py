@@ -1,6 +1,7 @@
 """Demonstrations of an object keep near to one grasp."""
 
 import re
+from dataclasses import replace
 from itertools import chain
 
 import numpy as np
@@ -11,11 +12,12 @@ from hypothesis import strategies as st
 from aomgen.core.demonstration import Demonstration
 from aomgen.core.plan import EpisodePlan, FittedAsset, Variation
 from aomgen.core.transforms import matrix_from_rotvec
-from aomgen.episodes.grasp_choice import choose_grasp
+from aomgen.episodes.grasp_choice import GraspChoice, choose_grasp
 from aomgen.episodes.grasp_plan import PlanParams
 from aomgen.episodes.grasps import Grasp, difference, grasps
 from aomgen.episodes.ik import IkSolver
 from aomgen.episodes.planning import open_task, plan_episode, working_grasps
+from aomgen.episodes.retarget import DemonstratedMotion
 from aomgen.robots.robot import RobotModel
 from aomgen.simulation.scene import build_scene
 from benchmarks.toy_drawer import SUPPORT
@@ -32,16 +34,20 @@ def turned(deg: float, turn_ratio: float = 1.0) -> Grasp:
     )
 
 
+def usual_name(chosen: GraspChoice) -> str:
+    return "" if chosen.usual is None else chosen.usual.name
+
+
 def test_the_usual_grasp_is_in_the_middle_of_what_is_needed() -> None:
     # Most draws could use 40, but the others would then differ by more than those from 20.
     chosen = choose_grasp([[turned(40), turned(20)], [turned(40)], [turned(20), turned(0)], [turned(0)], []])
-    assert (chosen.usual, chosen.draws) == ("20 1", 5)
+    assert (usual_name(chosen), chosen.draws) == ("20 1", 5)
     assert chosen.mean_rad == pytest.approx(np.deg2rad(10.0))
 
 
 def test_of_equals_the_nearest_to_the_demonstrated_is_chosen() -> None:
-    assert choose_grasp([[turned(0), turned(10)], [turned(0), turned(10)]]).usual == "0 1"
-    assert choose_grasp([[], []]).usual == ""
+    assert usual_name(choose_grasp([[turned(0), turned(10)], [turned(0), turned(10)]])) == "0 1"
+    assert choose_grasp([[], []]).usual is None
 
 
 def test_hands_that_turn_less_with_a_door_differ() -> None:
@@ -56,7 +62,7 @@ def test_no_other_grasp_is_nearer_to_those_of_the_draws(working: list[list[float
         turned(usual).name: np.mean([min(abs(usual - angle) for angle in angles) for angles in served])
         for usual in chain.from_iterable(served)
     }
-    assert (chosen.usual in means) == bool(served)
+    assert (usual_name(chosen) in means) == bool(served)
     if served:
         assert np.rad2deg(chosen.mean_rad) == pytest.approx(min(means.values()))
 
@@ -64,7 +70,7 @@ def test_no_other_grasp_is_nearer_to_those_of_the_draws(working: list[list[float
 def test_grasps_like_the_usual_one_are_tried_first(fitted: FittedAsset) -> None:
     tried = list(grasps(fitted, np.eye(3), [0.01], 1.0))
     usual = tried[7]
-    again = list(grasps(fitted, np.eye(3), [0.01], 1.0, usual.name))
+    again = list(grasps(fitted, np.eye(3), [0.01], 1.0, usual))
     assert sorted(grasp.name for grasp in again) == sorted(grasp.name for grasp in tried)
     ways = [difference(grasp, usual) for grasp in again]
     assert again[0].name == usual.name
@@ -78,15 +84,16 @@ def test_plans_use_the_usual_grasp_where_it_works(
     task = (fitted, demo, HERE, scene, solver, PlanParams())
     working = working_grasps(open_task(*task))
     assert len(working) > 1
-    plain, usual = plan_episode(*task), plan_episode(*task, working[-1].name)
+    plain, usual = plan_episode(*task), plan_episode(*task, working[-1])
     assert isinstance(plain, EpisodePlan)
     assert isinstance(usual, EpisodePlan)
     assert plain.grasp.startswith(working[0].name)
     assert usual.grasp.startswith(working[-1].name)
-    # One that the object does not offer changes nothing.
-    unknown = plan_episode(*task, "no such grasp")
-    assert isinstance(unknown, EpisodePlan)
-    assert unknown.grasp == plain.grasp
+    # Of one that the object does not offer the most similar is used.
+    leaning = matrix_from_rotvec(0.01 * np.ones(3)) @ working[-1].R_object_ee
+    similar = plan_episode(*task, replace(working[-1], name="another object's", R_object_ee=leaning))
+    assert isinstance(similar, EpisodePlan)
+    assert similar.grasp == usual.grasp
 
 
 def test_where_the_usual_grasp_does_not_work_plans_come_near_to_it(
@@ -96,10 +103,11 @@ def test_where_the_usual_grasp_does_not_work_plans_come_near_to_it(
     task = (fitted, demo, HERE, scene, solver, PlanParams())
     working = working_grasps(open_task(*task))
     names = [grasp.name for grasp in working]
-    offered = list(grasps(fitted, np.eye(3), [0.01], 1.0))
+    shown = DemonstratedMotion(demo)
+    offered = list(grasps(fitted, shown.hand_at_closed(fitted), [0.01], demo.ee_turn_ratio))
     shares = []
     for usual in [grasp for grasp in offered if grasp.name not in names and grasp.name != "turned"][::6]:
-        plan = plan_episode(*task, usual.name)
+        plan = plan_episode(*task, usual)
         assert isinstance(plan, EpisodePlan)
         found = re.match(r"([\d.]+)% from (.*) to (.*); ", plan.grasp)
         if found:
