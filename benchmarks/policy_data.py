@@ -55,7 +55,7 @@ class World:
 
 
 # Seeds of microwaves to learn from; four of five find room on the recorded table.
-MANY: Final = range(101, 301)
+MANY: Final = range(101, 221)
 UNSEEN: Final = "unseen_microwaves"
 SIZES: Final = {"scale": [0.5, 1.0]}
 VIEWS: Final = {"around": {"turn_deg": [-8.0, 8.0], "tilt_deg": [-8.0, 8.0], "distance": [0.9, 1.1]}}

@@ -11,7 +11,7 @@ from typing import Any, Final
 
 from pyarrow.parquet import read_table
 
-from aomgen.errors import BackendError
+from aomgen.errors import BackendError, NotEnoughEpisodesError
 from aomgen.evaluation.lerobot_policy import IMAGES, LAST, STATE, TRAINING, WEIGHTS
 from aomgen.io.artifact import read_json
 from aomgen.io.atomic import remove_folder
@@ -100,9 +100,15 @@ class Trainer:
 
 
 def first_draws(dataset: Path, count: int) -> list[int]:
-    """Numbers of so many demonstrations, of as many objects as there are; draws fill their ranges evenly from the first on."""
+    """Numbers of so many demonstrations, of as many objects as there are; draws fill their ranges evenly from the first on.
+
+    Raises:
+        NotEnoughEpisodesError: The dataset has fewer.
+    """
     files = sorted((dataset / "meta" / "episodes").rglob("*.parquet"))
     assets = [name for file in files for name in read_table(file, columns=[ASSET])[ASSET].to_pylist()]
+    if len(assets) < count:
+        raise NotEnoughEpisodesError(dataset.name, f"has {len(assets)} episodes, want {count}", "add objects")
     before = [assets[:number].count(name) for number, name in enumerate(assets)]
     return sorted(sorted(range(len(assets)), key=before.__getitem__)[:count])
 

@@ -7,18 +7,20 @@ from typing import Any
 
 import numpy as np
 import pytest
+from pyarrow import table
+from pyarrow.parquet import write_table
 
 from aomgen.core.camera import Camera
 from aomgen.core.project import Project
 from aomgen.episodes.factory import GenerationParams
-from aomgen.errors import BackendError, ConfigError
+from aomgen.errors import BackendError, ConfigError, NotEnoughEpisodesError
 from aomgen.io.schema import override
 from aomgen.pipeline.runner import LOCK_FILE
 from benchmarks import policy_video
 from benchmarks.policy import PolicyBench, beats, folder_digest, table_figures
 from benchmarks.policy_data import UNSEEN, WORLDS, PolicyData, Trials, moved_cameras
 from benchmarks.policy_tables import FILMED, QUICK, TABLES, VIDEO, Row, Training, chosen_tables
-from benchmarks.policy_training import Trainer, front_features
+from benchmarks.policy_training import ASSET, Trainer, first_draws, front_features
 from benchmarks.policy_video import mean_trajectory_error, video_error
 
 FROM_EVALUATION = ("suite", "dataset", "versions", "redrawn", "nearest_mm", "nearest_deg", "failures")
@@ -144,6 +146,24 @@ def test_policies_do_not_share_a_folder() -> None:
     assert len({policy.name for policy in policies}) == len(policies)
 
 
+def write_episodes(dataset: Path, *assets: str) -> None:
+    """What a dataset for LeRobot tells of its demonstrations' objects."""
+    path = dataset / "meta" / "episodes" / "chunk-000" / "file-000.parquet"
+    path.parent.mkdir(parents=True)
+    write_table(table({ASSET: list(assets)}), path)
+
+
+def test_few_demonstrations_are_of_as_many_objects_as_there_are(tmp_path: Path) -> None:
+    write_episodes(tmp_path / "one", *"aaaaa")
+    assert first_draws(tmp_path / "one", 3) == [0, 1, 2]
+    write_episodes(tmp_path / "several", *"aaabbccc")
+    assert first_draws(tmp_path / "several", 2) == [0, 3]
+    assert first_draws(tmp_path / "several", 5) == [0, 1, 3, 4, 5]
+    assert first_draws(tmp_path / "several", 8) == list(range(8))
+    with pytest.raises(NotEnoughEpisodesError, match="several: has 8 episodes, want 9"):
+        first_draws(tmp_path / "several", 9)
+
+
 # Stands in for LeRobot: writes down what it was told, and leaves a checkpoint of the last step.
 LEROBOT = """#!/bin/sh
 printf '%s\\n' "$@" >>"$WORDS"
@@ -165,6 +185,7 @@ def test_a_training_is_done_once_and_goes_on_where_it_ended(
     data: Any = SimpleNamespace(
         folder=tmp_path, dataset=lambda world, sees: tmp_path / "dataset", tell=lambda text: None
     )
+    write_episodes(tmp_path / "dataset", *"aaaa")
     policy = Training(world="microwave", demonstrations=3, kind="act", seed=5)
     Trainer(data=data, steps=20, command=command).train(policy)
     told = words.read_text().splitlines()
@@ -260,15 +281,15 @@ def test_the_mean_trajectory_is_of_demonstrations_that_stay_where_they_end(
 
 
 def test_kept_rollouts_need_neither_lerobot_nor_data(tmp_path: Path) -> None:
-    for name in ("microwave", "microwaves"):
+    for name in ("microwave-150", "microwaves-150", "microwaves-450"):
         figures = json.dumps(tried([True] * 5 + [False] * 5))
-        kept = tmp_path / "rollouts" / f"{name}-150-0-on-unseen_microwaves-1-0mm-splat.json"
+        kept = tmp_path / "rollouts" / f"{name}-0-on-unseen_microwaves-1-0mm-splat.json"
         kept.parent.mkdir(exist_ok=True)
         kept.write_text(figures)
     data: Any = SimpleNamespace(folder=tmp_path, workers=1)
     bench = PolicyBench(data=data, trainer=Trainer(data=data, command=tmp_path / "absent"))
     table = bench.figures(["unseen_table"])["unseen_table"]
-    assert [row["success_rate"] for row in table] == [0.5, 0.5]
+    assert [row["success_rate"] for row in table] == [0.5] * 3
 
 
 def test_a_dataset_is_known_by_names_and_contents(tmp_path: Path) -> None:
