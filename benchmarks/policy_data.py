@@ -69,7 +69,7 @@ WORLDS: Final = {
     "microwaves": World(
         recording="microwave",
         assets=tuple(f"microwave:{seed}" for seed in MANY),
-        demonstrations=450,
+        demonstrations=400,
         like="microwave",
     ),
     UNSEEN: World(
@@ -124,7 +124,7 @@ class PolicyData:
     workers: int
     tell: Tell
     trials: int = 200
-    demonstrations: int = 450
+    demonstrations: int = 400
     assets: tuple[str, ...] = ()
 
     def run(self, name: str) -> Path:

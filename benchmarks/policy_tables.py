@@ -11,7 +11,8 @@ from aomgen.io.schema import suggest
 from benchmarks.policy_data import UNSEEN, Sight, Trials
 
 SEEDS: Final = (0, 1, 2)
-FULL: Final = 150
+# Demonstrations of a policy, and of one that learns from many objects.
+FULL, MANY = 150, 400
 SCALES: Final = (0.6, 0.7, 0.8, 0.9)
 MOVED_M: Final = (0.0, 0.05, 0.10, 0.20)
 # What is tried where it only matters whether it works.
@@ -129,7 +130,7 @@ TABLES: Final = {
         for label, world, count in (
             ("single", "microwave", FULL),
             ("mixed", "microwaves", FULL),
-            ("mixed", "microwaves", 3 * FULL),
+            ("mixed", "microwaves", MANY),
         )
     ],
     "renderer_table": [

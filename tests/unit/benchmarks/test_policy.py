@@ -281,7 +281,7 @@ def test_the_mean_trajectory_is_of_demonstrations_that_stay_where_they_end(
 
 
 def test_kept_rollouts_need_neither_lerobot_nor_data(tmp_path: Path) -> None:
-    for name in ("microwave-150", "microwaves-150", "microwaves-450"):
+    for name in ("microwave-150", "microwaves-150", "microwaves-400"):
         figures = json.dumps(tried([True] * 5 + [False] * 5))
         kept = tmp_path / "rollouts" / f"{name}-0-on-unseen_microwaves-1-0mm-splat.json"
         kept.parent.mkdir(exist_ok=True)
