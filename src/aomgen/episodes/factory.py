@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
-from functools import cached_property, lru_cache
+from functools import cache, cached_property, lru_cache
 from itertools import islice
 from pathlib import Path
 from typing import Final
@@ -104,6 +104,7 @@ class EpisodeFactory:
         self.plan_params = replace(self.params.plan, fps=results.fps)
         # Methods cannot be cached per instance otherwise without keeping the instance alive.
         self.asset = lru_cache(OPEN_ASSETS)(self._open_asset)
+        self.usual_grasp = cache(self._usual_grasp)
         self._seconds: dict[str, float] = {}
 
     @cached_property
@@ -178,7 +179,7 @@ class EpisodeFactory:
                 fitted, demo, variation, scene, self.solver, self.plan_params, opened.usual_grasp
             )
 
-    def usual_grasp(self, category: str) -> GraspChoice:
+    def _usual_grasp(self, category: str) -> GraspChoice:
         """Of all objects of a category; that of the stage where it has chosen."""
         chosen = self.folder / GRASPS_FOLDER
         if (chosen / f"{category}.json").is_file():
