@@ -17,14 +17,7 @@ from aomgen.assets.usd_write import write_for_replay
 from aomgen.core.camera import Camera
 from aomgen.core.plan import EpisodePlan, FittedAsset, Rejection, Variation, VerifiedEpisode
 from aomgen.episodes.generate import MAX_SKIPPED
-from aomgen.episodes.grasp_choice import (
-    DRAWS,
-    GRASPS_FOLDER,
-    LEAST_DRAWS,
-    GraspChoice,
-    WorkingGrasps,
-    choose_grasp,
-)
+from aomgen.episodes.grasp_choice import GRASPS_FOLDER, GraspChoice, WorkingGrasps, choose_grasp, draws_of
 from aomgen.episodes.grasp_plan import PlanParams
 from aomgen.episodes.grasps import Grasp
 from aomgen.episodes.ik import IkSolver, ik_solver
@@ -194,8 +187,8 @@ class EpisodeFactory:
             return load_artifact(found, unit_name(number), WorkingGrasps)
         opened, demo = self.asset(number), self.results.demonstration
         # The paper's method knows one grasp.
-        wanted = max(LEAST_DRAWS, DRAWS // len(self._alike(opened.fitted.asset.category)))
-        wanted *= self.plan_params.method != "paper"
+        known = self.plan_params.method == "paper"
+        wanted = 0 if known else draws_of(len(self._alike(opened.fitted.asset.category)))
         draws = (self.screen(Unit(asset=number, index=index)) for index in range(MAX_SKIPPED))
         passing = (variation for variation, rejection in draws if rejection is None)
         tasks = (

@@ -16,8 +16,7 @@ import numpy as np
 from aomgen.episodes.grasps import Grasp, difference
 
 # So many draws tell which grasps work; of each of many objects fewer do, but so many at least.
-DRAWS: Final = 24
-LEAST_DRAWS: Final = 4
+DRAWS, LEAST_DRAWS = 24, 4
 # Folder of the working grasps, one file for each object, and of the choices, one for each category, below that of all
 # episodes.
 GRASPS_FOLDER: Final = "grasps"
@@ -47,6 +46,11 @@ class GraspChoice:
     usual: Grasp | None
     mean_rad: float
     draws: int
+
+
+def draws_of(objects: int) -> int:
+    """How many draws of each of so many objects are looked at."""
+    return max(LEAST_DRAWS, DRAWS // objects)
 
 
 def choose_grasp(working: Sequence[Sequence[Grasp]]) -> GraspChoice:
