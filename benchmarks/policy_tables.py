@@ -8,11 +8,9 @@ from aomgen.errors import ConfigError
 from aomgen.evaluation.policies import NEAREST, ORACLE
 from aomgen.evaluation.views import VISUALS, Visuals
 from aomgen.io.schema import suggest
-from benchmarks.policy_data import UNSEEN, Sight, Trials
+from benchmarks.policy_data import FULL, MANY, UNSEEN, Sight, Trials
 
 SEEDS: Final = (0, 1, 2)
-# Demonstrations of a policy, and of one that learns from many objects.
-FULL, MANY = 150, 400
 SCALES: Final = (0.6, 0.7, 0.8, 0.9)
 MOVED_M: Final = (0.0, 0.05, 0.10, 0.20)
 # What is tried where it only matters whether it works.

@@ -105,8 +105,7 @@ def first_draws(dataset: Path, count: int) -> list[int]:
     Raises:
         NotEnoughEpisodesError: The dataset has fewer.
     """
-    files = sorted((dataset / "meta" / "episodes").rglob("*.parquet"))
-    assets = [name for file in files for name in read_table(file, columns=[ASSET])[ASSET].to_pylist()]
+    assets = read_table(dataset / "meta" / "episodes", columns=[ASSET])[ASSET].to_pylist()
     if len(assets) < count:
         raise NotEnoughEpisodesError(dataset.name, f"has {len(assets)} episodes, want {count}", "add objects")
     before = [assets[:number].count(name) for number, name in enumerate(assets)]

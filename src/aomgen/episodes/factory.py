@@ -186,9 +186,9 @@ class EpisodeFactory:
         if (found / f"{unit_name(number)}.json").is_file():
             return load_artifact(found, unit_name(number), WorkingGrasps)
         opened, demo = self.asset(number), self.results.demonstration
+        alike = self._alike(opened.fitted.asset.category)
         # The paper's method knows one grasp.
-        known = self.plan_params.method == "paper"
-        wanted = 0 if known else draws_of(len(self._alike(opened.fitted.asset.category)))
+        wanted = 0 if self.plan_params.method == "paper" else draws_of(len(alike))
         draws = (self.screen(Unit(asset=number, index=index)) for index in range(MAX_SKIPPED))
         passing = (variation for variation, rejection in draws if rejection is None)
         tasks = (
