@@ -102,8 +102,12 @@ def _psnrs(factory: EpisodeFactory, path: Path) -> list[float]:
     cameras = factory.place.cameras
     twin, layers, soft = opened.seen(variation, cameras)
     scene, robot = factory.results.episode_scene, factory.results.robot
-    drawn = render_episode(twin, robot, trajectory_of(episode), layers, scene.T_world_plane, 1, soft=soft)
-    views, found = SplatViews(factory, opened, fitted, variation), []
+    carried = robot.camera_paths(episode.joints, episode.gripper)
+    paths = {name: path for name, path in carried.items() if name in episode.cameras}
+    drawn = render_episode(
+        twin, robot, trajectory_of(episode), layers, scene.T_world_plane, 1, soft=soft, paths=paths
+    )
+    views, found = SplatViews(factory, opened, fitted, variation, tuple(paths)), []
     for t in np.linspace(0, len(episode) - 1, COMPARED_FRAMES).astype(int).tolist():
         state = Reached(
             episode.joints[t], float(episode.gripper[t]), float(episode.thetas[t]), episode.Ts_world_ee[t]

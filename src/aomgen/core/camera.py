@@ -110,6 +110,11 @@ class CameraPath:
         """The camera at one frame."""
         return self.camera.moved(self.Ts_world_cam[frame])
 
+    def batches(self, size: int) -> "list[CameraPath]":
+        """It in parts of so many frames; the last may be shorter."""
+        starts = range(0, len(self.Ts_world_cam), size)
+        return [replace(self, Ts_world_cam=self.Ts_world_cam[k : k + size]) for k in starts]
+
 
 def look_at(eye: ArrayLike, target: ArrayLike, up: ArrayLike = (0.0, 0.0, 1.0)) -> Array:
     """Pose T_world_cam (4, 4) of a camera at `eye` looking at `target`, OpenCV axes."""

@@ -1,7 +1,7 @@
 """Images of an episode from fixed cameras and from cameras that the robot carries, by the twin."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Annotated, Final
 
 import numpy as np
@@ -10,24 +10,21 @@ from numpy.typing import NDArray
 from aomgen.conventions import BACKGROUND
 from aomgen.core.camera import Camera, CameraPath
 from aomgen.core.values import Array, Matrix4, freeze_arrays
-from aomgen.episodes.fixed_views import FixedViews, crisp_shade, soft_shades
-from aomgen.episodes.shading import Shade, States, color_factors, shade_on_things, taken_light
+from aomgen.episodes.fixed_views import FixedViews, soft_shades
+from aomgen.episodes.moving_view import MovingView
+from aomgen.episodes.shading import Shade, States
 from aomgen.io.video import Codec
 from aomgen.robots.robot import RobotModel
-from aomgen.splatting.session import Motion, RenderSession, draw_outputs
 from aomgen.twin.plane_shadow import SoftShadow, cast_soft_shadow
 from aomgen.twin.twin import (
     StaticLayer,
     Twin,
-    moving_layer,
     static_layer,
     trajectory_body_poses,
 )
 
 # Frames that are drawn at once; bounds the memory of their colors and shades.
 BATCH: Final = 32
-# Crisp shadow is followed this far around the path of a camera that moves, [m].
-NEAR_PATH: Final = 1.5
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -118,10 +115,11 @@ def render_episode(
         frames = (_frames(items, views.labels, params) for items in images)
         drawn |= zip(layers, frames, strict=True)
     for name, path in (paths or {}).items():
-        around = path.Ts_world_cam[:, None, :3, 3] + NEAR_PATH * np.stack([np.ones(3), -np.ones(3)])
-        cast = crisp_shade(twin, robot, states.Ts_world_body[0], around.reshape(-1, 3), shades, threads)
-        seen = _with_dark_things(twin, states.Ts_world_body[0], path.Ts_world_cam[:, :3, 3], shades)
-        drawn[name] = _draw_moving(seen, states, path, [*shades, *cast], params, threads)
+        eyes, first = path.Ts_world_cam[:, :3, 3], states.Ts_world_body[0]
+        view = MovingView(twin, robot, first, eyes, shades, threads)
+        parts = zip(batches, path.batches(BATCH), strict=True)
+        images = [view.draw(batch, part, _outputs(params)) for batch, part in parts]
+        drawn[name] = _frames(images, view.labels, params)
     return drawn
 
 
@@ -132,8 +130,8 @@ def states_of(twin: Twin, robot: RobotModel, trajectory: Trajectory) -> States:
     return States(Ts, trajectory.thetas)
 
 
-def _outputs(params: ImageParams, *, shaded: bool = False) -> tuple[str, ...]:
-    more = params.depth or params.labels or shaded
+def _outputs(params: ImageParams) -> tuple[str, ...]:
+    more = params.depth or params.labels
     return ("rgb8", "alpha", "median_depth", "max_id") if more else ("rgb8",)
 
 
@@ -154,54 +152,6 @@ def _frames(
         depth_mm=None if depth is None else depth.astype(np.uint16),
         labels=None if parts is None else parts.astype(np.uint8),
     )
-
-
-def _with_dark_things(twin: Twin, Ts_world_body: Array, eyes_world: Array, shades: Sequence[Shade]) -> Twin:
-    """With the object's shadow on walls and things, if it throws one."""
-    if not shades:
-        return twin
-    plane, factors = shades[0].T_world_plane, np.ones((len(twin.bodies), 1))
-    still = twin.bodies == 0
-    shadow = shade_on_things(twin, Ts_world_body, eyes_world, plane)
-    factors[still] = shadow.factors(twin.gaussians.select(still), plane)
-    return replace(twin, gaussians=twin.gaussians.brightened(factors))
-
-
-def _draw_moving(
-    twin: Twin,
-    states: States,
-    path: CameraPath,
-    shades: Sequence[Shade],
-    params: ImageParams,
-    threads: int | None,
-) -> CameraFrames:
-    """Frames of a camera for which nothing stands still: everything moves before it."""
-    everything = moving_layer(twin)
-    scene = everything.bodies == 0
-    session = RenderSession(
-        twin.gaussians.select(np.zeros(0, np.int64)), path.camera.moved(np.eye(4)), threads=threads
-    )
-    batches = []
-    for start in range(0, len(states.thetas), BATCH):
-        chosen = slice(start, start + BATCH)
-        motion = everything.motion(states.Ts_world_body[chosen])
-        before = Motion(
-            parts=motion.parts,
-            Ts_world_part=np.linalg.inv(path.Ts_world_cam[chosen])[:, None] @ motion.Ts_world_part,
-            colors=motion.colors,
-        )
-        outputs = _outputs(params, shaded=bool(shades))
-        (images,) = draw_outputs([session], everything.gaussians, before, outputs, threads=threads)
-        dark = [shade.dark(states.part(chosen)) for shade in shades]
-        for t in range(len(motion) if shades else 0):
-            depth, camera = images["median_depth"][t], path.at(start + t)
-            taken = sum(
-                taken_light(shade, maps, t, camera, depth) for shade, maps in zip(shades, dark, strict=True)
-            )
-            factors = np.where(scene[images["max_id"][t]], color_factors(np.asarray(taken)), 1)
-            images["rgb8"][t] = np.rint(images["rgb8"][t] * factors[..., None])
-        batches.append(images)
-    return _frames(batches, everything.labels, params)
 
 
 def static_layers(

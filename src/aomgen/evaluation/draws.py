@@ -23,6 +23,7 @@ from aomgen.evaluation.suite import (
     TRIAL_S,
     Suite,
     Trial,
+    fixed_cameras,
     nearest_pose,
     require_apart,
     require_json,
@@ -83,10 +84,9 @@ def make_suite(
     """
     require_json(path)
     cameras = _chosen_cameras(results, request.cameras)
-    first = next(iter(cameras.values()))
-    drawn_size = (first.width, first.height)
-    size = request.size or drawn_size
-    require_smaller(size, drawn_size, "what the run draws")
+    sizes = {name: (camera.width, camera.height) for name, camera in cameras.items()}
+    for size in sizes.values():
+        require_smaller(request.size or size, size, "what the run draws")
     if request.seed == results.project.seed:
         raise ConfigError("--seed", f"{request.seed} is that of the training", "choose another one")
     twin = twin_digest(results)
@@ -102,8 +102,8 @@ def make_suite(
         joint_names=results.robot.joint_names,
         fps=round(results.fps),
         action_space=request.action_space,
-        cameras={name: camera.resized(*size) for name, camera in cameras.items()},
-        drawn_size=drawn_size,
+        cameras={name: camera.resized(*(request.size or sizes[name])) for name, camera in cameras.items()},
+        drawn_size=sizes[next(iter(fixed_cameras(cameras, results.robot) or cameras))],
         max_frames=math.ceil(PATIENCE * max(item.frames for item in drawn)),
         seed=request.seed,
         trials=tuple(item.trial for item in drawn),
@@ -123,17 +123,19 @@ def _plain(request: SuiteRequest) -> dict:
 
 
 def _chosen_cameras(results: Results, wanted: tuple[str, ...]) -> dict[str, Camera]:
-    known = results.episode_scene.cameras
-    names = wanted or results.params("episodes", GenerationParams()).cameras or tuple(known)
-    for name in names:
+    fixed, params = results.episode_scene.cameras, results.params("episodes", GenerationParams())
+    carried = {name: item.view for name, item in results.robot.cameras.items()}
+    known = {**fixed, **carried}
+    usual = (*(params.cameras or fixed), *(carried if params.images.robot_cameras else ()))
+    for name in wanted or usual:
         if name not in known:
             raise ConfigError("--camera", f"'{name}' is no camera of this run", suggest(name, known))
-    return {name: known[name] for name in names}
+    return {name: known[name] for name in wanted or usual}
 
 
 def _open_drawing(results: Results, request: SuiteRequest) -> Callable[[int], DrawnTrial]:
-    factory = EpisodeFactory(results, results.folders["episodes"], _chosen_cameras(results, request.cameras))
-    return partial(draw_trial, factory, request)
+    cameras = fixed_cameras(_chosen_cameras(results, request.cameras), results.robot)
+    return partial(draw_trial, EpisodeFactory(results, results.folders["episodes"], cameras), request)
 
 
 def draw_trial(factory: EpisodeFactory, request: SuiteRequest, number: int) -> DrawnTrial:

@@ -10,7 +10,7 @@ from aomgen.core.plan import EpisodePlan, Rejection
 from aomgen.core.values import Array
 from aomgen.episodes.factory import EpisodeFactory
 from aomgen.evaluation.actions import Targets, require_shape
-from aomgen.evaluation.suite import Suite
+from aomgen.evaluation.suite import Suite, fixed_cameras
 from aomgen.evaluation.views import KINDS, Images, TrialViews, Visuals
 from aomgen.io.images import resize
 from aomgen.results import Results
@@ -34,8 +34,10 @@ class World:
 
     def __init__(self, suite: Suite, results: Results, visuals: Visuals = "splat") -> None:
         self.suite, self.visuals = suite, visuals
-        drawn = {name: camera.resized(*suite.drawn_size) for name, camera in suite.cameras.items()}
+        fixed = fixed_cameras(suite.cameras, results.robot)
+        drawn = {name: camera.resized(*suite.drawn_size) for name, camera in fixed.items()}
         self.factory = EpisodeFactory(results, results.folders["episodes"], drawn)
+        self.carried = tuple(name for name in suite.cameras if name not in fixed)
         # From the first to the last of them it takes that long.
         self.held_frames = 1 + math.ceil(HELD_S * suite.fps)
 
@@ -87,7 +89,9 @@ class Rollout:
     @cached_property
     def _views(self) -> TrialViews:
         world = self.world
-        return KINDS[world.visuals](world.factory, self._opened, self.fitted, self.trial.variation)
+        return KINDS[world.visuals](
+            world.factory, self._opened, self.fitted, self.trial.variation, world.carried
+        )
 
     def observation(self, *, pixels: bool = True) -> dict[str, Any]:
         """What the policy sees: "agent_pos" (J + 1,), float32, and "pixels" by camera where they are wanted."""
@@ -96,11 +100,10 @@ class Rollout:
 
     def _pictures(self) -> Images:
         """Image (H, W, 3) of every camera, made smaller as a dataset's are."""
-        suite, drawn = self.world.suite, self._views.draw(self.reached)
-        sizes = {name: (camera.width, camera.height) for name, camera in suite.cameras.items()}
+        sizes = {name: (camera.width, camera.height) for name, camera in self.world.suite.cameras.items()}
         return {
-            name: image if sizes[name] == suite.drawn_size else resize(image, *sizes[name])
-            for name, image in drawn.items()
+            name: image if image.shape[1::-1] == sizes[name] else resize(image, *sizes[name])
+            for name, image in self._views.draw(self.reached).items()
         }
 
     def step(self, action: Array) -> None:

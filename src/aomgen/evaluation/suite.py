@@ -25,6 +25,7 @@ from aomgen.pipeline.project_file import read_project
 from aomgen.pipeline.runner import results_of
 from aomgen.pipeline.stages import PROJECT_FILE, STAGES
 from aomgen.results import Results
+from aomgen.robots.robot import RobotModel
 
 # Poses nearer to each other than both of these are one, [mm] and [deg].
 APART_MM, APART_DEG = 5.0, 1.0
@@ -79,8 +80,8 @@ class Suite:
         joint_names: Of the arm.
         fps: Actions a second.
         action_space: What actions mean, see `actions`.
-        cameras: By name; their size is that of the images.
-        drawn_size: Width and height that images are drawn in, and averaged down from, as datasets are, [px].
+        cameras: By name; their size is that of the images. One that the robot carries has its pose on the robot's body.
+        drawn_size: Width and height that images of fixed cameras are drawn in, and averaged down from, as datasets are, [px].
         max_frames: A trial ends after so many actions.
         seed: Of the draws.
         redrawn: Draws that were passed over, by reason.
@@ -118,6 +119,11 @@ class Suite:
 
 def _plain(value: Any) -> Any:
     return value.tolist()
+
+
+def fixed_cameras(cameras: Mapping[str, Camera], robot: RobotModel) -> dict[str, Camera]:
+    """Those that the robot does not carry."""
+    return {name: camera for name, camera in cameras.items() if name not in robot.cameras}
 
 
 def write_suite(path: Path, suite: Suite) -> None:

@@ -7,16 +7,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from aomgen.assets.mjcf import VISUAL_GROUP
-from aomgen.core.camera import Camera
 from aomgen.core.plan import FittedAsset, Variation
 from aomgen.core.values import Array
 from aomgen.episodes.factory import EpisodeFactory, OpenAsset
 from aomgen.episodes.fixed_views import FixedViews, soft_shades
-from aomgen.episodes.render import Trajectory, states_of
+from aomgen.episodes.moving_view import MovingView
+from aomgen.episodes.render import Trajectory, states_of, static_layers
 from aomgen.robots.model_renderer import FAR_M
 from aomgen.simulation.replay import Reached
 from aomgen.simulation.scene import build_scene
 from aomgen.synthetic.scene_recording import SceneRenderer
+from aomgen.twin.twin import StaticLayer
 
 Visuals = Literal["splat", "simulator"]
 VISUALS: Final[tuple[Visuals, ...]] = get_args(Visuals)
@@ -34,10 +35,15 @@ class TrialViews(Protocol):
 
 
 class SplatViews:
-    """Draws a trial as its episode would be drawn."""
+    """Draws a trial as its episode would be drawn; `carried` names cameras of the robot that are drawn as well."""
 
     def __init__(
-        self, factory: EpisodeFactory, opened: OpenAsset, fitted: FittedAsset, variation: Variation
+        self,
+        factory: EpisodeFactory,
+        opened: OpenAsset,
+        fitted: FittedAsset,
+        variation: Variation,
+        carried: tuple[str, ...] = (),
     ) -> None:
         self._robot, self._T = factory.results.robot, variation.placed(fitted)
         self._cameras = factory.place.cameras
@@ -49,11 +55,21 @@ class SplatViews:
         first = Reached(demo.joints[0], 0.0, fitted.start_theta, demo.Ts_world_ee[0])
         Ts = self._states(first).Ts_world_body[0]
         self._views = FixedViews(self._twin, self._robot, Ts, layers, shades, threads=1)
+        paths = self._robot.camera_paths(first.joints[None], [first.gripper])
+        self._carried = {
+            name: MovingView(
+                self._twin, self._robot, Ts, paths[name].Ts_world_cam[:, :3, 3], shades, threads=1
+            )
+            for name in carried
+        }
 
     def draw(self, reached: Reached) -> Images:
         """Image (H, W, 3) of every camera."""
-        drawn = self._views.draw(self._states(reached), ("rgb8",))
-        return {name: item["rgb8"][0] for name, item in zip(self._cameras, drawn, strict=True)}
+        states = self._states(reached)
+        drawn = dict(zip(self._cameras, self._views.draw(states, ("rgb8",)), strict=True))
+        paths = self._robot.camera_paths(reached.joints[None], [reached.gripper]) if self._carried else {}
+        drawn |= {name: view.draw(states, paths[name], ("rgb8",)) for name, view in self._carried.items()}
+        return {name: item["rgb8"][0] for name, item in drawn.items()}
 
     def _states(self, reached: Reached) -> Any:
         return states_of(
@@ -75,28 +91,38 @@ class SimulatorViews:
     """
 
     def __init__(
-        self, factory: EpisodeFactory, opened: OpenAsset, fitted: FittedAsset, variation: Variation
+        self,
+        factory: EpisodeFactory,
+        opened: OpenAsset,
+        fitted: FittedAsset,
+        variation: Variation,
+        carried: tuple[str, ...] = (),
     ) -> None:
         results, place = factory.results, factory.place
-        T, self._cameras = variation.placed(fitted), place.cameras
+        T, self._cameras, self._robot = variation.placed(fitted), place.cameras, results.robot
+        self._carried = {name: self._robot.cameras[name].view for name in carried}
         self._scene = build_scene(results.robot, fitted.asset, T, place.support, visual=True)
         self._scene.model.geom_group[self._scene.roles.table] = VISUAL_GROUP
         light = self._scene.model.vis.headlight
         light.ambient[:], light.diffuse[:] = AMBIENT, DIFFUSE
-        sizes = [(camera.width, camera.height) for camera in self._cameras.values()]
+        sizes = [
+            (camera.width, camera.height) for camera in (*self._cameras.values(), *self._carried.values())
+        ]
         self._renderer = SceneRenderer(self._scene, tuple(np.max(sizes, 0).tolist()))
-        _, layers, _ = opened.seen(variation, self._cameras)
-        nothing = opened.twin.gaussians.select(np.zeros(0, np.int64))
-        self._walls = {name: layer.session.picture(nothing).image_srgb for name, layer in layers.items()}
+        self._twin, self._layers, _ = opened.seen(variation, self._cameras)
 
     def draw(self, reached: Reached) -> Images:
         """Image (H, W, 3) of every camera."""
         qpos = self._scene.qpos(reached.joints[None], reached.gripper, reached.theta)[0]
-        return {name: self._before_wall(name, camera, qpos) for name, camera in self._cameras.items()}
+        paths = self._robot.camera_paths(reached.joints[None], [reached.gripper])
+        carried = {name: paths[name].at(0) for name in self._carried}
+        layers = self._layers | static_layers(self._twin, carried, threads=1)
+        return {name: self._before_wall(layer, qpos) for name, layer in layers.items()}
 
-    def _before_wall(self, name: str, camera: Camera, qpos: Array) -> NDArray[np.uint8]:
-        shown, depth = self._renderer.draw(camera, qpos), self._renderer.depths(camera, qpos)
-        return np.where((depth < FAR_M)[..., None], shown, self._walls[name])
+    def _before_wall(self, layer: StaticLayer, qpos: Array) -> NDArray[np.uint8]:
+        nothing = self._twin.gaussians.select(np.zeros(0, np.int64))
+        shown, depth = self._renderer.draw(layer.camera, qpos), self._renderer.depths(layer.camera, qpos)
+        return np.where((depth < FAR_M)[..., None], shown, layer.session.picture(nothing).image_srgb)
 
 
 KINDS: Final[Mapping[str, Any]] = {"splat": SplatViews, "simulator": SimulatorViews}

@@ -13,10 +13,12 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 from gymnasium.vector import AsyncVectorEnv, SyncVectorEnv
 
+from aomgen.episodes.render import Trajectory, render_episode
 from aomgen.errors import BackendError, ConfigError, MissingFileError
 from aomgen.evaluation.environment import ENV_ID, OpenEnv
 from aomgen.evaluation.rollout import World
 from aomgen.io.episode_folder import list_committed, read_episode
+from aomgen.io.images import resize
 from benchmarks.environment import worst_psnr
 
 STEPS = 4
@@ -84,6 +86,36 @@ def test_smaller_pictures_are_averaged_from_those_of_the_run(world: World) -> No
     for name, picture in world.rollout(1).observation()["pixels"].items():
         blocks = picture.reshape(height // 2, 2, width // 2, 2, 3).mean((1, 3))
         np.testing.assert_allclose(halved["pixels"][name], blocks, atol=1)  # rounded after each direction
+
+
+def test_a_camera_on_the_hand_shows_what_it_shows_in_an_episode(world: World, toy) -> None:
+    """Against the episode's renderer, through the dataset's averaging; fixed cameras show what they showed without it."""
+    robot, scene = toy.robot, toy.episode_scene
+    wrist = robot.cameras["wrist"].view.resized(160, 120)
+    both = World(replace(world.suite, cameras={"wrist": wrist, **world.suite.cameras}), toy).rollout(0)
+    alone = world.rollout(0)
+    for action in shaken(world):
+        both.step(action)
+        alone.step(action)
+    seen, reached = both.observation()["pixels"], both.reached
+    variation = both.trial.variation
+    twin, layers, soft = world.factory.asset(0).seen(variation, world.factory.place.cameras)
+    state = Trajectory(
+        joints=reached.joints[None],
+        gripper=np.array([reached.gripper]),
+        thetas=np.array([reached.theta]),
+        T_world_object=both.T_world_object,
+    )
+    paths = robot.camera_paths(state.joints, state.gripper)
+    drawn = render_episode(twin, robot, state, layers, scene.T_world_plane, 1, soft=soft, paths=paths)
+    want = resize(drawn["wrist"].images_srgb[0], 160, 120)
+    assert np.abs(seen["wrist"].astype(int) - want).max() <= 2
+    for name, picture in alone.observation()["pixels"].items():
+        np.testing.assert_array_equal(seen[name], picture)
+    simulated = World(both.world.suite, toy, "simulator").rollout(0).observation()["pixels"]
+    assert {name: picture.shape for name, picture in simulated.items()} == {
+        name: picture.shape for name, picture in seen.items()
+    }
 
 
 def test_the_same_seed_draws_the_same_trial(world: World) -> None:
