@@ -7,9 +7,10 @@ A quantity that was refused (null) although truth has it scores None and is list
 from typing import Any
 
 import numpy as np
+import pycolmap
 from numpy.typing import NDArray
 
-from aomgen.core.transforms import angle_between, apply, invert, rotvec_from_matrix, similarity_parts, umeyama
+from aomgen.core.transforms import angle_between, apply, invert, rotvec_from_matrix, similarity_parts
 from aomgen.core.values import Array
 from aomgen.robots.robot import RobotModel
 from benchmarks.truth import Truth
@@ -90,6 +91,14 @@ def _alignment(estimates: dict[str, Any], truth: Truth, robot: RobotModel) -> di
     }
 
 
+def best_similarity(source: Array, target: Array) -> Array:
+    """Least-squares similarity S (4, 4) with `target ~ S(source)`, points (N, 3), N >= 3."""
+    found = pycolmap.estimate_sim3d(source, target)
+    if found is None:
+        raise ValueError("the points lie on a line")
+    return np.vstack([found.matrix(), [0, 0, 0, 1]])
+
+
 def robust_similarity(source: Array, target: Array) -> tuple[Array, NDArray[np.bool_]]:
     """Least-squares similarity on the camera centres that agree with each other.
 
@@ -99,15 +108,15 @@ def robust_similarity(source: Array, target: Array) -> tuple[Array, NDArray[np.b
     best = np.full(len(source), np.inf)
     for _ in range(200):
         pick = rng.choice(len(source), 4, replace=False)
-        errors = np.linalg.norm(apply(umeyama(source[pick], target[pick]), source) - target, axis=1)
+        errors = np.linalg.norm(apply(best_similarity(source[pick], target[pick]), source) - target, axis=1)
         if np.median(errors) < np.median(best):
             best = errors
     inliers = best < max(MISREGISTERED_M, 5 * float(np.median(best)))
-    S = umeyama(source[inliers], target[inliers])
+    S = best_similarity(source[inliers], target[inliers])
     for _ in range(5):
         errors = np.linalg.norm(apply(S, source) - target, axis=1)
         inliers = errors < MISREGISTERED_M
-        S = umeyama(source[inliers], target[inliers])
+        S = best_similarity(source[inliers], target[inliers])
     return S, np.asarray(inliers)
 
 

@@ -33,7 +33,6 @@ from aomgen.synthetic.scene_recording import (
     SceneRenderer,
     choose_camera,
     demo_candidates,
-    draw_conditions,
     draw_schedule,
     expose,
     render_frames,
@@ -44,6 +43,7 @@ from aomgen.synthetic.world import DEFAULT_ROBOT, find_moved_range
 from benchmarks.motion_scan import Surface, learned, raw_gaussians, seen_surface
 from benchmarks.motion_upstream import Upstream, draw_misplacement, mislabelled
 from benchmarks.other_objects import make_object
+from benchmarks.synthetic_captures import draw_conditions
 from benchmarks.truth import Truth, read_truth
 
 Kind = Literal["open", "closing", "hook", "push", "nothing", "touch", "locked", "cut", "short"]

@@ -12,7 +12,7 @@ from aomgen.assets.choice import MAKERS
 from aomgen.errors import ConfigError, EstimationError
 from aomgen.io.artifact import read_json
 from aomgen.io.atomic import write_json
-from aomgen.synthetic.scene_recording import draw_conditions
+from aomgen.synthetic.scene_recording import Conditions
 from aomgen.synthetic.world import make_capture
 from benchmarks.bars import BARS
 from benchmarks.command import run_accuracy
@@ -138,4 +138,16 @@ def accuracy_table(figures: dict[str, Any]) -> str:
             }
             for name, bar in BARS.items()
         ]
+    )
+
+
+def draw_conditions(rng: np.random.Generator) -> Conditions:
+    """Conditions as recordings differ in them: lens, picture size, light, length of the walk."""
+    return Conditions(
+        size=((320, 240), (400, 300), (384, 256))[rng.integers(3)],
+        scan_views=int(rng.integers(40, 57)),
+        fps=int(rng.choice([10, 12, 15])),
+        focal_share=rng.uniform(0.8, 1.0),
+        noise=rng.uniform(0.6, 2.0),
+        gain_spread=rng.uniform(0.01, 0.06),
     )

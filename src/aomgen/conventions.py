@@ -24,11 +24,6 @@ def xyzw_from_wxyz(quats_wxyz: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.roll(quats_wxyz, -1, axis=-1)
 
 
-def wxyz_from_xyzw(quats_xyzw: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Quaternions (..., 4) with the real part first."""
-    return np.roll(quats_xyzw, 1, axis=-1)
-
-
 # sRGB is close to this power of linear light: a factor on light is nearly that power of it on colors.
 SRGB_POWER: Final = 1 / 2.2
 

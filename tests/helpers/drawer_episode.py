@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from aomgen.core.camera import Camera, look_at
-from aomgen.core.episode import Episode, no_contacts
+from aomgen.core.episode import ContactLog, Episode
 from aomgen.core.joint import Joint
 
 
@@ -52,4 +52,16 @@ def drawer_episode(
         cameras=cameras,
         verdict=verdict,
         simulation=simulation,
+    )
+
+
+def no_contacts() -> ContactLog:
+    """A log without a single contact."""
+    none = np.zeros(0, np.int64)
+    return ContactLog(
+        frames=none,
+        fingers=none,
+        points_world=np.zeros((0, 3)),
+        normals_world=np.zeros((0, 3)),
+        forces=np.zeros(0),
     )

@@ -14,7 +14,7 @@ LINES = {path: path.read_text("utf-8").splitlines() for path in FILES}
 # Names that every package may have.
 SHARED_NAMES = {"stage", "__init__", "__main__"}
 
-MAX_LINES, MAX_FILES, MAX_FILE_LINES, MAX_PACKAGE_SHARE = 54_960, 336, 350, 0.12
+MAX_LINES, MAX_FILES, MAX_FILE_LINES, MAX_PACKAGE_SHARE = 54_960, 337, 350, 0.12
 MAX_NUMBERS, MAX_OPTIONS, MAX_ONE_IMPORTER = 770, 80, 88
 
 

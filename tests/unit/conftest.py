@@ -14,7 +14,7 @@ from aomgen.conventions import BACKGROUND, MOVING, ROBOT, STATIC, linear_from_sr
 from aomgen.core.asset import ArticulatedAsset
 from aomgen.core.camera import Camera, look_at
 from aomgen.core.gaussians import SH_C0, Gaussians, concatenate, gaussians_of
-from aomgen.core.light import Light, hemisphere_light, shaded_srgb
+from aomgen.core.light import Light, hemisphere_light
 from aomgen.core.mesh import face_normals_areas, sample_surface
 from aomgen.core.transforms import apply, matrix_from_rotvec, transform
 from aomgen.replacement.light_estimation import REFLECTED
@@ -25,6 +25,7 @@ from aomgen.twin.binding import bind
 from aomgen.twin.twin import Twin, TwinState
 from benchmarks.other_objects import make_object
 from broken_captures import write_small
+from diffuse_shading import shaded_srgb
 from small_robot import urdf_text
 
 TABLE_SRGB = np.array([0.6, 0.45, 0.3])

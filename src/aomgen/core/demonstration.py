@@ -10,7 +10,6 @@ from aomgen.core.boxes import OrientedBox
 from aomgen.core.camera import Camera
 from aomgen.core.joint import Joint
 from aomgen.core.light import Light
-from aomgen.core.transforms import apply
 from aomgen.core.values import Array, Matrix4, Vector3, freeze_arrays
 
 # Smallest change of the gripper that is a grasp: fingers that reach under a lid are hardly open before.
@@ -52,11 +51,6 @@ class Demonstration:
     def contact_frames(self) -> NDArray[np.int64]:
         """Indices of the frames during which the part moves."""
         return np.nonzero((self.times_s >= self.start_s - 1e-9) & (self.times_s <= self.end_s + 1e-9))[0]
-
-    @property
-    def grasp_path_world(self) -> Array:
-        """Held point at every frame (T, 3), [m]."""
-        return apply(self.Ts_world_ee, self.grasp_ee[None])
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

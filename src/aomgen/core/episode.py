@@ -38,18 +38,6 @@ class ContactLog:
     __post_init__ = freeze_arrays
 
 
-def no_contacts() -> ContactLog:
-    """A log without a single contact."""
-    none = np.zeros(0, np.int64)
-    return ContactLog(
-        frames=none,
-        fingers=none,
-        points_world=np.zeros((0, 3)),
-        normals_world=np.zeros((0, 3)),
-        forces=np.zeros(0),
-    )
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Episode:
     """Everything about one demonstration except its pictures.

@@ -14,7 +14,6 @@ from typing import Annotated, Final
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from aomgen.conventions import srgb_from_linear
 from aomgen.core.sh import sh_basis, sh_rotation
 from aomgen.core.values import Array, freeze_arrays
 
@@ -91,17 +90,3 @@ def cosine_answer(normals: ArrayLike) -> Array:
 def open_transfer(normals: ArrayLike) -> NDArray[np.float32]:
     """Transfer (N, 9) of unoccluded surfaces with unit normals (N, 3)."""
     return cosine_answer(normals).astype(np.float32)
-
-
-def shaded_srgb(albedo_linear: ArrayLike, transfer: ArrayLike, radiance_sh: ArrayLike) -> Array:
-    """sRGB colors (N, 3), 0..1, of diffuse surfaces.
-
-    Args:
-        albedo_linear: (N, 3), 0..1.
-        transfer: (N, 9), in the frame of `radiance_sh`.
-        radiance_sh: (9, 3), linear.
-    """
-    # einsum, not a matrix product: a threaded BLAS may round differently from call to call.
-    exitant = np.einsum("nk,kc->nc", np.asarray(transfer, np.float32), np.asarray(radiance_sh, np.float32))
-    exitant = np.maximum(exitant, 0)
-    return np.asarray(srgb_from_linear(np.minimum(np.asarray(albedo_linear) * exitant, 1.0)), np.float64)

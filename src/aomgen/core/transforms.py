@@ -148,21 +148,6 @@ def path_steps(Ts: Array, turn_weight_m: float) -> Array:
     return np.asarray(ways + turn_weight_m * chords)
 
 
-def umeyama(source: ArrayLike, target: ArrayLike) -> Array:
-    """Least-squares similarity S (4, 4) with `target ~ S(source)`, points (N, 3), N >= 3.
-
-    Source: Umeyama, "Least-squares estimation of transformation parameters", 1991.
-    """
-    source, target = np.asarray(source, np.float64), np.asarray(target, np.float64)
-    mean_source, mean_target = source.mean(0), target.mean(0)
-    a, b = source - mean_source, target - mean_target
-    U, D, Vt = np.linalg.svd(b.T @ a / len(a))
-    signs = np.array([1.0, 1.0, np.sign(np.linalg.det(U) * np.linalg.det(Vt))])
-    R = U @ np.diag(signs) @ Vt
-    scale = float((D * signs).sum() / (a**2).sum(1).mean())
-    return similarity(scale, R, mean_target - scale * R @ mean_source)
-
-
 def angle_between(a: ArrayLike, b: ArrayLike) -> float:
     """Angle between two vectors (3,), [rad]; exact also near 0 and pi."""
     a, b = np.asarray(a, np.float64), np.asarray(b, np.float64)

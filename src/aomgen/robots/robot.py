@@ -217,10 +217,6 @@ class RobotConfiguration:
         """
         return self._turned()[1]
 
-    def joint_motions(self) -> Array:
-        """Velocity fields (J, 4, 4): a joint moves a point p behind it by `M[:3] @ [p, 1]`, [1/rad]."""
-        return self._turned()[0]
-
     def turns(self, points: Array, bodies: NDArray[np.integer]) -> Array:
         """How each joint moves points (C, 3) on bodies (C,): velocities (C, J, 3), [m/rad]."""
         motions, segments = self._turned()

@@ -89,18 +89,6 @@ class Recording:
     conditions: Conditions
 
 
-def draw_conditions(rng: np.random.Generator) -> Conditions:
-    """Conditions as recordings differ in them: lens, picture size, light, length of the walk."""
-    return Conditions(
-        size=((320, 240), (400, 300), (384, 256))[rng.integers(3)],
-        scan_views=int(rng.integers(40, 57)),
-        fps=int(rng.choice([10, 12, 15])),
-        focal_share=rng.uniform(0.8, 1.0),
-        noise=rng.uniform(0.6, 2.0),
-        gain_spread=rng.uniform(0.01, 0.06),
-    )
-
-
 def record(
     robot: RobotModel,
     performance: Performance,

@@ -103,7 +103,7 @@ class Relit:
 
 
 class Relighting:
-    """Surfaces prepared to be lit in many states: `core.light.shaded_srgb` to a tenth of a grey level.
+    """Surfaces prepared to be lit in many states, right to a tenth of a grey level.
 
     Args:
         relit: M surfaces.

@@ -10,11 +10,12 @@ from aomgen.appearance.surfel_observations import PosedImages, SurfelObservation
 from aomgen.conventions import MOVING, ROBOT
 from aomgen.core.camera import Camera, look_at
 from aomgen.core.gaussians import SH_C0, gaussians_of
-from aomgen.core.light import Light, open_transfer, shaded_srgb
+from aomgen.core.light import Light, open_transfer
 from aomgen.core.transforms import matrix_from_rotvec, transform
 from aomgen.io.artifact import load_artifact, save_artifact
 from aomgen.twin.relighting import Relit, ResidualAppearance, orientation_weights
 from aomgen.twin.twin import Twin, render_state
+from diffuse_shading import shaded_srgb
 
 BEHIND = look_at((0.5, 1.1, 0.7), (0.2, 0.0, 0.3))
 EYES = [(-0.4, -0.9, 0.7), (0.4, -1.1, 0.5), (-0.7, -0.2, 0.6), (0.9, -0.8, 0.8), (-0.3, -1.0, 0.2)]

@@ -5,7 +5,6 @@ import numpy as np
 import pytest
 
 from aomgen.core.camera import Camera, CameraPath, look_at
-from aomgen.core.episode import no_contacts
 from aomgen.core.plan import (
     EpisodePlan,
     FittedAsset,
@@ -24,6 +23,7 @@ from aomgen.twin.binding import with_object
 from aomgen.twin.shadow import DirectionalLight
 from aomgen.twin.twin import Twin, TwinState, render_state
 from aomgen.twin.variation import changed
+from drawer_episode import no_contacts
 
 FRAMES = 4
 ZEROS_RAD = np.array([0.0, 0.002, -0.003, 0.0, 0.001, 0.0])

@@ -8,11 +8,12 @@ import numpy as np
 import pytest
 
 from aomgen.core.camera import Camera
-from aomgen.core.episode import Episode, no_contacts
+from aomgen.core.episode import Episode
 from aomgen.core.joint import Joint
 from aomgen.errors import BackendError, CorruptArtifactError, MalformedFileError
 from aomgen.io.episode_folder import color_counts, commit_episode, read_episode, read_images
 from aomgen.io.video import encode_video, read_video
+from drawer_episode import no_contacts
 
 FRAMES, HEIGHT, WIDTH = 45, 64, 96
 

@@ -4,13 +4,14 @@ import numpy as np
 import pytest
 
 from aomgen.core.camera import Camera, look_at
-from aomgen.core.light import Light, hemisphere_light, open_transfer, shaded_srgb
+from aomgen.core.light import Light, hemisphere_light, open_transfer
 from aomgen.core.mesh import Mesh
 from aomgen.core.transforms import matrix_from_rotvec, transform
 from aomgen.errors import AssetError
 from aomgen.splatting.rasterizer import render
 from aomgen.splatting.surfaces import estimate_transfer, outward_normals
 from aomgen.splatting.surfels import crease_edges, surfels_of
+from diffuse_shading import shaded_srgb
 
 QUAD = np.array([[0, 1, 2], [0, 2, 3]])
 

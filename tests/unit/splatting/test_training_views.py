@@ -13,12 +13,12 @@ from aomgen.core.transforms import (
     rotvec_from_matrix,
     similarity_parts,
     transform,
-    umeyama,
 )
 from aomgen.splatting import native
 from aomgen.splatting.optimizer import RATES
 from aomgen.splatting.training import TrainingParams, learning, scene_extent, start_training, train
 from aomgen.splatting.training_views import PoseIncrements, gauge_motions
+from benchmarks.accuracy import best_similarity
 from small_scene import checkered, photograph, ring, start
 
 
@@ -34,7 +34,7 @@ def perturbed(cameras: list[Camera], angle: float, length: float) -> list[Camera
 def errors(cameras: list[Camera], truth: list[Camera]) -> tuple[float, float]:
     """Root mean square of rotation [rad] and centre after the best similarity between both."""
     centers, want = (np.array([camera.center for camera in some]) for some in (cameras, truth))
-    S = umeyama(centers, want)
+    S = best_similarity(centers, want)
     scale, R, t = similarity_parts(S)
     turns = [
         rotvec_from_matrix(b.T_world_cam[:3, :3].T @ R @ a.T_world_cam[:3, :3])

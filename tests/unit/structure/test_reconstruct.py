@@ -13,7 +13,7 @@ from aomgen.core.lens import Lens
 from aomgen.core.progress import silent
 from aomgen.core.recording import Intrinsics
 from aomgen.core.structure import Structure
-from aomgen.core.transforms import apply, umeyama
+from aomgen.core.transforms import apply
 from aomgen.errors import ReconstructionError
 from aomgen.io.images import read_image, write_image
 from aomgen.splatting.rasterizer import render
@@ -22,6 +22,7 @@ from aomgen.structure.mapping import Workspace
 from aomgen.structure.outlier_rejection import InlierModel, is_better
 from aomgen.structure.reconstruct import Photographs, StructureParams, reconstruct_structure
 from aomgen.structure.sparse_model import SparseModel
+from benchmarks.accuracy import best_similarity
 
 # Enough for boards full of print, and quick.
 FEW_FEATURES = StructureParams(max_features=1000)
@@ -95,7 +96,7 @@ def test_cameras_and_the_fixed_camera_are_recovered(photographs):
     assert structure.reprojection_error_px < 1.0
     found = np.array([camera.center for camera in structure.cameras_recon.values()])
     true = np.array([camera.center for camera in cameras.values()])
-    S = umeyama(found, true)
+    S = best_similarity(found, true)
     assert np.linalg.norm(apply(S, found) - true, axis=1).max() < 0.01
     assert np.linalg.norm(apply(S, structure.demo_cameras_recon["front"].center) - fixed.center) < 0.01
     assert structure.figures["demo_cameras"]["front"]["used"] == ["first", "median"]
@@ -108,7 +109,7 @@ def _errors(structure: Structure, cameras: dict[str, Camera]) -> np.ndarray:
     names = [name for name in structure.cameras_recon if name in cameras]
     found = np.array([structure.cameras_recon[name].center for name in names])
     true = np.array([cameras[name].center for name in names])
-    return np.linalg.norm(apply(umeyama(found, true), found) - true, axis=1)
+    return np.linalg.norm(apply(best_similarity(found, true), found) - true, axis=1)
 
 
 @pytest.mark.slow
