@@ -26,7 +26,7 @@ Tell = Callable[[str], None]
 # What demonstrations show: pictures of the twin or of the simulator, or the object's pose instead.
 Sight = Literal["splat", "simulator", "pose"]
 # Demonstrations of a policy, and of one that learns from many objects.
-FULL, MANY = 150, 400
+FULL, MANY = 150, 240
 # Pictures are drawn at twice the size that policies see, [px].
 DRAWN_SIZE: Final = (192, 192)
 SEEN_SIZE: Final = (96, 96)

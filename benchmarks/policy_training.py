@@ -11,6 +11,7 @@ from typing import Any, Final
 
 from pyarrow.parquet import read_table
 
+from aomgen.datasets.lerobot_tables import ASSET
 from aomgen.errors import BackendError, NotEnoughEpisodesError
 from aomgen.evaluation.lerobot_policy import IMAGES, LAST, STATE, TRAINING, WEIGHTS
 from aomgen.io.artifact import read_json
@@ -21,8 +22,6 @@ from benchmarks.policy_tables import Kind, Training
 # Of every training: AdamW's steps, demonstrations a step, and steps between checkpoints, from which a killed one goes on.
 STEPS, BATCH, SAVE_EVERY = 5000, 32, 1000
 QUICK_STEPS: Final = 3
-# Column of the dataset's table of demonstrations.
-ASSET: Final = "aomgen/asset"
 # LeRobot's own policies would ask its hub for the weights of an encoder.
 ON_GPU: Final = ("--policy.device=cuda", "--policy.pretrained_backbone_weights=null")
 NETWORKS: Final[Mapping[Kind, tuple[str, ...]]] = {

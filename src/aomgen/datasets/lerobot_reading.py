@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from aomgen.datasets import lerobot_v3, lerobot_v21
 from aomgen.datasets.features import OBJECT_POSE, TOLD
-from aomgen.datasets.lerobot_tables import CHUNK_FILES, picture_key
+from aomgen.datasets.lerobot_tables import CHUNK_FILES, SOURCE, picture_key
 from aomgen.datasets.stored import REMEDY, StoredDataset, StoredEpisode, chosen_space
 from aomgen.errors import MalformedFileError, MissingFileError
 from aomgen.io.artifact import read_json
@@ -24,7 +24,6 @@ from aomgen.io.images import decode_image
 from aomgen.io.video import decode_frames
 
 INFO_FILE: Final = "meta/info.json"
-SOURCE: Final = "aomgen/source_index"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

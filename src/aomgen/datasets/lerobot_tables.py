@@ -37,6 +37,8 @@ INDEX_TYPES: Final = {
 }
 # Parts of `names` of a feature that holds pictures.
 PICTURE_AXES: Final = ("height", "width", "channels")
+# Columns of the table of episodes that LeRobot does not know: an episode's number in its run, and its object.
+SOURCE, ASSET = "aomgen/source_index", "aomgen/asset"
 # A table's pictures (PNG) by feature.
 Pictures = Mapping[str, list[bytes]]
 

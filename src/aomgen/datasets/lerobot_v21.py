@@ -15,7 +15,9 @@ from numpy.typing import NDArray
 
 from aomgen.core.progress import Progress, silent
 from aomgen.datasets.lerobot_tables import (
+    ASSET,
     CHUNK_FILES,
+    SOURCE,
     describe,
     encode_pictures,
     episode_columns,
@@ -91,8 +93,8 @@ def _episode_line(item: CommittedEpisode, number: int) -> dict[str, Any]:
         "episode_index": number,
         "tasks": [episode.instruction],
         "length": len(episode),
-        "aomgen/source_index": episode.index,
-        "aomgen/asset": episode.asset,
+        SOURCE: episode.index,
+        ASSET: episode.asset,
     }
 
 

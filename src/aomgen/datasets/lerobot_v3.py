@@ -19,7 +19,9 @@ from numpy.typing import NDArray
 from aomgen.core.episode import Episode
 from aomgen.core.progress import Progress, silent
 from aomgen.datasets.lerobot_tables import (
+    ASSET,
     CHUNK_FILES,
+    SOURCE,
     describe,
     encode_pictures,
     episode_columns,
@@ -100,8 +102,8 @@ def _episode_row(episode: Episode, table: dict[str, NDArray]) -> dict[str, Any]:
         "dataset_to_index": first + len(episode),
         "meta/episodes/chunk_index": 0,
         "meta/episodes/file_index": 0,
-        "aomgen/source_index": episode.index,
-        "aomgen/asset": episode.asset,
+        SOURCE: episode.index,
+        ASSET: episode.asset,
     }
 
 

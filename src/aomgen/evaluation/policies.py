@@ -9,6 +9,7 @@ import pyarrow.parquet as pq
 from aomgen.core.plan import EpisodePlan
 from aomgen.core.values import Array
 from aomgen.datasets.features import feature_columns
+from aomgen.datasets.lerobot_tables import SOURCE
 from aomgen.errors import ConfigError, MissingFileError
 from aomgen.evaluation.actions import planned_action
 from aomgen.evaluation.lerobot_policy import WEIGHTS, LerobotPolicy, checkpoint_folder
@@ -85,8 +86,8 @@ class NearestReplay:
         self._world = world
         results, self._numbers = world.factory.results, None
         if training is not None and (training / "meta" / "info.json").is_file():
-            rows = pq.read_table(training / "meta" / "episodes", columns=["aomgen/source_index"])
-            self._numbers = {f"{index:06d}" for index in rows["aomgen/source_index"].to_pylist()}
+            rows = pq.read_table(training / "meta" / "episodes", columns=[SOURCE])
+            self._numbers = {f"{index:06d}" for index in rows[SOURCE].to_pylist()}
         elif training is not None:
             results = open_results(training)
         self._folder = results.folders["episodes"]
