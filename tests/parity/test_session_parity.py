@@ -9,7 +9,7 @@ from aomgen.core.transforms import matrix_from_rotvec, transform
 from aomgen.errors import BackendError
 from aomgen.splatting import native
 from aomgen.splatting.rasterizer import Rendering, RigidParts, native_scene, render
-from aomgen.splatting.session import TILE, Motion, RenderSession, draw_sessions
+from aomgen.splatting.session import TILE, Motion, RenderSession, draw_outputs
 
 BACKGROUND = (0.2, 0.4, 0.6)
 FIELDS = ("rgb", "alpha", "depth", "median_depth", "max_id")
@@ -233,9 +233,9 @@ def test_several_cameras_draw_together():
     sessions = [RenderSession(static, camera) for camera in cameras]
     motion = Motion(parts=np.zeros(100, np.int32), Ts_world_part=np.stack([poses(s, 1) for s in range(3)]))
     shades = np.full((3, 48, 64), 0.5, np.float32)
-    first, second = draw_sessions(sessions, moving, motion, [None, shades])
-    np.testing.assert_array_equal(first, sessions[0].draw_many(moving, motion))
-    np.testing.assert_array_equal(second, sessions[1].draw_many(moving, motion, shades))
+    first, second = draw_outputs(sessions, moving, motion, ("rgb8",), [None, shades])
+    np.testing.assert_array_equal(first["rgb8"], sessions[0].draw_many(moving, motion))
+    np.testing.assert_array_equal(second["rgb8"], sessions[1].draw_many(moving, motion, shades))
 
 
 def test_wrong_sizes_are_refused():

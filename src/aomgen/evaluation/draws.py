@@ -130,7 +130,12 @@ def _chosen_cameras(results: Results, wanted: tuple[str, ...]) -> dict[str, Came
     for name in wanted or usual:
         if name not in known:
             raise ConfigError("--camera", f"'{name}' is no camera of this run", suggest(name, known))
-    return {name: known[name] for name in wanted or usual}
+    chosen = {name: known[name] for name in wanted or usual}
+    if not fixed_cameras(chosen, results.robot):
+        raise ConfigError(
+            "--camera", "names only what the robot carries", f"name one of {', '.join(fixed)} too"
+        )
+    return chosen
 
 
 def _open_drawing(results: Results, request: SuiteRequest) -> Callable[[int], DrawnTrial]:

@@ -160,8 +160,9 @@ class RenderSession:
         motion: Motion,
         shades: NDArray[np.float32] | None = None,
     ) -> NDArray[np.uint8]:
-        """Frames (T, H, W, 3) uint8 of moving Gaussians, each drawn by one thread; see `draw_sessions`."""
-        return draw_sessions([self], moving, motion, None if shades is None else [shades], self.threads)[0]
+        """Frames (T, H, W, 3) uint8 of moving Gaussians, each drawn by one thread; see `draw_outputs`."""
+        (images,) = draw_outputs([self], moving, motion, ("rgb8",), [shades], self.threads)
+        return images["rgb8"]
 
     def _unknown_tiles(self, frames: int) -> NDArray[np.uint8]:
         rows, columns = -(-self.camera.height // TILE), -(-self.camera.width // TILE)
@@ -216,26 +217,6 @@ class RenderSession:
         return images, frames, arrays
 
 
-def draw_sessions(
-    sessions: Sequence[RenderSession],
-    moving: Gaussians,
-    motion: Motion,
-    shades: Sequence[NDArray[np.float32] | None] | None = None,
-    threads: int | None = None,
-) -> list[NDArray[np.uint8]]:
-    """Frames (T, H, W, 3) uint8 of each session, all of them spread over threads.
-
-    Args:
-        sessions: Cameras; their static Gaussians need not be the same.
-        moving: N Gaussians in the frames of their parts.
-        motion: Where the parts are in each frame.
-        shades: For each session factors (T, H, W) as in `RenderSession.draw`, or None.
-        threads: None for all processors of the process.
-    """
-    drawn = draw_outputs(sessions, moving, motion, ("rgb8",), shades, threads)
-    return [images["rgb8"] for images in drawn]
-
-
 def draw_outputs(
     sessions: Sequence[RenderSession],
     moving: Gaussians,
@@ -244,7 +225,16 @@ def draw_outputs(
     shades: Sequence[NDArray[np.float32] | None] | None = None,
     threads: int | None = None,
 ) -> list[dict[str, NDArray]]:
-    """As `draw_sessions`, what is wanted of "rgb8", "alpha", "median_depth" and "max_id" (these two together)."""
+    """Frames (T, H, W, ...) of each session by output, all of them spread over threads.
+
+    Args:
+        sessions: Cameras; their static Gaussians need not be the same.
+        moving: N Gaussians in the frames of their parts.
+        motion: Where the parts are in each frame.
+        outputs: Of "rgb8", "alpha", "median_depth" and "max_id" (these two together).
+        shades: For each session factors (T, H, W) as in `RenderSession.draw`, or None.
+        threads: None for all processors of the process.
+    """
     if len(motion.parts) != len(moving):
         raise ValueError(f"{len(motion.parts)} part indices for {len(moving)} Gaussians")
     colored = 0 if motion.colors is None else motion.colors.shape[1]

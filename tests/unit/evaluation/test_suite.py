@@ -85,6 +85,24 @@ def test_unknown_cameras_are_refused(toy: ToyResults, tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == []
 
 
+def test_the_robots_own_cameras_are_in_a_suite_that_names_them(toy: ToyResults, tmp_path: Path) -> None:
+    request = SuiteRequest(trials=1, seed=9, cameras=("wrist", "front"))
+    suite = make_suite(toy, tmp_path / "s.json", request, 1, silent)
+    carried = toy.robot.cameras["wrist"].view
+    front = toy.episode_scene.cameras["front"]
+    assert suite.cameras == {"wrist": carried, "front": front}
+    assert suite.drawn_size == (front.width, front.height)
+    with pytest.raises(ConfigError, match=r"names only what the robot carries; name one of front, .* too"):
+        make_suite(toy, tmp_path / "t.json", replace(request, cameras=("wrist",)), 1, silent)
+
+
+def test_a_run_that_draws_the_robots_cameras_has_them_in_its_suites(toy: ToyResults, tmp_path: Path) -> None:
+    params = {"episodes": {**toy.project.params.get("episodes", {}), "images": {"robot_cameras": True}}}
+    drawing = replace(toy, project=toy.project.model_copy(update={"params": params}))
+    suite = make_suite(drawing, tmp_path / "s.json", SuiteRequest(trials=1, seed=9), 1, silent)
+    assert list(suite.cameras) == [*toy.episode_scene.cameras, *toy.robot.cameras]
+
+
 def test_pictures_larger_than_the_run_draws_are_refused(toy: ToyResults, tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="9999x16 is larger than what the run draws"):
         make_suite(toy, tmp_path / "s.json", SuiteRequest(size=(9999, 16)), 1, silent)
