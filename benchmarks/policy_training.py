@@ -4,16 +4,16 @@ import json
 import os
 import subprocess
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final
 
 from pyarrow.parquet import read_table
 
-from aomgen.datasets.lerobot_tables import ASSET, picture_key
+from aomgen.datasets.lerobot_tables import ASSET
 from aomgen.errors import BackendError, NotEnoughEpisodesError
-from aomgen.evaluation.lerobot_policy import LAST, STATE, TRAINING, WEIGHTS
+from aomgen.evaluation.lerobot_policy import IMAGES, LAST, STATE, TRAINING, WEIGHTS
 from aomgen.io.artifact import read_json
 from aomgen.io.atomic import remove_folder
 from benchmarks.policy_data import PolicyData
@@ -81,7 +81,7 @@ class Trainer:
                 f"--output_dir={home}", f"--seed={training.seed}", f"--steps={steps}",
                 f"--batch_size={BATCH}", "--num_workers=0", f"--save_freq={min(SAVE_EVERY, steps)}",
                 "--wandb.enable=false", "--eval_freq=0",
-                *([f"--policy.input_features={json.dumps(seen_features(dataset, training.cameras))}"] if training.cameras else []),
+                *([f"--policy.input_features={json.dumps(front_features(dataset))}"] if training.fixed_camera else []),
             ]  # fmt: skip
         self.data.tell(f"training {training.name}")
         # A third faster than float32, and the loss is the same.
@@ -111,11 +111,12 @@ def first_draws(dataset: Path, count: int) -> list[int]:
     return sorted(sorted(range(len(assets)), key=before.__getitem__)[:count])
 
 
-def seen_features(dataset: Path, cameras: Sequence[str]) -> dict[str, Any]:
-    """What a policy sees that has only some of the dataset's cameras, as LeRobot's settings say it."""
+def front_features(dataset: Path) -> dict[str, Any]:
+    """What a policy sees that has only the dataset's first camera, as LeRobot's settings say it."""
     features = read_json(dataset / "meta" / "info.json")["features"]
-    seen: dict[str, Any] = {STATE: {"type": "STATE", "shape": features[STATE]["shape"]}}
-    for name in map(picture_key, cameras):
-        height, width, channels = features[name]["shape"]
-        seen[name] = {"type": "VISUAL", "shape": [channels, height, width]}
-    return seen
+    first = next(name for name in features if name.startswith(IMAGES))
+    height, width, channels = features[first]["shape"]
+    return {
+        STATE: {"type": "STATE", "shape": features[STATE]["shape"]},
+        first: {"type": "VISUAL", "shape": [channels, height, width]},
+    }
