@@ -18,7 +18,7 @@ from aomgen.io.schema import override
 from aomgen.pipeline.runner import LOCK_FILE
 from benchmarks import policy_video
 from benchmarks.policy import PolicyBench, beats, folder_digest, table_figures
-from benchmarks.policy_data import UNSEEN, WORLDS, PolicyData, Trials, moved_cameras
+from benchmarks.policy_data import MANY, UNSEEN, WORLDS, PolicyData, Trials, moved_cameras
 from benchmarks.policy_tables import FILMED, QUICK, TABLES, VIDEO, Row, Training, chosen_tables
 from benchmarks.policy_training import ASSET, Trainer, first_draws, front_features
 from benchmarks.policy_video import mean_trajectory_error, video_error
@@ -76,10 +76,15 @@ def test_tables_are_chosen_by_the_beginning_of_their_names() -> None:
         chosen_tables(["curv.x"])
 
 
-def test_worlds_ask_for_ranges_that_a_project_understands() -> None:
+def test_worlds_ask_for_what_a_project_understands() -> None:
     for world in WORLDS.values():
-        found = override(GenerationParams(), {"ranges": dict(world.ranges)}, "episodes").ranges
-        assert (found != GenerationParams().ranges) == bool(world.ranges)
+        found = override(GenerationParams(), dict(world.episodes), "episodes")
+        assert (found != GenerationParams()) == bool(world.episodes)
+
+
+def test_who_learned_with_a_hand_camera_is_tried_with_one() -> None:
+    for world in (WORLDS["microwaves"], WORLDS[UNSEEN]):
+        assert override(GenerationParams(), dict(world.episodes), "episodes").images.robot_cameras
 
 
 def test_every_cell_has_its_worlds() -> None:
@@ -281,7 +286,7 @@ def test_the_mean_trajectory_is_of_demonstrations_that_stay_where_they_end(
 
 
 def test_kept_rollouts_need_neither_lerobot_nor_data(tmp_path: Path) -> None:
-    for name in ("microwave-150", "microwaves-150", "microwaves-400"):
+    for name in ("microwave-150", "microwaves-150", f"microwaves-{MANY}"):
         figures = json.dumps(tried([True] * 5 + [False] * 5))
         kept = tmp_path / "rollouts" / f"{name}-0-on-unseen_microwaves-1-0mm-splat.json"
         kept.parent.mkdir(exist_ok=True)
