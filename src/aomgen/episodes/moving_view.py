@@ -25,7 +25,7 @@ class MovingView:
     Args:
         twin, robot, threads: As of `render_episode`.
         Ts_world_body: Poses (B, 4, 4) of the twin's bodies in any state.
-        eyes_world: About where the camera will be (N, 3).
+        path: About where the camera will be, and its optics.
         shades: Soft shadows of object and robot, if any.
 
     Attributes:
@@ -37,15 +37,17 @@ class MovingView:
         twin: Twin,
         robot: RobotModel,
         Ts_world_body: Array,
-        eyes_world: Array,
+        path: CameraPath,
         shades: Sequence[Shade],
         threads: int | None,
     ) -> None:
+        eyes_world = path.Ts_world_cam[:, :3, 3]
         around = eyes_world[:, None] + NEAR_PATH * np.stack([np.ones(3), -np.ones(3)])
         cast = crisp_shade(twin, robot, Ts_world_body, around.reshape(-1, 3), shades, threads)
         self._shades, self._threads = [*shades, *cast], threads
         self._moving = moving_layer(_with_dark_things(twin, Ts_world_body, eyes_world, shades))
-        self._nothing = twin.gaussians.select(np.zeros(0, np.int64))
+        nothing = twin.gaussians.select(np.zeros(0, np.int64))
+        self._session = RenderSession(nothing, path.camera.moved(np.eye(4)), threads=threads)
         self.labels = self._moving.labels
 
     def draw(self, states: States, path: CameraPath, outputs: Sequence[str]) -> dict[str, NDArray]:
@@ -56,10 +58,9 @@ class MovingView:
             Ts_world_part=np.linalg.inv(path.Ts_world_cam)[:, None] @ motion.Ts_world_part,
             colors=motion.colors,
         )
-        session = RenderSession(self._nothing, path.camera.moved(np.eye(4)), threads=self._threads)
         wanted = {*outputs, *(("alpha", "median_depth", "max_id") if self._shades else ())}
         (images,) = draw_outputs(
-            [session], self._moving.gaussians, before, tuple(wanted), threads=self._threads
+            [self._session], self._moving.gaussians, before, tuple(wanted), threads=self._threads
         )
         self._darken(images, states, path)
         return images

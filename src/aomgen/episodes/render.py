@@ -115,8 +115,7 @@ def render_episode(
         frames = (_frames(items, views.labels, params) for items in images)
         drawn |= zip(layers, frames, strict=True)
     for name, path in (paths or {}).items():
-        eyes, first = path.Ts_world_cam[:, :3, 3], states.Ts_world_body[0]
-        view = MovingView(twin, robot, first, eyes, shades, threads)
+        view = MovingView(twin, robot, states.Ts_world_body[0], path, shades, threads)
         parts = zip(batches, path.batches(BATCH), strict=True)
         images = [view.draw(batch, part, _outputs(params)) for batch, part in parts]
         drawn[name] = _frames(images, view.labels, params)

@@ -7,17 +7,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from aomgen.assets.mjcf import VISUAL_GROUP
+from aomgen.core.camera import Camera
 from aomgen.core.plan import FittedAsset, Variation
 from aomgen.core.values import Array
 from aomgen.episodes.factory import EpisodeFactory, OpenAsset
 from aomgen.episodes.fixed_views import FixedViews, soft_shades
 from aomgen.episodes.moving_view import MovingView
-from aomgen.episodes.render import Trajectory, states_of, static_layers
+from aomgen.episodes.render import Trajectory, states_of
 from aomgen.robots.model_renderer import FAR_M
 from aomgen.simulation.replay import Reached
 from aomgen.simulation.scene import build_scene
 from aomgen.synthetic.scene_recording import SceneRenderer
-from aomgen.twin.twin import StaticLayer
+from aomgen.twin.twin import StaticLayer, static_layer
 
 Visuals = Literal["splat", "simulator"]
 VISUALS: Final[tuple[Visuals, ...]] = get_args(Visuals)
@@ -57,10 +58,7 @@ class SplatViews:
         self._views = FixedViews(self._twin, self._robot, Ts, layers, shades, threads=1)
         paths = self._robot.camera_paths(first.joints[None], [first.gripper])
         self._carried = {
-            name: MovingView(
-                self._twin, self._robot, Ts, paths[name].Ts_world_cam[:, :3, 3], shades, threads=1
-            )
-            for name in carried
+            name: MovingView(self._twin, self._robot, Ts, paths[name], shades, threads=1) for name in carried
         }
 
     def draw(self, reached: Reached) -> Images:
@@ -109,20 +107,25 @@ class SimulatorViews:
             (camera.width, camera.height) for camera in (*self._cameras.values(), *self._carried.values())
         ]
         self._renderer = SceneRenderer(self._scene, tuple(np.max(sizes, 0).tolist()))
-        self._twin, self._layers, _ = opened.seen(variation, self._cameras)
+        self._twin, layers, _ = opened.seen(variation, self._cameras)
+        self._walls = {name: self._wall(layer) for name, layer in layers.items()}
 
     def draw(self, reached: Reached) -> Images:
         """Image (H, W, 3) of every camera."""
         qpos = self._scene.qpos(reached.joints[None], reached.gripper, reached.theta)[0]
-        paths = self._robot.camera_paths(reached.joints[None], [reached.gripper])
-        carried = {name: paths[name].at(0) for name in self._carried}
-        layers = self._layers | static_layers(self._twin, carried, threads=1)
-        return {name: self._before_wall(layer, qpos) for name, layer in layers.items()}
+        cameras, walls = dict(self._cameras), dict(self._walls)
+        if self._carried:
+            paths = self._robot.camera_paths(reached.joints[None], [reached.gripper])
+            cameras |= {name: paths[name].at(0) for name in self._carried}
+            walls |= {name: self._wall(static_layer(self._twin, cameras[name], 1)) for name in self._carried}
+        return {name: self._before(walls[name], camera, qpos) for name, camera in cameras.items()}
 
-    def _before_wall(self, layer: StaticLayer, qpos: Array) -> NDArray[np.uint8]:
-        nothing = self._twin.gaussians.select(np.zeros(0, np.int64))
-        shown, depth = self._renderer.draw(layer.camera, qpos), self._renderer.depths(layer.camera, qpos)
-        return np.where((depth < FAR_M)[..., None], shown, layer.session.picture(nothing).image_srgb)
+    def _wall(self, layer: StaticLayer) -> NDArray[np.uint8]:
+        return layer.session.picture(self._twin.gaussians.select(np.zeros(0, np.int64))).image_srgb
+
+    def _before(self, wall: NDArray[np.uint8], camera: Camera, qpos: Array) -> NDArray[np.uint8]:
+        shown, depth = self._renderer.draw(camera, qpos), self._renderer.depths(camera, qpos)
+        return np.where((depth < FAR_M)[..., None], shown, wall)
 
 
 KINDS: Final[Mapping[str, Any]] = {"splat": SplatViews, "simulator": SimulatorViews}
