@@ -67,13 +67,16 @@ class ClockFrames:
 
     @staticmethod
     def of(video: Video) -> "ClockFrames":
+        # Frames of a variable rate are taken at even times, the nearest one to each.
         stride = max(1, round(STEP_S * video.fps))
+        even = np.arange(video.times_s[0], video.times_s[-1] + 0.5 / video.fps, stride / video.fps)
+        chosen = np.abs(video.times_s - even[:, None]).argmin(1)
         height, width = video.frames_srgb.shape[1:3]
         size = (WIDTH, max(1, round(WIDTH * height / width)))
-        images = np.stack([resize(frame, *size) for frame in video.frames_srgb[::stride]]).astype(np.float32)
+        images = np.stack([resize(frame, *size) for frame in video.frames_srgb[chosen]]).astype(np.float32)
         if not len(images) > max(LAGS):
             raise SyncError("video", f"has only {len(images)} frames to compare", "record the whole motion")
-        times = video.times_s[::stride]
+        times = video.times_s[chosen]
         noise = robust_sd(np.diff(images, axis=0))
         step = float((times[-1] - times[0]) / (len(times) - 1))
         return ClockFrames(times_s=times, step_s=step, images=images, noise=max(noise, 0.5))

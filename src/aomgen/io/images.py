@@ -11,6 +11,8 @@ from PIL import Image, ImageOps, UnidentifiedImageError
 from aomgen.errors import LimitExceededError, MalformedFileError, MissingFileError
 from aomgen.io.atomic import write_bytes
 
+# EXIF tag of the orientation, and the least value that exchanges width and height.
+EXIF_ORIENTATION, FIRST_TRANSPOSED = 0x0112, 5
 # Largest image decoded, [px]: above those of usual cameras.
 MAX_PIXELS = 100_000_000
 # Pillow cuts values of 16 bits at 255 instead of scaling them by this.
@@ -25,8 +27,21 @@ def image_size(path: Path) -> tuple[int, int]:
         MissingFileError, MalformedFileError, LimitExceededError: As their names say.
     """
     with open_image(path) as image:
-        turned = image.getexif().get(0x0112, 1) >= 5
-        return (image.height, image.width) if turned else (image.width, image.height)
+        transposed = exif_orientation(image) >= FIRST_TRANSPOSED
+        return (image.height, image.width) if transposed else (image.width, image.height)
+
+
+def exif_orientation(image: Image.Image) -> int:
+    """How viewers turn an image, 1 (as stored) to 8; values outside count as 1."""
+    orientation = image.getexif().get(EXIF_ORIENTATION, 1)
+    return orientation if orientation in range(1, 9) else 1
+
+
+def to_eight_bits(image: Image.Image) -> Image.Image:
+    """The image with 8 bits a channel; 16 bits are scaled, where Pillow would cut them at 255."""
+    if not image.mode.startswith("I"):
+        return image
+    return Image.fromarray((np.asarray(image) // SCALE_16_BITS).clip(0, 255).astype(np.uint8))
 
 
 def read_image(path: Path, mode: Mode = "RGB") -> NDArray[np.uint8]:
@@ -51,10 +66,7 @@ def decode_image(data: bytes, where: Path, mode: Mode = "RGB") -> NDArray[np.uin
 
 def _pixels(image: Image.Image, where: Path, mode: Mode) -> NDArray[np.uint8]:
     try:
-        turned = ImageOps.exif_transpose(image)
-        if turned.mode.startswith("I"):
-            turned = Image.fromarray((np.asarray(turned) // SCALE_16_BITS).clip(0, 255).astype(np.uint8))
-        return np.asarray(turned.convert(mode))
+        return np.asarray(to_eight_bits(ImageOps.exif_transpose(image)).convert(mode))
     except (OSError, ValueError) as error:
         raise MalformedFileError(where, f"cannot be decoded ({error})", "export it again") from error
 

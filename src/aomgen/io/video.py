@@ -14,6 +14,7 @@ import av
 import av.error
 import numpy as np
 from av.container import InputContainer
+from av.stream import Disposition
 from av.video.stream import VideoStream
 from numpy.typing import NDArray
 
@@ -25,6 +26,7 @@ from aomgen.errors import (
     MalformedFileError,
     MissingFileError,
 )
+from aomgen.io.shown_frame import FrameDisplay, read_display
 
 # Eleven minutes at 30 fps; a demonstration takes less than one.
 MAX_FRAMES = 20_000
@@ -46,7 +48,7 @@ class Video:
     Attributes:
         times_s: (T,), first frame at its own container time.
         frames_srgb: (T, H, W, 3) uint8.
-        fps: Nominal rate of the stream.
+        fps: Mean rate of the frames, [1/s].
     """
 
     times_s: Annotated[Array, "T"]
@@ -61,35 +63,58 @@ class Video:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class VideoInfo:
-    """What a video's header says: size [px], number of frames, nominal rate [1/s]."""
+    """What a video holds, without all of it decoded.
+
+    Attributes:
+        width, height: Size of the frames as they are shown, [px].
+        frames: Number of the frames that are shown.
+        fps: Their mean rate, [1/s].
+        display: How the stored frames are shown.
+    """
 
     width: int
     height: int
     frames: int
     fps: float
+    display: FrameDisplay
 
 
 def probe_video(path: Path) -> VideoInfo:
-    """Read a video's header.
+    """Count a video's frames and decode its first one.
+
+    Frames that an edit list cuts away, as the trim of a phone does, do not count.
 
     Raises:
-        MissingFileError, MalformedFileError, LimitExceededError: As their names say; a header
-            without a number of frames counts as malformed.
+        MissingFileError, MalformedFileError, LimitExceededError: As their names say.
     """
     with _opened(path) as (container, stream):
-        frames = stream.frames
-        rate = float(stream.average_rate or stream.guessed_rate or 0)
-        if not frames and container.duration:
-            frames = int(container.duration / av.time_base * rate)
-        if not frames or not rate > 0:
-            raise MalformedFileError(path, "says neither its length nor its rate", "export the video again")
-        if not frames <= MAX_FRAMES:
-            raise LimitExceededError(path, f"is longer than {MAX_FRAMES} frames", "cut the video")
-        return VideoInfo(width=stream.width, height=stream.height, frames=frames, fps=rate)
+        try:
+            stamps = [
+                packet.pts for packet in container.demux(stream) if packet.size and not packet.is_discard
+            ]
+        except av.error.FFmpegError as error:
+            raise MalformedFileError(path, f"cannot be read ({error})", "export the video again") from error
+        times_s = [float(stamp * (stream.time_base or 0)) for stamp in stamps if stamp is not None]
+    if not len(stamps) <= MAX_FRAMES:
+        raise LimitExceededError(path, f"is longer than {MAX_FRAMES} frames", "cut the video")
+    first, display = next(_decode(path))[1:]
+    return VideoInfo(
+        width=first.width, height=first.height, frames=len(stamps), fps=_rate(times_s, path), display=display
+    )
+
+
+def _rate(times_s: Sequence[float], path: Path) -> float:
+    """Mean rate of frames from their times, [1/s]."""
+    if not (len(times_s) > 1 and max(times_s) > min(times_s)):
+        raise MalformedFileError(path, "does not tell the times of its frames", "export the video again")
+    return (len(times_s) - 1) / (max(times_s) - min(times_s))
 
 
 def decode_frames(path: Path) -> Iterator[tuple[float, av.VideoFrame]]:
-    """Time, [s], and frame, one after the other, so that long videos need no memory.
+    """Time, [s], and frame as it is shown, one after the other, so that long videos need no memory.
+
+    A frame is upright (the file's display matrix is obeyed, as EXIF is in images), has square pixels and the
+    range of a screen (HLG and PQ are tone-mapped).
 
     Raises:
         MissingFileError: No such file.
@@ -97,7 +122,11 @@ def decode_frames(path: Path) -> Iterator[tuple[float, av.VideoFrame]]:
             increase.
         LimitExceededError: More frames than are read without asking.
     """
-    count, last = 0, -np.inf
+    return ((time_s, frame) for time_s, frame, _ in _decode(path))
+
+
+def _decode(path: Path) -> Iterator[tuple[float, av.VideoFrame, FrameDisplay]]:
+    count, last, display = 0, -np.inf, None
     with _opened(path) as (container, stream):
         declared = stream.frames
         try:
@@ -111,7 +140,8 @@ def decode_frames(path: Path) -> Iterator[tuple[float, av.VideoFrame]]:
                     raise MalformedFileError(
                         path, "has no increasing frame times", "export it with a constant rate"
                     )
-                yield time_s, frame
+                display = display or read_display(stream, frame, path)
+                yield time_s, display.apply(frame), display
                 count, last = count + 1, time_s
         except (av.error.FFmpegError, IndexError) as error:
             raise MalformedFileError(
@@ -119,12 +149,19 @@ def decode_frames(path: Path) -> Iterator[tuple[float, av.VideoFrame]]:
                 f"stops being readable after frame {count} ({error})",
                 "copy or export the video again",
             ) from error
-    if not count or (declared and count < declared):
+    stored = _count_stored(path) if count < declared else declared
+    if not count or stored < declared:
         raise MalformedFileError(
             path,
-            f"has {count} readable frames of {declared} declared",
+            f"has {min(count, stored)} readable frames of {declared} declared",
             "copy or export the video again",
         )
+
+
+def _count_stored(path: Path) -> int:
+    """Number of the frames in a file, also of those that its edit list does not show."""
+    with _opened(path, ignore_editlist="1") as (container, stream):
+        return sum(1 for packet in container.demux(stream) if packet.size and not packet.is_corrupt)
 
 
 def read_video(path: Path) -> Video:
@@ -140,11 +177,7 @@ def read_video(path: Path) -> Video:
             raise LimitExceededError(path, "holds more pixels than fit in memory", "cut the demonstration")
         times.append(time_s)
         frames.append(frame.to_ndarray(format="rgb24", threads=1))
-    with _opened(path) as (_, stream):
-        rate = float(stream.average_rate or stream.guessed_rate or 0)
-    if not rate > 0:
-        raise MalformedFileError(path, "has no frame rate", "export it with a constant rate")
-    return Video(times_s=np.array(times), frames_srgb=np.stack(frames), fps=rate)
+    return Video(times_s=np.array(times), frames_srgb=np.stack(frames), fps=_rate(times, path))
 
 
 def read_frames(path: Path, numbers: Sequence[int]) -> list[NDArray[np.uint8]]:
@@ -163,19 +196,24 @@ def read_frames(path: Path, numbers: Sequence[int]) -> list[NDArray[np.uint8]]:
 
 
 @contextmanager
-def _opened(path: Path) -> Iterator[tuple[InputContainer, VideoStream]]:
+def _opened(path: Path, **options: str) -> Iterator[tuple[InputContainer, VideoStream]]:
+    """Container and the stream of pictures that a player shows; a cover image is none."""
     if not path.is_file():
         raise MissingFileError(path, "is missing", "copy the video or correct capture.toml")
     try:
-        container = av.open(str(path))
+        container = av.open(str(path), options=options)
     except av.error.FFmpegError as error:
         raise MalformedFileError(
             path, f"is not a video ({error})", "copy or export the video again"
         ) from error
     with container:
-        if not container.streams.video:
-            raise MalformedFileError(path, "holds no pictures", "copy or export the video again")
-        yield container, container.streams.video[0]
+        streams = [
+            item for item in container.streams.video if not item.disposition & Disposition.attached_pic
+        ]
+        if not streams:
+            raise MalformedFileError(path, "holds no video", "copy or export the video again")
+        chosen = max(streams, key=lambda item: bool(item.disposition & Disposition.default))
+        yield container, chosen
 
 
 def encode_video(
