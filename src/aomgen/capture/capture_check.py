@@ -6,19 +6,22 @@ from pathlib import Path
 import numpy as np
 
 from aomgen.capture.demo_videos import check_demo_video, read_demo_videos
-from aomgen.capture.joint_csv import check_log
+from aomgen.capture.joint_log import check_log
 from aomgen.capture.label_images import check_masks, read_demo_masks
 from aomgen.capture.prompts import prompt_warnings
 from aomgen.capture.scan_images import check_scan
-from aomgen.core.recording import Capture
+from aomgen.core.recording import Capture, JointLog
+from aomgen.core.values import Array
 from aomgen.errors import UnitsError
-from aomgen.io.video import decode_frames
+from aomgen.io.video import probe_video
 from aomgen.robots.description import FILE_NAME, find_description
 from aomgen.robots.loading import choose_robot
 from aomgen.robots.robot import RobotModel
 
 # A real joint may stand this far past the limit that its file states, [rad] or [m].
 LIMIT_SLACK = 0.05
+# No joint passes its limits by so much: the log counts from another zero, or its angles wrap, [rad] or [m].
+IMPOSSIBLE = 0.3
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -52,8 +55,16 @@ class CheckedCapture:
             ),
             f"log    {len(log.times_s)} rows, {log.times_s[-1] - log.times_s[0]:.1f} s, "
             f"{len(log.joint_names)} joints",
+            self._describe_gripper(log),
         ]
         return "\n".join(f"  {line}" for line in lines)
+
+    def _describe_gripper(self, log: JointLog) -> str:
+        """How the gripper's column is read, so that a wrong unit is seen."""
+        low, high = float(log.gripper.min()), float(log.gripper.max())
+        distances = 1000 * self.robot.pad_distances([low, high])
+        fingers = f", fingers {distances[0]:.0f} to {distances[1]:.0f} mm apart" if len(distances) else ""
+        return f"grip   {low:.2f} to {high:.2f} (0 open, 1 closed){fingers}"
 
 
 def check_capture(capture: Capture) -> CheckedCapture:
@@ -70,11 +81,12 @@ def check_capture(capture: Capture) -> CheckedCapture:
         check_demo_video(video, camera.video)
         count, height, width = video.frames_srgb.shape[:3]
         read_demo_masks(capture, camera, (count, height, width))
-        warnings += _turned(camera.video)
+        warnings += _shown_otherwise(camera.video)
     count, doubts = check_scan(capture)
     if capture.scan_video is not None:
-        doubts += _turned(capture.scan_video)
+        doubts += _shown_otherwise(capture.scan_video)
     robot = check_robot(capture)
+    doubts += _log_beyond_limits(capture, robot) + list(capture.notes)
     doubts += _guessed_robot(capture) + check_masks(capture) + prompt_warnings(capture.prompts)
     return CheckedCapture(
         robot=robot,
@@ -115,14 +127,41 @@ def check_robot(capture: Capture) -> RobotModel:
             f"allows {low[worst]:.2f} to {high[worst]:.2f}",
             "check the order of robot.joints, and the log's units and zero",
         )
+    beyond = _beyond_limits(capture, robot)
+    worst = int(np.argmax(beyond))
+    if not beyond[worst] <= IMPOSSIBLE:
+        reached = capture.joint_log.joints[:, worst]
+        raise UnitsError(
+            capture.joint_log_file,
+            f"'{robot.joint_names[worst]}' reaches {reached.min():.2f} .. {reached.max():.2f}, but {robot.name} "
+            f"allows {low[worst]:.2f} to {high[worst]:.2f}: another zero, or an angle that wraps?",
+            "check the order of robot.joints, and the log's units and zero",
+        )
     return robot
 
 
-def _turned(path: Path) -> list[str]:
-    _, frame = next(decode_frames(path))
-    if not frame.rotation:
+def _beyond_limits(capture: Capture, robot: RobotModel) -> Array:
+    """How far each joint (J,) of the log passes its limits, [rad] or [m]; negative within them."""
+    low, high = robot.joint_limits.T
+    joints = capture.joint_log.joints
+    return np.maximum(low - joints.min(0), joints.max(0) - high)
+
+
+def _log_beyond_limits(capture: Capture, robot: RobotModel) -> list[str]:
+    beyond = _beyond_limits(capture, robot)
+    return [
+        f"{capture.joint_log_file}: '{name}' passes the limits of {robot.name} by {passed:.2f}"
+        for name, passed in zip(robot.joint_names, beyond.tolist(), strict=True)
+        if passed > LIMIT_SLACK
+    ]
+
+
+def _shown_otherwise(path: Path) -> list[str]:
+    info = probe_video(path)
+    done = info.display.describe()
+    if not done:
         return []
     return [
-        f"{path}: players turn it by {frame.rotation} degrees; here it stays as stored, {frame.width} x "
-        f"{frame.height}: prompts and intrinsics must be those of that picture"
+        f"{path}: frames are {done}, as players show them: prompts and intrinsics must be those of the "
+        f"{info.width} x {info.height} image"
     ]

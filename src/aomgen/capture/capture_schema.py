@@ -7,6 +7,7 @@ from pydantic import BaseModel, ConfigDict, Field, FiniteFloat
 
 from aomgen.io.schema import read_toml
 
+Two = Annotated[list[FiniteFloat], Field(min_length=2, max_length=2)]
 Four = Annotated[list[FiniteFloat], Field(min_length=4, max_length=4)]
 
 
@@ -20,6 +21,7 @@ class RobotSection(_Section):
     mjcf: str = ""
     joints: list[str] = Field(min_length=1)
     gripper: str = "gripper"
+    gripper_range: Two | None = None
     base_frame: Literal["base_link", "ur_base"] = "base_link"
     scan_state: Literal["first_row"] | list[FiniteFloat] = "first_row"
 

@@ -1,31 +1,31 @@
 """Reading the joint log, refusing what cannot be one, and comparing it with the videos it should belong to."""
 
-import csv
+from collections.abc import Sequence
 from pathlib import Path
+from typing import Final
 
 import numpy as np
 
+from aomgen.capture.log_clock import MAX_SPEED_RAD_S, TICKS, TIME_COLUMN, order_rows, read_times
+from aomgen.capture.log_table import LogTable, read_log_table, read_number
 from aomgen.core.recording import JointLog
 from aomgen.core.values import Array
 from aomgen.errors import (
     IncompleteCaptureError,
-    LimitExceededError,
-    MalformedFileError,
     NonFiniteError,
     UnitsError,
 )
 
-# Half an hour at 1 kHz, far above any demonstration.
-MAX_ROWS = 2_000_000
-# A gap of up to two missing rows is interpolated; a longer one hides motion.
-MAX_GAP_PERIODS = 3.5
-# No joint of a table-top arm passes these; logs in degrees do at once.
-MAX_ANGLE_RAD = 2 * np.pi * 1.02
-# See above; the fastest wrists reach some 6 rad/s.
-MAX_SPEED_RAD_S = 12.0
 # Between rows the arm is interpolated; further apart than this it may have stopped and turned back, [s]. Two
 # rows that a log of 15 Hz lost are bridged.
 MAX_STEP_S = 0.25
+# A gap this long hides part of a motion; shorter ones are the jitter of a driver, [s].
+WIDE_STEP_S = 0.1
+# No joint of a table-top arm passes these; logs in degrees do at once.
+MAX_ANGLE_RAD = 2 * np.pi * 1.02
+# A step between two rows that is this near to whole turns is a wrapped angle, [rad]. The fastest wrist turns by
+# less between two rows of a log of 15 Hz.
+MAX_WRAP_ERROR = 0.5
 # What docs/capture.md asks for, with room for 29.97 Hz, [1/s].
 WANTED_RATE_HZ = 29.0
 # Opening anything by 5 cm turns some joint of a table-top arm by more, [rad] or [m].
@@ -34,93 +34,140 @@ MIN_TRAVEL = 0.03
 REST_S = 0.1
 # More than that noise, less than any motion, [rad].
 MAX_REST_TRAVEL = 0.02
-# How a log's clock may count, in ticks a second.
-CLOCKS = {"milliseconds": 1e3, "microseconds": 1e6, "nanoseconds": 1e9}
+# Fewer rows show no motion.
+MIN_ROWS = 10
 # The gripper is open or closed beyond these.
 OPEN, CLOSED = 0.3, 0.7
+# A gripper that opens by less keeps its hold, as a share of its stroke.
+MIN_OPENING = 0.15
+# Encoder noise of a gripper that stands still, as a share of its stroke.
+GRIPPER_NOISE = 0.02
+# A gripper's stated open and closed values may be exceeded by this share of the stroke.
+STROKE_SLACK = 0.05
+# The widest two-finger grippers open by 0.14 m; a column that moves but stays below this is likely their
+# opening in metres, [m].
+MAX_OPENING_M = 0.15
+# How other drivers count: largest value of the column, what it probably means, and what to write.
+GRIPPER_UNITS: Final = (
+    (102.0, "per cent or millimetres", "[0, 100] for per cent, [85, 0] for an opening of 85 mm"),
+    (255.0, "counts of 0..255", "[0, 255]"),
+    (np.inf, "another unit", "[0, 1000] for example"),
+)
 
 
-def read_joint_log(path: Path, joint_names: list[str], gripper: str) -> JointLog:
-    """Read `time_s,<joints>,<gripper>` rows, columns found by name.
+def read_joint_log(
+    path: Path, joint_names: Sequence[str], gripper: str, gripper_range: Sequence[float] = ()
+) -> tuple[JointLog, tuple[str, ...]]:
+    """Read times, joints and gripper from a table; see `log_table` for its dialects, `log_clock` for its times.
+
+    Args:
+        joint_names: Columns of the J joints, [rad] or [m].
+        gripper: Column of the gripper.
+        gripper_range: Values of that column with the gripper open and closed, where it is not 0 .. 1.
+
+    Returns:
+        The log, and sentences about everything that was skipped, sorted, merged or unwrapped.
 
     Raises:
-        MalformedFileError: Missing column, wrong number of fields, not a number, times not increasing.
+        MalformedFileError: Missing column, wrong number of fields, not a number, times that step back.
         NonFiniteError: NaN or infinite value; names row and column.
-        IncompleteCaptureError: Fewer than 10 rows, or a gap of more than two rows.
-        UnitsError: Angles or speeds that only degrees have; a gripper outside 0..1.
+        IncompleteCaptureError: Fewer than 10 rows.
+        UnitsError: Angles or speeds that only degrees have; a gripper in another unit than 0..1 or its range.
     """
-    columns = ["time_s", *joint_names, gripper]
-    rows = _read_rows(path, columns)
-    bad = np.argwhere(~np.isfinite(rows))
-    if len(bad):
-        row, column = bad[0]
+    table = read_log_table(path, [*joint_names, gripper])
+    if not len(table.rows) >= MIN_ROWS:
+        raise IncompleteCaptureError(
+            path, f"has {len(table.rows)} rows, at least {MIN_ROWS} are needed", "re-export the log"
+        )
+    times, clock_notes = read_times(table, [*joint_names, gripper])
+    joints = np.array([_finite_column(table, name) for name in joint_names]).T
+    grip = _read_gripper(path, gripper, _finite_column(table, gripper), gripper_range)
+    times, values, rows, order_notes = order_rows(table, times, np.column_stack([joints, grip]))
+    _check_angles(path, values[:, :-1], joint_names)
+    joints, wrap_notes = unwrap(values[:, :-1], joint_names)
+    _check_speeds(path, times, joints, [table.lines[row] for row in rows], joint_names)
+    notes = (*table.notes, *clock_notes, *order_notes, *wrap_notes)
+    return (
+        JointLog(times_s=times, joints=joints, gripper=values[:, -1], joint_names=tuple(joint_names)),
+        tuple(f"{path}: {note}" for note in notes),
+    )
+
+
+def _finite_column(table: LogTable, name: str) -> Array:
+    values = np.array(table.column(name, read_number))
+    if not np.isfinite(values).all():
+        row = table.lines[int(np.argmin(np.isfinite(values)))]
         raise NonFiniteError(
-            path,
-            f"row {row + 2}, column '{columns[column]}' is not finite",
-            "re-export the log or drop the row",
+            table.path, f"row {row}, column '{name}' is not finite", "re-export the log or drop the row"
         )
-    times, joints, grip = rows[:, 0], rows[:, 1:-1], rows[:, -1]
-    _check_times(path, times)
-    _check_units(path, times, joints, grip, joint_names, gripper)
-    return JointLog(times_s=times, joints=joints, gripper=np.clip(grip, 0, 1), joint_names=tuple(joint_names))
+    return values
 
 
-def _read_rows(path: Path, wanted: list[str]) -> Array:
-    with path.open(newline="", encoding="utf-8-sig", errors="replace") as file:
-        reader = csv.reader(file)
-        header = [name.strip() for name in next(reader, [])]
-        if len(header) == 1 and any(mark in header[0] for mark in ";\t"):
-            raise MalformedFileError(
-                path, "has no commas between its columns", "export it with commas, and with points in numbers"
-            )
-        missing = [name for name in wanted if name not in header]
-        if missing:
-            raise MalformedFileError(
-                path,
-                f"has no column '{missing[0]}' (columns: {', '.join(header) or 'none'})",
-                "name it in capture.toml",
-            )
-        picks = [header.index(name) for name in wanted]
-        rows = []
-        for number, fields in enumerate(reader, start=2):
-            if not fields:
-                continue
-            if not number <= MAX_ROWS:
-                raise LimitExceededError(path, f"has more than {MAX_ROWS} rows")
-            try:
-                rows.append([float(fields[pick]) for pick in picks])
-            except (ValueError, IndexError) as error:
-                raise MalformedFileError(
-                    path, f"row {number} is not {len(header)} numbers", "re-export the log"
-                ) from error
-    if not len(rows) >= 10:
-        raise IncompleteCaptureError(
-            path, f"has {len(rows)} rows, at least 10 are needed", "re-export the log"
+def unwrap(joints: Array, joint_names: Sequence[str]) -> tuple[Array, tuple[str, ...]]:
+    """Undo steps by whole turns between two rows, as drivers make that keep angles within half a turn of 0.
+
+    A joint that was unwrapped is moved by whole turns so that the middle of its range is nearest to 0.
+
+    Args:
+        joints: (T, J), [rad] or [m]; metres never step by 6.28.
+
+    Returns:
+        Joints (T, J), and one sentence for each that wrapped.
+    """
+    turn = 2 * np.pi
+    steps = np.diff(joints, axis=0)
+    turns = np.round(steps / turn)
+    turns[np.abs(steps - turn * turns) > MAX_WRAP_ERROR] = 0.0
+    counts = np.count_nonzero(turns, axis=0)
+    wrapped = counts > 0
+    unwrapped = joints.copy()
+    unwrapped[1:] -= turn * np.cumsum(turns, axis=0)
+    middle = (unwrapped.min(0) + unwrapped.max(0)) / 2
+    unwrapped -= turn * np.where(wrapped, np.round(middle / turn), 0.0)
+    notes = tuple(
+        f"'{name}' wraps by a whole turn at {count} rows and was unwrapped to {low:.2f} .. {high:.2f} rad"
+        for name, count, low, high in zip(
+            joint_names, counts.tolist(), unwrapped.min(0).tolist(), unwrapped.max(0).tolist(), strict=True
         )
-    return np.array(rows)
+        if count
+    )
+    return unwrapped, notes
 
 
-def _check_times(path: Path, times: Array) -> None:
-    steps = np.diff(times)
-    if not np.all(steps > 0):
-        row = int(np.argmin(steps > 0))
-        raise MalformedFileError(
-            path, f"time does not increase at row {row + 3}", "sort the log or re-export it"
-        )
-    limit = MAX_GAP_PERIODS * float(np.median(steps))
-    worst = int(np.argmax(steps))
-    if not steps[worst] <= limit:
-        raise IncompleteCaptureError(
-            path,
-            f"has no joint rows between {times[worst]:.2f} s and {times[worst + 1]:.2f} s "
-            f"(rows {worst + 2} and {worst + 3}, limit {limit:.2f} s)",
-            "re-export the log or cut the demonstration",
-        )
+def _read_gripper(path: Path, name: str, values: Array, stated: Sequence[float]) -> Array:
+    """The gripper (T,), 0 open .. 1 closed.
+
+    Raises:
+        UnitsError: Values outside the stated range, or without one, outside 0..1 or so small that they are
+            likely metres.
+    """
+    low, high = float(values.min()), float(values.max())
+    spans = f"'{name}' spans {low:.4g} to {high:.4g}"
+    if stated:
+        opened, closed = stated
+        share = (values - opened) / (closed - opened)
+        if not (share.min() >= -STROKE_SLACK and share.max() <= 1 + STROKE_SLACK):
+            raise UnitsError(
+                path, f"{spans}, outside robot.gripper_range = [{opened:g}, {closed:g}]",
+                "give the column's values with the gripper open and closed",
+            )  # fmt: skip
+        return np.clip(share, 0.0, 1.0)
+    if not (low >= -STROKE_SLACK and high <= 1 + STROKE_SLACK):
+        unit, example = next((unit, example) for limit, unit, example in GRIPPER_UNITS if high <= limit)
+        raise UnitsError(
+            path, f"{spans}, want 0 (open) to 1 (closed): {unit}?",
+            f"state the values of open and closed: robot.gripper_range = {example}",
+        )  # fmt: skip
+    if high <= MAX_OPENING_M and high - low >= GRIPPER_NOISE / 2:
+        raise UnitsError(
+            path, f"{spans}, which 0 (open) .. 1 (closed) reads as never closing: metres?",
+            "state the values of open and closed: robot.gripper_range = [0.085, 0] for an opening of 85 mm, "
+            "[0, 1] where it really stays open",
+        )  # fmt: skip
+    return np.clip(values, 0.0, 1.0)
 
 
-def _check_units(
-    path: Path, times: Array, joints: Array, grip: Array, joint_names: list[str], gripper: str
-) -> None:
+def _check_angles(path: Path, joints: Array, joint_names: Sequence[str]) -> None:
     largest = np.abs(joints).max(0)
     worst = int(np.argmax(largest))
     if not largest[worst] <= MAX_ANGLE_RAD:
@@ -129,24 +176,23 @@ def _check_units(
             f"'{joint_names[worst]}' reaches {largest[worst]:.1f}, limit {MAX_ANGLE_RAD:.2f} rad: degrees?",
             "convert the log to radians",
         )
+
+
+def _check_speeds(
+    path: Path, times: Array, joints: Array, rows: Sequence[int], joint_names: Sequence[str]
+) -> None:
     # Speeds over 0.1 s, so that encoder noise at a high rate does not count as motion.
     stride = max(1, round(0.1 / float(np.median(np.diff(times)))))
     if len(times) > stride:
         speeds = np.abs(joints[stride:] - joints[:-stride]) / (times[stride:] - times[:-stride])[:, None]
-        row, column = np.unravel_index(int(np.argmax(speeds)), speeds.shape)
+        row, column = divmod(int(np.argmax(speeds)), speeds.shape[1])
         if not speeds[row, column] <= MAX_SPEED_RAD_S:
             raise UnitsError(
                 path,
-                f"'{joint_names[column]}' moves at {speeds[row, column]:.1f} per second at row {row + 2}, "
+                f"'{joint_names[column]}' moves at {speeds[row, column]:.1f} per second at row {rows[row]}, "
                 f"limit {MAX_SPEED_RAD_S} rad/s: degrees?",
                 "convert the log to radians",
             )
-    if not (grip.min() >= -0.05 and grip.max() <= 1.05):
-        raise UnitsError(
-            path,
-            f"'{gripper}' spans {grip.min():.2f} to {grip.max():.2f}, want 0 (open) to 1 (closed)",
-            "divide by the stroke",
-        )
 
 
 def check_log(log: JointLog, path: Path, videos_s: dict[str, float], offset_s: float | None) -> list[str]:
@@ -190,17 +236,18 @@ def _check_steps(log: JointLog, path: Path, video_s: float) -> None:
     if steps[worst] <= MAX_STEP_S + 1e-3:
         return
     length = log.times_s[-1] - log.times_s[0]
-    for unit, ticks in CLOCKS.items():
-        if 0.95 * video_s <= length / ticks and np.median(steps) / ticks <= MAX_STEP_S:
+    for unit, ticks in TICKS.items():
+        if ticks > 1 and 0.95 * video_s <= length / ticks and np.median(steps) / ticks <= MAX_STEP_S:
             raise UnitsError(
                 path,
-                f"time_s spans {length:.0f} s, the video {video_s:.1f} s: {unit}?",
+                f"{TIME_COLUMN} spans {length:.0f} s, the video {video_s:.1f} s: {unit}?",
                 f"divide time_s by {ticks:.0f}",
             )
     raise IncompleteCaptureError(
         path,
-        f"rows {worst + 2} and {worst + 3} are {steps[worst]:.2f} s apart, limit {MAX_STEP_S} s",
-        "log at 30 Hz or more",
+        f"has no joint rows between {log.times_s[worst]:.2f} s and {log.times_s[worst + 1]:.2f} s, "
+        f"{steps[worst]:.2f} s apart, limit {MAX_STEP_S} s",
+        "log at 30 Hz or more; re-export the log or cut the demonstration",
     )
 
 
@@ -217,10 +264,17 @@ def _warnings(log: JointLog, path: Path) -> list[str]:
             f"the arm moves by {travel:.2f} rad in the first {REST_S} s: start the log while it rests in the "
             "scan's configuration, or give robot.scan_state"
         )
-    # A gripper that is closed at both ends and open between them has probably been logged upside down.
-    grip = log.gripper
-    if grip[0] >= CLOSED and grip[-1] >= CLOSED and grip.min() <= OPEN:
+    wide = np.diff(log.times_s) > WIDE_STEP_S
+    if rate >= WANTED_RATE_HZ and wide.any():
         found.append(
-            "the gripper starts and ends closed and opens between: 0 is open and 1 closed, is it reversed?"
+            f"{int(wide.sum())} gaps of more than {WIDE_STEP_S} s (longest {np.diff(log.times_s).max():.2f} s), "
+            "in which the arm is interpolated"
+        )
+    # An open gripper closes to grasp; one that starts closed and opens has probably been logged upside down.
+    grip = log.gripper
+    if grip[0] >= CLOSED and grip[0] - grip.min() >= MIN_OPENING:
+        found.append(
+            "the gripper starts closed and opens, where 0 is open and 1 closed: is it reversed? If 1 is open, "
+            "state robot.gripper_range = [1, 0]"
         )
     return [f"{path}: {warning}" for warning in found]

@@ -11,7 +11,7 @@ from aomgen.capture.capture_schema import (
     ScanSection,
     read_manifest,
 )
-from aomgen.capture.joint_csv import REST_S, read_joint_log
+from aomgen.capture.joint_log import REST_S, read_joint_log
 from aomgen.capture.prompts import read_prompts
 from aomgen.capture.scan_images import common_size, find_images
 from aomgen.core.lens import Lens
@@ -34,6 +34,8 @@ MIN_SCAN_FRAMES = 60
 MAX_CAMERA_DISTANCE_M = 20.0
 # A principal point further than this from the middle (share of the size) is another image's.
 MAX_PRINCIPAL_SHIFT = 0.2
+# A principal point that is this much nearer to the middle of the image turned by a quarter is that image's.
+MIN_TURNED_SHARE = 0.3
 
 
 def read_capture(folder: Path) -> Capture:
@@ -51,7 +53,9 @@ def read_capture(folder: Path) -> Capture:
     images = () if video else find_images(scan)
     size, names = _video_frames(video) if video else (common_size(images), {item.name for item in images})
     log_file = resolve_inside(folder, manifest.demo.joints, named_by=path)
-    log = read_joint_log(log_file, manifest.robot.joints, manifest.robot.gripper)
+    log, notes = read_joint_log(
+        log_file, manifest.robot.joints, manifest.robot.gripper, _gripper_range(manifest, path)
+    )
     scan_intrinsics = _intrinsics(manifest.scan, f"{path}: scan")
     if scan_intrinsics:
         check_intrinsics(scan_intrinsics, size, f"{path}: scan.intrinsics")
@@ -73,7 +77,17 @@ def read_capture(folder: Path) -> Capture:
         clock_offset_s=manifest.demo.clock_offset_s,
         prompts=read_prompts(manifest.prompts, names, size, path),
         mask_folders=mask_folders,
+        notes=notes,
     )
+
+
+def _gripper_range(manifest: CaptureManifest, path: Path) -> tuple[float, ...]:
+    stated = tuple(manifest.robot.gripper_range or ())
+    if len(set(stated)) == 1:
+        raise MalformedFileError(
+            path, f"robot.gripper_range = {list(stated)} has no extent", "want the values of open and closed"
+        )
+    return stated
 
 
 def check_intrinsics(intrinsics: Intrinsics, size: tuple[int, int], where: str) -> None:
@@ -85,11 +99,14 @@ def check_intrinsics(intrinsics: Intrinsics, size: tuple[int, int], where: str) 
     """
     width, height = size
     shift = max(abs(intrinsics.cx / width - 0.5), abs(intrinsics.cy / height - 0.5))
-    if not shift <= MAX_PRINCIPAL_SHIFT:
+    turned = max(abs(intrinsics.cx / height - 0.5), abs(intrinsics.cy / width - 0.5))
+    if not shift <= MAX_PRINCIPAL_SHIFT or (width != height and turned < MIN_TURNED_SHARE * shift):
+        sideways = turned <= MAX_PRINCIPAL_SHIFT
         raise CalibrationError(
             where,
-            f"principal point ({intrinsics.cx:g}, {intrinsics.cy:g}) does not fit {width} x {height} images",
-            "scale the intrinsics to the image size",
+            f"principal point ({intrinsics.cx:g}, {intrinsics.cy:g}) does not fit {width} x {height} images"
+            + (f", but {height} x {width} ones" * sideways),
+            "give those of the upright image" if sideways else "scale the intrinsics to the image size",
         )
     if not (0.2 * width <= intrinsics.fx <= 8 * width and 0.8 <= intrinsics.fx / intrinsics.fy <= 1.25):
         raise CalibrationError(

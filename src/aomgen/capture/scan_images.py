@@ -10,7 +10,7 @@ from PIL import Image
 
 from aomgen.core.recording import Capture, frame_name
 from aomgen.errors import CalibrationError, IncompleteCaptureError, MalformedFileError
-from aomgen.io.images import image_size, open_image
+from aomgen.io.images import exif_orientation, image_size, open_image, to_eight_bits
 from aomgen.io.video import decode_frames, probe_video
 
 IMAGE_SUFFIXES = (".jpg", ".jpeg", ".png")
@@ -40,6 +40,8 @@ MIN_DETAIL: Final = 2.5
 MAX_HOPELESS_SHARE = 0.8
 # A scan video is hand-held: its frames are looked at so many times, and only sharp ones are used later.
 VIDEO_LOOKS = 60
+# A sensor's 12 bits stored in 16 without scaling stay below this, and so does no image that shows anything.
+LEAST_16_BITS: Final = 4096
 # Names in one sentence; the rest is counted.
 SHOWN_NAMES = 5
 
@@ -62,6 +64,8 @@ def find_images(scan: Path) -> tuple[Path, ...]:
         raise MalformedFileError(
             foreign[0], f"is neither JPEG nor PNG{more}", "export it as JPEG, or take it out of the scan"
         )
+    if not images:
+        _refuse_subfolders(scan)
     if not len(images) >= MIN_SCAN_IMAGES:
         raise IncompleteCaptureError(
             scan,
@@ -69,6 +73,19 @@ def find_images(scan: Path) -> tuple[Path, ...]:
             "scan from more viewpoints",
         )
     return images
+
+
+def _refuse_subfolders(scan: Path) -> None:
+    """Name the folders below a folder without images that hold some."""
+    below = sorted({item.parent for item in scan.rglob("*") if item.suffix.lower() in IMAGE_SUFFIXES})
+    below = [item for item in below if not any(part.startswith(".") for part in item.relative_to(scan).parts)]
+    if below:
+        names = ", ".join(str(item.relative_to(scan)) for item in below[:SHOWN_NAMES])
+        raise IncompleteCaptureError(
+            scan,
+            f"holds no images itself, but its subfolders do ({names})",
+            "put all images into one folder, or name the subfolder in scan.images",
+        )
 
 
 def common_size(images: tuple[Path, ...]) -> tuple[int, int]:
@@ -84,10 +101,20 @@ def common_size(images: tuple[Path, ...]) -> tuple[int, int]:
         if size != first:
             raise CalibrationError(
                 image,
-                f"is {size[0]} x {size[1]}, but {images[0].name} is {first[0]} x {first[1]}",
-                "export all scan images at one size",
+                f"is {size[0]} x {size[1]}, but {images[0].name} is {first[0]} x {first[1]}{_turned(images)}",
+                "export all scan images at one size, upright",
             )
     return first
+
+
+def _turned(images: Sequence[Path]) -> str:
+    """Which of the images EXIF turns, as the end of a sentence; empty for none."""
+    turned = []
+    for path in images:
+        with open_image(path) as image:
+            if exif_orientation(image) > 1:
+                turned.append(path.name)
+    return f"; EXIF turns {len(turned)} of {len(images)} images ({_some(turned)})" if turned else ""
 
 
 def check_scan(capture: Capture) -> tuple[int, list[str]]:
@@ -105,12 +132,21 @@ def check_scan(capture: Capture) -> tuple[int, list[str]]:
         _refuse_hopeless(capture.scan_video, blurs)
         return count, []
     blurs = {path.name: blur(read_grey(path)) for path in capture.scan_images}
+    warnings = []
+    turned = _turned(capture.scan_images)
+    if turned:
+        width, height = capture.scan_size
+        warnings.append(
+            f"{capture.scan_images[0].parent}{turned}, as viewers do: prompts and intrinsics must be those of "
+            f"the {width} x {height} image"
+        )
     _refuse_hopeless(capture.scan_images[0].parent, blurs)
     blurred = _beyond(BLURRED, blurs)
-    if not blurred:
-        return len(blurs), []
-    sentence = f"{len(blurred)} of {len(blurs)} scan images are blurred ({_some(blurred)}): take them out, or scan again"
-    return len(blurs), [sentence]
+    if blurred:
+        warnings.append(
+            f"{len(blurred)} of {len(blurs)} scan images are blurred ({_some(blurred)}): take them out, or scan again"
+        )
+    return len(blurs), warnings
 
 
 def _video_blurs(path: Path) -> tuple[int, dict[str, float]]:
@@ -173,7 +209,12 @@ def read_grey(path: Path) -> NDArray[np.float32]:
             raise MalformedFileError(
                 path, f"cannot be decoded ({error})", "copy or export it again"
             ) from error
-        return shrink(image)
+        if image.mode.startswith("I") and not np.asarray(image).max() >= LEAST_16_BITS:
+            raise MalformedFileError(
+                path, f"holds values up to {np.asarray(image).max()} of 16 bits, so it is black",
+                "export it scaled to 16 bits, or with 8 bits",
+            )  # fmt: skip
+        return shrink(to_eight_bits(image))
 
 
 def shrink(image: Image.Image) -> NDArray[np.float32]:

@@ -162,6 +162,7 @@ class Capture:
         clock_offset_s: Known offset (log time = video time + offset), or None.
         prompts: What a person clicked.
         mask_folders: Folders below `masks/`, by name.
+        notes: Sentences about what the readers skipped, sorted, merged or unwrapped.
     """
 
     folder: Path
@@ -179,3 +180,4 @@ class Capture:
     clock_offset_s: float | None
     prompts: tuple[Prompt, ...]
     mask_folders: dict[str, Path]
+    notes: tuple[str, ...] = ()

@@ -152,6 +152,17 @@ class RobotModel:
             for name, item in self.cameras.items()
         }
 
+    def pad_distances(self, gripper: ArrayLike) -> Array:
+        """Distances (T,) between the faces of the two finger pads for gripper values (T,), [m]; empty without pads."""
+        by_finger = {pad.finger: pad for pad in self.pads}
+        if set(by_finger) != {"left", "right"}:
+            return np.zeros(0)
+        left, right = by_finger["left"], by_finger["right"]
+        values = np.atleast_1d(np.asarray(gripper, np.float64))
+        poses = self.link_poses(np.zeros((len(values), len(self.joint_names))), values)
+        between = apply(poses[:, right.body], right.face_body) - apply(poses[:, left.body], left.face_body)
+        return np.einsum("ti,ti->t", between, poses[:, left.body, :3, :3] @ left.normal_body)
+
     def ee_poses(self, joints: ArrayLike) -> Array:
         """Poses T_world_ee (T, 4, 4) of the end effector site for joints (T, J)."""
         return site_poses(self._model, self.qpos(joints, 0.0), self.ee_site)

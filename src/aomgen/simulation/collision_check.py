@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from aomgen.core.boxes import OrientedBox
 from aomgen.core.demonstration import Demonstration, SupportPlane
 from aomgen.core.plan import FittedAsset, Rejection
-from aomgen.core.transforms import apply, matrix_from_quat
+from aomgen.core.transforms import matrix_from_quat
 from aomgen.core.values import Array
 from aomgen.robots.robot import RobotModel
 from aomgen.simulation.scene import Scene, build_scene
@@ -271,15 +271,9 @@ def table_overlap_m(scene: Scene, joints: Array) -> float:
 
 def holding_gripper(robot: RobotModel, width_m: float, fallback: float) -> float:
     """Gripper value 0..1 at which the pads stand `width_m` apart; `fallback` for a robot without pads."""
-    by_finger = {pad.finger: pad for pad in robot.pads}
-    if set(by_finger) != {"left", "right"}:
-        return fallback
-    left, right = by_finger["left"], by_finger["right"]
     values = np.linspace(0.0, 1.0, 65)
-    poses = robot.link_poses(np.zeros((len(values), len(robot.joint_names))), values)
-    between = apply(poses[:, right.body], right.face_body) - apply(poses[:, left.body], left.face_body)
-    widths = np.einsum("ti,ti->t", between, poses[:, left.body, :3, :3] @ left.normal_body)
-    return float(np.interp(-width_m, -widths, values))
+    widths = robot.pad_distances(values)
+    return float(np.interp(-width_m, -widths, values)) if len(widths) else fallback
 
 
 def stalling_gripper(scene: Scene, joints: Array, theta: float, fallback: float) -> float:

@@ -4,6 +4,7 @@ import json
 import re
 from contextlib import chdir
 from dataclasses import replace
+from fractions import Fraction
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -21,12 +22,14 @@ from aomgen.errors import (
     MissingFileError,
     StorageError,
 )
+from aomgen.io.shown_frame import FrameDisplay
 from aomgen.io.video import VideoInfo
 from aomgen.pipeline import preflight, requirements
 from aomgen.pipeline.stages import assets_digest
 from aomgen.robots.loading import load_robot
 from broken_captures import CAPTURES, TOML, edit, write_tight_usd
 
+AS_STORED = FrameDisplay(transposed=False, mirrored=(False, False), aspect=Fraction(1), transfer=None)
 SHARED = Path(__file__).parents[4] / "shared" / "captures"
 
 
@@ -61,7 +64,7 @@ def test_every_message_belongs_to_a_broken_capture():
 
 
 def test_a_video_that_does_not_fit_into_memory(small_copy, monkeypatch):
-    huge = VideoInfo(width=3840, height=2160, frames=19_000, fps=60)
+    huge = VideoInfo(width=3840, height=2160, frames=19_000, fps=60, display=AS_STORED)
     monkeypatch.setattr(demo_videos, "probe_video", lambda path: huge)
     monkeypatch.setattr(
         demo_videos.os, "sysconf", {"SC_PAGE_SIZE": 4096, "SC_PHYS_PAGES": 1 << 22}.__getitem__
