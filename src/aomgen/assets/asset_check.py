@@ -1,5 +1,6 @@
 """What an articulated asset must fulfil before it is simulated and drawn."""
 
+import itertools
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
@@ -16,6 +17,10 @@ from aomgen.core.values import Array, Vector3, freeze_arrays
 FINGER_BALL, MAX_HANDLE_THICKNESS = 0.012, 0.06
 # An asset has to open at least this far to be worth opening, [rad] and [m].
 MIN_OPENING = {"revolute": np.deg2rad(30.0), "prismatic": 0.10}
+# Limits are rounded in files, [rad] or [m].
+ROUNDING = 1e-6
+# No door opens by so little, but one of radians that were read as degrees does, [rad].
+TINY_OPENING = 0.12
 # Longest side of household furniture and appliances, [m]; a wrong unit is outside.
 SIZE_RANGE = (0.05, 3.0)
 # Colliders that touch by less than this do not block a joint, [m].
@@ -114,11 +119,30 @@ def _check_joint(asset: ArticulatedAsset) -> list[str]:
     joint, least = asset.joint, MIN_OPENING[asset.joint.type]
     limits = f"{joint.lower:.3g} .. {joint.upper:.3g}"
     degrees = joint.type == "revolute" and not joint.upper <= 2 * np.pi
+    # MuJoCo counts degrees where a file, as fragments do, says nothing of angles.
+    opening_deg = float(np.degrees(joint.upper))
+    radians = joint.type == "revolute" and joint.upper <= TINY_OPENING and opening_deg <= 2 * np.pi
+    hint = (
+        f": radians read as degrees? Import it with --limits {np.degrees(joint.lower):.3g} {opening_deg:.3g}, "
+        "or farther if it can open farther"
+        if radians
+        else "; if it can open farther, import it with --limits"
+    )
     return _failed(
         (bool(abs(np.linalg.norm(joint.axis) - 1) <= 1e-6), "has a joint axis that is not a unit vector"),
-        (joint.lower <= 0.0 <= joint.upper, f"has joint limits {limits} that exclude the closed state 0"),
-        (joint.upper >= least, f"opens by {joint.upper:.3g} only, want at least {least:.3g} (rad or m)"),
-        (not degrees, f"opens by {joint.upper:.3g} rad: limits look like degrees"),
+        (
+            joint.lower <= ROUNDING and joint.upper >= 0.0,
+            f"has joint limits {limits} that exclude the closed state 0",
+        ),
+        (
+            joint.upper >= least,
+            f"opens by {joint.upper:.3g} only, want at least {least:.3g} (rad or m){hint}",
+        ),
+        (
+            not degrees,
+            f"opens by {joint.upper:.3g} rad: limits look like degrees; import it with --limits "
+            f"{np.radians(joint.lower):.3g} {np.radians(joint.upper):.3g}",
+        ),
     )
 
 
@@ -138,10 +162,13 @@ def _check_links(asset: ArticulatedAsset) -> list[str]:
 
 
 def _check_range(asset: ArticulatedAsset) -> list[str]:
-    """Pairs of static and moving colliders that overlap somewhere along the joint."""
+    """Pairs of static and moving colliders that overlap along the joint, but not in the closed state."""
     found: dict[tuple[str, str], float] = {}
+    hinged = find_hinged_pairs(asset)
     for overlap in find_overlaps(asset):
-        found.setdefault((overlap.static, overlap.moving), overlap.theta)
+        pair = overlap.static, overlap.moving
+        if pair not in hinged:
+            found.setdefault(pair, overlap.theta)
     return [
         f"colliders {a!r} and {b!r} overlap at joint value {theta:.3g}" for (a, b), theta in found.items()
     ]
@@ -188,6 +215,15 @@ def find_overlaps(asset: ArticulatedAsset) -> Iterator[Overlap]:
                     depth=-float(contact.dist),
                     normal=sign * contact.frame[:3],
                 )
+
+
+def find_hinged_pairs(asset: ArticulatedAsset) -> set[tuple[str, str]]:
+    """Names of static and moving colliders that overlap in the closed state, as those of hinges and seals do.
+
+    The links of an object do not touch each other in simulation, so this does not block its joint.
+    """
+    closed = itertools.takewhile(lambda overlap: overlap.theta == 0.0, find_overlaps(asset))
+    return {(overlap.static, overlap.moving) for overlap in closed}
 
 
 def _simulate_touch(asset: ArticulatedAsset) -> tuple[mujoco.MjModel, mujoco.MjData, AssetNames]:

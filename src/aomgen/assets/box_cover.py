@@ -4,17 +4,24 @@ from collections.abc import Sequence
 from itertools import pairwise
 
 import numpy as np
+import trimesh
 from numpy.typing import NDArray
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
+from aomgen.assets.convex_parts import depth_in_hull, fit_box, split_convex
 from aomgen.core.asset import BoxCollider
 from aomgen.core.mesh import Mesh, face_normals_areas
-from aomgen.core.transforms import transform
 from aomgen.core.values import Array
 
-# A component that fills its bounding box by this share is that box.
-SOLID_SHARE = 0.6
+# A surface of which this share, [%], lies no deeper than this below its hull, [m], is convex.
+MOST_SURFACE, SHALLOW_M = 95.0, 0.003
+# Points along the longest edge of a component at which its depth below the hull is measured.
+SURFACE_STEPS = 40
+# A face with a normal this near to an axis is aligned, and a surface with this share of aligned faces straight.
+ALIGNED, STRAIGHT_SHARE = 0.999, 0.9
+# A straight surface of more cells than this has curved edges, and convex parts describe it better.
+MAX_CELLS = 60
 # Cells along the longest edge of a hollow component, and bounds of their size, [m]: boards are hardly thinner, gaps
 # for a gripper not narrower.
 CELLS, CELL_RANGE = 40, (0.006, 0.03)
@@ -22,32 +29,52 @@ CELLS, CELL_RANGE = 40, (0.006, 0.03)
 MAX_PLANES = 60
 # Samples are moved this far below the surface, [m]: far less than a board is thick, far more than rounding.
 BELOW_SURFACE = 2e-4
-# Components thinner than this in two directions, [m], never need cells.
-ROD_THICKNESS = 0.02
+# Components thinner than this in two directions, or in one, [m], are a rod or a plate.
+ROD_THICKNESS, PLATE_THICKNESS = 0.02, 0.002
 
 
 def box_cover(meshes: Sequence[Mesh]) -> list[BoxCollider]:
-    """Axis-aligned boxes that cover the surface of meshes and leave hollows hollow.
+    """Boxes that cover the surface of meshes and leave hollows hollow, named after the meshes.
 
-    Each connected component that fills its bounding box, or is a rod or plate, becomes that
-    box; others are filled with cells along their surface, merged into as few boxes as a greedy
-    sweep finds, each shrunk to the surface inside it. Straight furniture is
-    met exactly; where a curved part leaves a gap narrower than a cell, boxes may overlap, and
-    such an asset needs authored colliders.
+    Each connected component that is nearly convex becomes the box around it, oriented where that is
+    smaller. Straight furniture is met exactly by cells between its planes, other closed surfaces are
+    split into convex parts, and other open ones are covered by cells along their surface.
     """
     boxes: list[BoxCollider] = []
     for mesh in meshes:
         owners = face_components(mesh)
         for label in np.unique(owners):
-            triangles = mesh.vertices[mesh.faces[owners == label]]
-            found = [_bounds(triangles)] if _is_box_like(triangles) else _cells(triangles)
-            for lower, upper in found:
-                half = np.maximum((upper - lower) / 2, 5e-4)
-                pose = transform(np.eye(3), (lower + upper) / 2)
+            for points in _split(mesh.vertices[mesh.faces[owners == label]]):
+                pose, half = fit_box(points)
                 boxes.append(
                     BoxCollider(name=f"{mesh.name}_{len(boxes)}", T_asset_box=pose, half_extents=half)
                 )
     return boxes
+
+
+def _split(triangles: Array) -> list[Array]:
+    """Points (N, 3) of each part that one box stands for."""
+    corners = triangles.reshape(-1, 3)
+    if _is_nearly_convex(triangles):
+        return [corners]
+    surface = trimesh.Trimesh(corners, np.arange(len(corners)).reshape(-1, 3), process=False)
+    surface.merge_vertices(digits_vertex=5)
+    cells = [np.stack(cell) for cell in _cells(triangles)]
+    aligned = np.abs(surface.face_normals).max(1) > ALIGNED
+    straight = surface.area_faces[aligned].sum() >= STRAIGHT_SHARE * surface.area
+    if not surface.is_watertight or (straight and len(cells) <= MAX_CELLS):
+        return cells
+    return split_convex(surface)
+
+
+def _is_nearly_convex(triangles: Array) -> bool:
+    """Whether the surface follows its convex hull, or is a rod or plate."""
+    corners = triangles.reshape(-1, 3)
+    size = np.sort(np.ptp(corners, axis=0))
+    if size[1] < ROD_THICKNESS or size[0] < PLATE_THICKNESS:
+        return True
+    inside = depth_in_hull(corners, _dense_points(triangles, size[2] / SURFACE_STEPS))
+    return float(np.percentile(inside, MOST_SURFACE)) <= SHALLOW_M
 
 
 def face_components(mesh: Mesh) -> NDArray[np.int32]:
@@ -62,37 +89,12 @@ def face_components(mesh: Mesh) -> NDArray[np.int32]:
     return labels[faces[:, 0]]
 
 
-def _bounds(triangles: Array) -> tuple[Array, Array]:
-    return triangles.min((0, 1)), triangles.max((0, 1))
-
-
-def _is_box_like(triangles: Array) -> bool:
-    lower, upper = _bounds(triangles)
-    size = np.sort(upper - lower)
-    if size[1] < ROD_THICKNESS or size[0] < 2e-3:
-        return True
-    if not _is_closed(triangles):
-        return False
-    centred = triangles - triangles.mean((0, 1))
-    volume = abs(np.einsum("ni,ni->n", centred[:, 0], np.cross(centred[:, 1], centred[:, 2])).sum()) / 6
-    return volume >= SOLID_SHARE * float(np.prod(size))
-
-
-def _is_closed(triangles: Array) -> bool:
-    """Whether every edge belongs to an even number of triangles, so that a volume is defined."""
-    keys = np.round(triangles.reshape(-1, 3) / 1e-5).astype(np.int64)
-    _, corners = np.unique(keys, axis=0, return_inverse=True)
-    faces = corners.reshape(-1, 3)
-    edges = np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), axis=1)
-    return bool((np.unique(edges, axis=0, return_counts=True)[1] % 2 == 0).all())
-
-
 def _cells(triangles: Array) -> list[tuple[Array, Array]]:
     """Surface cells merged into blocks, as (lower, upper) corners.
 
     Cells end where vertices lie, so that boards and panels are met exactly.
     """
-    lower, upper = _bounds(triangles)
+    lower, upper = triangles.min((0, 1)), triangles.max((0, 1))
     cell = float(np.clip((upper - lower).max() / CELLS, *CELL_RANGE))
     planes = [_planes(triangles[..., axis].ravel(), cell) for axis in range(3)]
     points = _dense_points(triangles, 0.4 * cell)

@@ -1,12 +1,18 @@
 """What is to be said of an asset before it is used: joint, size, handle, room for a finger, colliders, mass, textures."""
 
 from dataclasses import dataclass
-from typing import Final
 
 import numpy as np
 from scipy.spatial import cKDTree
 
-from aomgen.assets.asset_check import FINGER_BALL, check_asset, held_at_rim, outward_normal
+from aomgen.assets.asset_check import (
+    FINGER_BALL,
+    check_asset,
+    find_hinged_pairs,
+    held_at_rim,
+    outward_normal,
+)
+from aomgen.assets.normalization import DENSITIES
 from aomgen.core.asset import ArticulatedAsset, AssetLink, BoxCollider
 from aomgen.core.mesh import sample_meshes
 from aomgen.core.values import Array
@@ -19,8 +25,6 @@ FAR_M = 1e-3
 LONGEST_WAY_M = 0.08
 # Colliders should follow what is seen to within this, [m], but for a twentieth of the surface.
 NEAR_M, MOST = 0.003, 95.0
-# Lighter and heavier than any household thing of its volume, [kg/m^3].
-DENSITIES: Final = (20.0, 4000.0)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -60,7 +64,9 @@ def examine(asset: ArticulatedAsset) -> list[Finding]:
             for link, surface in zip((asset.static, asset.moving), points, strict=True)
         ),
         *(_mass(link) for link in (asset.static, asset.moving)),
+        *_hinges(asset),
         _textures(asset),
+        *(Finding(name="assumed", state="", warning=note) for note in asset.notes),
     ]
     if asset.credit:
         found.append(Finding(name="credit", state=asset.credit))
@@ -117,14 +123,26 @@ def _off_boxes(points: Array, boxes: tuple[BoxCollider, ...]) -> Array:
 
 
 def _mass(link: AssetLink) -> Finding:
-    volume = sum(8 * float(box.half_extents.prod()) for box in link.colliders)
-    density = link.mass / volume
+    density = link.mass / link.volume
     odd = not DENSITIES[0] <= density <= DENSITIES[1]
     return Finding(
         name=f"mass of {link.name}",
         state=f"{link.mass:.2f} kg, {density:.0f} kg/m^3 of its colliders",
         warning="unlike any household thing: check its unit" if odd else "",
     )
+
+
+def _hinges(asset: ArticulatedAsset) -> list[Finding]:
+    pairs = sorted(find_hinged_pairs(asset)) if asset.static.colliders and asset.moving.colliders else []
+    if not pairs:
+        return []
+    shown = ", ".join(f"'{static}' in '{moving}'" for static, moving in pairs[:3])
+    return [
+        Finding(
+            name="hinge",
+            state=f"{len(pairs)} pairs of colliders overlap while it is closed ({shown}); they do not touch in simulation",
+        )
+    ]
 
 
 def _textures(asset: ArticulatedAsset) -> Finding:

@@ -1,5 +1,6 @@
 """Articulated models from other formats as assets: URDF, MJCF, OBJ with a joint file, USD with several joints."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -7,7 +8,7 @@ import numpy as np
 
 from aomgen.assets import mjcf_model, usd_read
 from aomgen.assets.mjcf_model import read_mjcf_model
-from aomgen.assets.normalization import cleared, closed, finish_link, guess_handle, to_asset_frame
+from aomgen.assets.normalization import complete
 from aomgen.assets.obj_model import read_obj_model
 from aomgen.assets.usd_read import read_usd
 from aomgen.core.asset import ArticulatedAsset
@@ -16,12 +17,21 @@ from aomgen.errors import ConfigError, MalformedFileError
 OBJ = ".obj"
 # Where the joints of an OBJ file are described, unless said otherwise: beside it or in a folder above.
 JOINTS_FILE = "articulation.json"
+# Formats that this file reads and a project does not.
+SUFFIXES = (*mjcf_model.SUFFIXES, OBJ)
 
 
 def import_model(
-    path: Path, *, joint: str = "", joints_file: Path | None = None, scale: float = 1.0, category: str = ""
+    path: Path,
+    *,
+    joint: str = "",
+    joints_file: Path | None = None,
+    scale: float = 1.0,
+    category: str = "",
+    limits: Sequence[float] = (),
+    handle: Sequence[float] = (),
 ) -> ArticulatedAsset:
-    """A model closed, in the asset frame, with boxes that collide and a handle.
+    """Read a model as an asset: closed, in the asset frame, with colliders and a handle.
 
     Args:
         path: URDF, MJCF, OBJ or USD.
@@ -29,6 +39,11 @@ def import_model(
         joints_file: Of an OBJ; without one, `articulation.json` beside it or above.
         scale: Makes a toy as large as the real thing.
         category: What it is, where the file does not say so.
+        limits: Lower and upper limit of the joint in place of the file's, [rad] or [m].
+        handle: Corners x0, y0, z0, x1, y1, z1 of a box around the handle as drawn, metres, Z up.
+
+    Returns:
+        The asset; its `notes` say what was assumed.
 
     Raises:
         InputError: A file cannot be used; of the kind that fits.
@@ -36,25 +51,18 @@ def import_model(
     """
     suffix = path.suffix.lower()
     if suffix in usd_read.SUFFIXES:
-        asset = read_usd(path, joint)
-        asset = asset if scale == 1.0 else asset.transformed(np.diag([scale] * 3 + [1.0]))
-        return replace(asset, category=category or asset.category)
-    if suffix == OBJ:
+        asset = read_usd(path, joint, limits=limits, handle=handle)
+    elif suffix == OBJ:
         drawn = read_obj_model(path, joints_file or _joints_file(path), joint)
+        asset = complete(drawn, path, limits=limits, handle=handle)
     elif suffix in mjcf_model.SUFFIXES:
-        drawn = read_mjcf_model(path, joint)
+        drawn = read_mjcf_model(path, joint, limited=not limits)
+        asset = complete(drawn, path, limits=limits, handle=handle)
     else:
-        known = ", ".join([*mjcf_model.SUFFIXES, OBJ, *usd_read.SUFFIXES])
+        known = ", ".join([*SUFFIXES, *usd_read.SUFFIXES])
         raise MalformedFileError(path, f"has suffix {suffix!r}", f"want one of {known}")
-    asset = closed(drawn.transformed(np.diag([scale] * 3 + [1.0])))
-    asset = replace(
-        asset,
-        category=category or asset.category,
-        static=finish_link(asset.static, path),
-        moving=finish_link(asset.moving, path),
-    )
-    point, axis = guess_handle(asset.moving, asset.joint)
-    return to_asset_frame(cleared(replace(asset, handle_point=point, handle_axis=axis)))
+    asset = asset if scale == 1.0 else asset.transformed(np.diag([scale] * 3 + [1.0]))
+    return replace(asset, category=category or asset.category)
 
 
 def _joints_file(path: Path) -> Path:

@@ -3,11 +3,13 @@
 from collections import Counter
 from dataclasses import replace
 from pathlib import Path
+from typing import Final
 
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from aomgen.assets.box_cover import box_cover
 from aomgen.assets.normalization import choose_joint
 from aomgen.assets.procedural.shapes import NO_TEXTURE, Material
 from aomgen.core.asset import ArticulatedAsset, AssetLink, BoxCollider
@@ -20,40 +22,67 @@ from aomgen.io.geom_surface import find_visible_geoms, geom_surface
 from aomgen.io.mujoco_model import LEAST_INERTIA, LEAST_MASS, compile_model, parse_spec
 from aomgen.io.robot_xml import read_robot_xml
 
+# Folders above a model's own that may hold its meshes: `../meshes`, `package://cabinet/meshes` from `cabinet/urdf`.
+ROOT_LEVELS: Final = 2
 SUFFIXES = (".urdf", ".xml", ".mjcf")
 _COLOR_ROLES = [mujoco.mjtTextureRole.mjTEXROLE_RGB.value, mujoco.mjtTextureRole.mjTEXROLE_RGBA.value]
 _OPENING = (mujoco.mjtJoint.mjJNT_HINGE.value, mujoco.mjtJoint.mjJNT_SLIDE.value)
 
 
-def read_mjcf_model(path: Path, joint_name: str) -> ArticulatedAsset:
+def read_mjcf_model(path: Path, joint_name: str, *, limited: bool = True) -> ArticulatedAsset:
     """The object of a file as it is drawn: neither closed, nor turned, nor with a handle.
 
-    Links have the boxes that collide in the file, and none where other shapes do.
+    Links have boxes that cover the shapes that collide in the file, and none where nothing does.
+
+    Args:
+        limited: Refuse a joint without limits; otherwise it gets 0 .. 1, to be replaced.
 
     Raises:
         InputError: The file or what it names cannot be used; of the kind that fits.
         AssetError: No joint, or several and none named; a link without meshes; no limits.
     """
-    xml = read_robot_xml(path, path.parent)
+    xml = read_robot_xml(path, model_root(path))
     spec = parse_spec(xml)
-    # Makers give masses to collision shapes alone, or to nothing.
-    spec.compiler.inertiagrouprange = [0, 5]
     spec.compiler.boundmass, spec.compiler.boundinertia = LEAST_MASS, LEAST_INERTIA
+    # Flat collision meshes have no hull, which MuJoCo would insist on; nothing is simulated here.
+    for geom in spec.geoms:
+        geom.priority = int(bool(geom.contype or geom.conaffinity))
+        geom.contype = geom.conaffinity = 0
+    for mesh in spec.meshes:
+        mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL
     model = compile_model(spec, path)
-    hinges = {model.joint(k).name: k for k in range(model.njnt) if model.jnt_type[k] in _OPENING}
+    hinges = {_joint_name(model, k): k for k in range(model.njnt) if model.jnt_type[k] in _OPENING}
     number = choose_joint(hinges, joint_name, path)
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
     moved = _descendants(model, int(model.jnt_bodyid[number]))
     return ArticulatedAsset(
-        name=xml.name if len(hinges) == 1 else f"{xml.name}-{model.joint(number).name}",
+        name=xml.name if len(hinges) == 1 else f"{xml.name}-{_joint_name(model, number)}",
         category=xml.name,
         static=_link(model, data, ~moved, "static", path),
         moving=_link(model, data, moved, "moving", path),
-        joint=_joint(model, data, number, path),
+        joint=_joint(model, data, number, path, limited),
         handle_point=np.zeros(3),
         handle_axis=np.array([0.0, 0.0, 1.0]),
     )
+
+
+def model_root(path: Path) -> Path:
+    """The folder in which the files that a model names must lie: two above its own, as packages are laid out.
+
+    Never the whole disk or somebody's whole home.
+    """
+    folder = path.resolve().parent
+    for _ in range(ROOT_LEVELS):
+        if folder.parent in (Path(folder.anchor), Path.home()):
+            break
+        folder = folder.parent
+    return folder
+
+
+def _joint_name(model: mujoco.MjModel, number: int) -> str:
+    """Of the joint, or of the body that it moves."""
+    return model.joint(number).name or model.body(int(model.jnt_bodyid[number])).name or f"joint_{number}"
 
 
 def _descendants(model: mujoco.MjModel, body: int) -> NDArray[np.bool_]:
@@ -64,10 +93,16 @@ def _descendants(model: mujoco.MjModel, body: int) -> NDArray[np.bool_]:
     return found
 
 
-def _joint(model: mujoco.MjModel, data: mujoco.MjData, number: int, path: Path) -> Joint:
+def _joint(model: mujoco.MjModel, data: mujoco.MjData, number: int, path: Path, limited: bool) -> Joint:
     lower, upper = model.jnt_range[number].tolist()
     if not (model.jnt_limited[number] and lower < upper):
-        raise AssetError(path, f"has no limits at joint '{model.joint(number).name}'", "give it a range")
+        if limited:
+            raise AssetError(
+                path,
+                f"has no limits at joint '{_joint_name(model, number)}'",
+                "state how far it opens: --limits 0 1.57 (rad or m)",
+            )
+        lower, upper = 0.0, 1.0
     start = float(model.qpos0[model.jnt_qposadr[number]])
     return Joint(
         type="revolute" if model.jnt_type[number] == _OPENING[0] else "prismatic",
@@ -83,32 +118,45 @@ def _link(
 ) -> AssetLink:
     """What of the visible and colliding shapes belongs to some bodies, world frame."""
     mine = bodies[model.geom_bodyid]
-    colliding = (model.geom_contype != 0) | (model.geom_conaffinity != 0)
-    boxes = model.geom_type == mujoco.mjtGeom.mjGEOM_BOX
+    colliding = model.geom_priority > 0
     meshes = [_mesh(model, data, int(geom)) for geom in np.flatnonzero(mine & _seen(model))]
     if not meshes:
         raise AssetError(
             path, f"has no visible meshes on its {name} link", "check which bodies the joint moves"
         )
-    only_boxes = boxes[mine & colliding].all()
-    colliders = [
-        BoxCollider(
-            name=f"collider_{geom}",
-            T_asset_box=transform(data.geom_xmat[geom].reshape(3, 3), data.geom_xpos[geom]),
-            half_extents=model.geom_size[geom],
-        )
-        for geom in np.flatnonzero(mine & colliding & boxes)
-    ]
+    colliders: list[BoxCollider] = []
+    for geom in np.flatnonzero(mine & colliding):
+        colliders += _boxes(model, data, int(geom))
     mass = float(model.body_mass[bodies].sum())
-    return AssetLink(
-        name=name, meshes=_numbered(meshes), colliders=tuple(colliders if only_boxes else ()), mass=mass
-    )
+    return AssetLink(name=name, meshes=_numbered(meshes), colliders=tuple(colliders), mass=mass)
+
+
+def _boxes(model: mujoco.MjModel, data: mujoco.MjData, geom: int) -> list[BoxCollider]:
+    """Boxes that cover a colliding shape, the shape itself where it is one."""
+    if model.geom_type[geom] != mujoco.mjtGeom.mjGEOM_BOX:
+        return box_cover([_mesh(model, data, geom)])
+    pose = transform(data.geom_xmat[geom].reshape(3, 3), data.geom_xpos[geom])
+    return [BoxCollider(name=_geom_name(model, geom), T_asset_box=pose, half_extents=model.geom_size[geom])]
+
+
+def _geom_name(model: mujoco.MjModel, geom: int) -> str:
+    """Of the shape or its mesh; with that of its body, which may be all that says handle."""
+    number = int(model.geom_dataid[geom])
+    meshed = model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_MESH
+    own = model.geom(geom).name or (model.mesh(number).name if meshed else "") or f"geom_{geom}"
+    return "_".join(filter(None, [model.body(int(model.geom_bodyid[geom])).name, own]))
 
 
 def _seen(model: mujoco.MjModel) -> NDArray[np.bool_]:
-    """Also what a file fixes to the world: an object's body is often part of it."""
-    shown = find_visible_geoms(model)
-    return shown | ((model.geom_bodyid == 0) & (model.geom_contype == 0) & (model.geom_rgba[:, 3] > 0))
+    """Also what a file fixes to the world, as an object's body is often part of it, and colliding shapes beside
+    visible ones of the same group, unless meshes show the body.
+    """
+    colliding = model.geom_priority > 0
+    shown = find_visible_geoms(model, colliding)
+    drawn = shown & (model.geom_type == mujoco.mjtGeom.mjGEOM_MESH)
+    beside = np.isin(model.geom_group, model.geom_group[shown & ~colliding]) & (model.geom_rgba[:, 3] > 0)
+    shown |= colliding & beside & ~np.isin(model.geom_bodyid, model.geom_bodyid[drawn])
+    return shown | ((model.geom_bodyid == 0) & ~colliding & (model.geom_rgba[:, 3] > 0))
 
 
 def _numbered(meshes: list[Mesh]) -> tuple[Mesh, ...]:
@@ -132,10 +180,9 @@ def _mesh(model: mujoco.MjModel, data: mujoco.MjData, geom: int) -> Mesh:
     body = int(model.geom_bodyid[geom])
     place = transform(matrix_from_quat(data.xquat[body]), data.xpos[body])
     meshed = model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_MESH
-    name = model.mesh(number).name if meshed else model.geom(geom).name
     uvs = _uvs(model, number) if meshed else np.zeros((0, 3, 2))
     surface = _material(rgba, _texture(model, material))
-    return surface.mesh(name or f"geom_{geom}", apply(place, vertices), faces, uvs)
+    return surface.mesh(_geom_name(model, geom), apply(place, vertices), faces, uvs)
 
 
 def _material(rgba: NDArray[np.float32], texture: NDArray[np.uint8]) -> Material:

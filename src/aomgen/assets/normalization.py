@@ -1,7 +1,7 @@
 """An asset from elsewhere in the frame in which all of ours stand, closed, with a handle."""
 
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Final, TypeVar
@@ -10,26 +10,20 @@ import numpy as np
 
 from aomgen.assets.asset_check import find_overlaps, outward_normal
 from aomgen.assets.box_cover import box_cover
+from aomgen.assets.handle_search import find_handle, opening_direction, state_handle
 from aomgen.core.asset import ArticulatedAsset, AssetLink, BoxCollider
-from aomgen.core.joint import Joint
-from aomgen.core.mesh import sample_meshes
 from aomgen.core.transforms import apply, matrix_from_rotvec, transform
 from aomgen.core.values import Array
 from aomgen.errors import AssetError
 
-HANDLE_WORDS = ("handle", "knob", "grip", "pull")
-# The handle's outermost layer, [m], in which its middle and direction are sought.
-LAYER = 0.008
-# A revolute part's handle lies in the outer share of its reach.
-OUTER_SHARE = 0.5
-# Surface points that the handle is searched in: many on each handle of usual size.
-SAMPLES = 20_000
 # Rounds in which colliders are cut back, what is left free between them, and boards thinner than which carry nothing, [m].
 CUTS: Final = 6
 CLEARANCE_M, THINNEST_M = 2e-4, 1e-3
 T = TypeVar("T")
-# Used for a link whose file names no mass, [kg/m^3] of its colliders.
+# Used for a link whose file names no plausible mass, [kg/m^3] of its colliders.
 FALLBACK_DENSITY = 400.0
+# Lighter and heavier than any household thing of its volume, [kg/m^3].
+DENSITIES: Final = (20.0, 4000.0)
 # Limits at which an asset takes room that differs less than this share are equally closed.
 SAME_ROOM: Final = 0.02
 
@@ -64,10 +58,51 @@ def finish_link(link: AssetLink, path: Path) -> AssetLink:
         boxes.append(replace(item, name=item.name + suffix))
     if not link.meshes or not boxes:
         raise AssetError(path, f"link {link.name!r} has no meshes", "check what its joint connects")
-    volume = sum(8 * float(box.half_extents.prod()) for box in boxes)
-    return replace(
-        link, colliders=tuple(boxes), mass=link.mass if link.mass > 0 else FALLBACK_DENSITY * volume
-    )
+    covered = replace(link, colliders=tuple(boxes))
+    return covered if link.mass > 0 else replace(covered, mass=FALLBACK_DENSITY * covered.volume)
+
+
+def complete(
+    drawn: ArticulatedAsset, path: Path, *, limits: Sequence[float] = (), handle: Sequence[float] = ()
+) -> ArticulatedAsset:
+    """A model as it is drawn, made an asset: closed, with colliders, masses and a handle, in the asset frame.
+
+    Args:
+        drawn: Links may be without colliders and mass.
+        path: Its file, for messages.
+        limits: Lower and upper limit of the joint in place of the file's, [rad] or [m] from the drawn pose.
+        handle: Low and high corner of a box around the handle, in the coordinates of the file, [m].
+
+    Returns:
+        The asset; `notes` say what was assumed.
+
+    Raises:
+        AssetError: A link without meshes, or a moving one without a handle.
+    """
+    if limits:
+        drawn = replace(drawn, joint=replace(drawn.joint, lower=float(limits[0]), upper=float(limits[1])))
+    moving, static = finish_link(drawn.moving, path), finish_link(drawn.static, path)
+    if handle:
+        moving = state_handle(moving, np.array(handle[:3]), np.array(handle[3:]))
+    notes = [*drawn.notes]
+    links = []
+    for link in (static, moving):
+        plausible = _with_plausible_mass(link)
+        if plausible.mass != link.mass:
+            notes.append(
+                f"'{link.name}' weighs {link.mass:.3g} kg in the file, {link.mass / link.volume:.3g} kg/m^3 of its "
+                f"colliders; {plausible.mass:.2f} kg are assumed"
+            )
+        links.append(plausible)
+    asset = find_handle(closed(replace(drawn, static=links[0], moving=links[1])))
+    return replace(to_asset_frame(cleared(asset)), notes=tuple(notes))
+
+
+def _with_plausible_mass(link: AssetLink) -> AssetLink:
+    """The link, with the mass of a usual density where its own is that of no household thing."""
+    low, high = DENSITIES
+    plausible = low <= link.mass / link.volume <= high
+    return link if plausible else replace(link, mass=FALLBACK_DENSITY * link.volume)
 
 
 def cleared(asset: ArticulatedAsset) -> ArticulatedAsset:
@@ -125,45 +160,6 @@ def closed(asset: ArticulatedAsset) -> ArticulatedAsset:
     return replace(asset, moving=asset.moving.transformed(joint.motion(value)), joint=opening)
 
 
-def _opening_direction(link: AssetLink, joint: Joint) -> Array:
-    """Unit direction (3,) in which the middle of the moving link starts to move."""
-    if joint.type == "prismatic":
-        return joint.axis
-    points = np.concatenate([mesh.vertices for mesh in link.meshes])
-    middle = (points.min(0) + points.max(0)) / 2
-    direction = np.cross(joint.axis, middle - joint.origin)
-    length = float(np.linalg.norm(direction))
-    if not length > 1e-4:
-        raise AssetError(link.name, "lies symmetrically around its joint axis", "name its handle in the file")
-    return direction / length
-
-
-def guess_handle(link: AssetLink, joint: Joint) -> tuple[Array, Array]:
-    """Guess the middle of a moving link's handle bar (3,), [m], and its unit direction (3,).
-
-    Meshes named like a handle are taken where there are some; otherwise the part of the link
-    that protrudes most in the opening direction, for a revolute part within the outer half of
-    its reach (a handle is opposite the hinge). The direction is the longer one of that region.
-    """
-    named = [m for m in link.meshes if any(word in m.name.lower() for word in HANDLE_WORDS)]
-    points = sample_meshes(named or link.meshes, SAMPLES, np.random.default_rng(0))
-    outward = _opening_direction(link, joint)
-    if joint.type == "revolute" and not named:
-        arms = points - joint.origin
-        reach = np.linalg.norm(arms - np.outer(arms @ joint.axis, joint.axis), axis=1)
-        points = points[reach >= OUTER_SHARE * reach.max()]
-    heights = points @ outward
-    bar = points[heights >= heights.max() - LAYER]
-    across = np.linalg.svd(outward[None])[2][1:]
-    flat = (bar - bar.mean(0)) @ across.T
-    direction = np.linalg.svd(flat, full_matrices=False)[2][0] @ across
-    side = np.cross(outward, direction)
-    point = sum(
-        (0.5 * ((bar @ axis).min() + (bar @ axis).max()) * axis for axis in (direction, side)), np.zeros(3)
-    )
-    return point + (heights.max() - LAYER / 2) * outward, direction
-
-
 def to_asset_frame(asset: ArticulatedAsset) -> ArticulatedAsset:
     """The asset in the asset frame: front towards -y, on z = 0, centred in x and y.
 
@@ -172,7 +168,7 @@ def to_asset_frame(asset: ArticulatedAsset) -> ArticulatedAsset:
     carries it is the front. An asset that stands so already is not touched.
     """
     named = asset.handle_bar is not None
-    outward = outward_normal(asset) if named else _opening_direction(asset.moving, asset.joint)
+    outward = outward_normal(asset) if named else opening_direction(asset.moving, asset.joint)
     turns = 0
     if np.hypot(outward[0], outward[1]) > 0.5:
         angle = np.arctan2(-1.0, 0.0) - np.arctan2(outward[1], outward[0])

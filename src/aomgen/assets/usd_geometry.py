@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from aomgen.assets.box_cover import box_cover
-from aomgen.assets.normalization import finish_link
 from aomgen.assets.procedural.shapes import Material
 from aomgen.assets.usd_material import plain_material, read_material
 from aomgen.core.asset import AssetLink, BoxCollider
@@ -16,6 +15,7 @@ from aomgen.core.mesh import Mesh
 from aomgen.core.transforms import apply, transform
 from aomgen.core.values import Array
 from aomgen.errors import AssetError, LimitExceededError, MalformedFileError
+from aomgen.io.geom_surface import hull_surface, outer_points
 
 # Far above any asset that renders well; more would fill the memory.
 MAX_FACES = 3_000_000
@@ -38,11 +38,10 @@ def read_links(
 ) -> tuple[AssetLink, AssetLink]:
     """Static and moving link of the stage in a file, metric, Z up; bodies are prim paths.
 
-    Boxes (UsdGeom.Cube with CollisionAPI) are taken as they are; where a link has none, its
-    collision meshes (or else its visible ones) are covered by boxes, see `box_cover`.
+    Boxes (UsdGeom.Cube with CollisionAPI) are taken as they are, other shapes that collide are covered by boxes,
+    see `box_cover`. A link in which nothing collides has no colliders.
 
     Raises:
-        AssetError: A link without meshes.
         MalformedFileError: Indices out of range, counts that do not fit, values not finite.
         LimitExceededError: More than MAX_FACES faces.
     """
@@ -57,34 +56,35 @@ def read_links(
             link.name, link.named = str(prim.GetDisplayName() or prim.GetName()), True
         if prim.HasAPI(UsdPhysics.MassAPI):
             link.mass += max(0.0, float(UsdPhysics.MassAPI(prim).GetMassAttr().Get() or 0.0))
-        if not (prim.IsA(UsdGeom.Mesh) or prim.IsA(UsdGeom.Cube)):
+        if not prim.IsA(UsdGeom.Gprim):
             continue
         place = to_metric @ np.array(cache.GetLocalToWorldTransform(prim)).T
         collides = prim.HasAPI(UsdPhysics.CollisionAPI)
         name = str(prim.GetDisplayName() or prim.GetName())
+        seen = _visible(prim)
         if collides and prim.IsA(UsdGeom.Cube):
             link.boxes.append(_box(prim, place, name))
-        seen = _visible(prim)
-        if not prim.IsA(UsdGeom.Mesh) or not (seen or collides):
+            if not seen:
+                continue
+        if not (seen or collides):
             continue
-        meshes = _meshes(prim, place, name, path.resolve().parent)
+        folder = path.resolve().parent
+        whole = prim.IsA(UsdGeom.Mesh)
+        meshes = _meshes(prim, place, name, folder) if whole else _primitive(prim, place, name, folder)
         count += sum(len(mesh.faces) for mesh in meshes)
         if not count <= MAX_FACES:
             raise LimitExceededError(
                 prim.GetPath(), f"brings the asset above {MAX_FACES} faces", "simplify it"
             )
         link.meshes += meshes if seen else []
-        link.collision_meshes += meshes if collides else []
+        link.collision_meshes += meshes if collides and not prim.IsA(UsdGeom.Cube) else []
     kilograms = float(UsdPhysics.GetStageKilogramsPerUnit(stage))
     static, moving = (
-        finish_link(
-            AssetLink(
-                name=link.name,
-                meshes=tuple(link.meshes),
-                colliders=tuple(link.boxes or box_cover(link.collision_meshes)),
-                mass=link.mass * kilograms,
-            ),
-            path,
+        AssetLink(
+            name=link.name,
+            meshes=tuple(link.meshes),
+            colliders=tuple([*link.boxes, *box_cover(link.collision_meshes)]),
+            mass=link.mass * kilograms,
         )
         for link in links.values()
     )
@@ -118,6 +118,42 @@ def _box(prim: Any, place: Array, name: str) -> BoxCollider:
         R = R * np.array([1.0, 1.0, -1.0])
     half = 0.5 * float(UsdGeom.Cube(prim).GetSizeAttr().Get()) * lengths
     return BoxCollider(name=name, T_asset_box=transform(R, place[:3, 3]), half_extents=half)
+
+
+def _primitive(prim: Any, place: Array, name: str, folder: Path) -> list[Mesh]:
+    """The surface of a cube, sphere, cylinder, capsule or cone; empty for other shapes."""
+    from pxr import UsdShade
+
+    points = _primitive_points(prim)
+    if points is None:
+        return []
+    base = _base_material(prim)
+    material, _ = UsdShade.MaterialBindingAPI(prim).ComputeBoundMaterial()
+    surface = read_material(material, folder, base) if material else base
+    vertices, faces = hull_surface(apply(place, points))
+    return [surface.mesh(name, vertices, faces, np.zeros((0, 3, 2)))]
+
+
+def _primitive_points(prim: Any) -> Array | None:
+    """Points (N, 3) of which a shape is the hull, in its own units."""
+    from pxr import UsdGeom
+
+    if prim.IsA(UsdGeom.Cube):
+        return outer_points("box", np.full(3, 0.5 * float(UsdGeom.Cube(prim).GetSizeAttr().Get())))
+    if prim.IsA(UsdGeom.Sphere):
+        return outer_points("sphere", np.full(3, float(UsdGeom.Sphere(prim).GetRadiusAttr().Get())))
+    for kind, schema in (
+        ("cylinder", UsdGeom.Cylinder),
+        ("capsule", UsdGeom.Capsule),
+        ("cone", UsdGeom.Cone),
+    ):
+        if prim.IsA(schema):
+            item = schema(prim)
+            half = 0.5 * float(item.GetHeightAttr().Get())
+            points = outer_points(kind, np.array([float(item.GetRadiusAttr().Get()), half, 0.0]))
+            # The shapes stand along z and are turned so that z becomes their axis; a turn, no mirroring.
+            return np.roll(points, {"X": 1, "Y": 2, "Z": 0}[str(item.GetAxisAttr().Get())], axis=1)
+    return None
 
 
 def _meshes(prim: Any, place: Array, name: str, folder: Path) -> list[Mesh]:

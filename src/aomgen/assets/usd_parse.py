@@ -1,12 +1,13 @@
 """One USD file to one articulated asset; runs in the child process only."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from aomgen.assets.normalization import choose_joint, guess_handle, to_asset_frame
+from aomgen.assets.normalization import choose_joint, complete, finish_link, to_asset_frame
 from aomgen.assets.usd_geometry import read_links
 from aomgen.assets.usd_material import check_layers
 from aomgen.assets.usd_write import NAMESPACE
@@ -20,7 +21,9 @@ from aomgen.errors import AssetError, MalformedFileError
 _Z_UP_FROM_Y_UP = np.array([[1.0, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1]])
 
 
-def parse_usd(path: Path, joint_name: str = "") -> ArticulatedAsset:
+def parse_usd(
+    path: Path, joint_name: str = "", *, limits: Sequence[float] = (), handle: Sequence[float] = ()
+) -> ArticulatedAsset:
     """Parse a USD file in this process.
 
     With a name, the joint of that prim name or path is the one that moves, and others are fixed as they are drawn.
@@ -28,7 +31,8 @@ def parse_usd(path: Path, joint_name: str = "") -> ArticulatedAsset:
     world), with everything fixed to it; the rest is static. As the file stands is joint value
     0; the axis is turned so that the larger limit is positive. The result is moved so that its
     front looks towards -y, it stands on z = 0 and is centred in x; a file that is so already
-    is not touched. Without `aomgen:handle_point` the handle is guessed (`guess_handle`).
+    is not touched. A file without `aomgen:handle_point` is foreign: it is closed and gets a handle,
+    see `normalization.complete`, which also explains `limits` and `handle`.
 
     Raises:
         MalformedFileError, UnsafePathError, MissingFileError, AssetError: See `usd_read.read_usd`.
@@ -45,7 +49,7 @@ def parse_usd(path: Path, joint_name: str = "") -> ArticulatedAsset:
     unit = float(UsdGeom.GetStageMetersPerUnit(stage))
     up = np.eye(4) if UsdGeom.GetStageUpAxis(stage) == UsdGeom.Tokens.z else _Z_UP_FROM_Y_UP
     to_metric = up @ np.diag([unit, unit, unit, 1.0])
-    joint, moving_bodies, bodies = _find_joint(stage, joint_name, to_metric, unit, path)
+    joint, moving_bodies, bodies = _find_joint(stage, joint_name, to_metric, unit, path, limited=not limits)
     static, moving = read_links(stage, moving_bodies, bodies, to_metric, path)
     root = stage.GetDefaultPrim()
     asset = ArticulatedAsset(
@@ -58,11 +62,14 @@ def parse_usd(path: Path, joint_name: str = "") -> ArticulatedAsset:
         handle_axis=np.array([0.0, 0.0, 1.0]),
         credit=str(_root_attribute(stage, "credit") or ""),
     )
-    return to_asset_frame(_with_handle(asset, stage, to_metric))
+    if _root_attribute(stage, "handle_point") is None or limits or handle:
+        return complete(asset, path, limits=limits, handle=handle)
+    authored = replace(asset, static=finish_link(static, path), moving=finish_link(moving, path))
+    return to_asset_frame(_with_authored_handle(authored, stage, to_metric))
 
 
 def _find_joint(
-    stage: Any, name: str, to_metric: Array, unit: float, path: Path
+    stage: Any, name: str, to_metric: Array, unit: float, path: Path, *, limited: bool
 ) -> tuple[Joint, frozenset[str], frozenset[str]]:
     """A revolute or prismatic joint of a stage, and the prim paths of the bodies that move and of all.
 
@@ -86,7 +93,7 @@ def _find_joint(
     if not bodies[child]:
         raise AssetError(path, f"joint {prim.GetPath()} names no body", "set body0 and body1")
     rigid = {str(p.GetPath()) for p in prims if p.HasAPI(UsdPhysics.RigidBodyAPI)} | set(filter(None, bodies))
-    joint = _metric_joint(stage, prim, child, bodies, to_metric, unit, path)
+    joint = _metric_joint(stage, prim, child, bodies, to_metric, unit, path, limited)
     return joint, frozenset(_moved_with(bodies[child], prims, prim)), frozenset(rigid)
 
 
@@ -114,7 +121,14 @@ def _moved_with(body: str, prims: list[Any], moving: Any) -> set[str]:
 
 
 def _metric_joint(
-    stage: Any, prim: Any, child: int, bodies: list[str], to_metric: Array, unit: float, path: Path
+    stage: Any,
+    prim: Any,
+    child: int,
+    bodies: list[str],
+    to_metric: Array,
+    unit: float,
+    path: Path,
+    limited: bool,
 ) -> Joint:
     from pxr import UsdPhysics
 
@@ -122,9 +136,12 @@ def _metric_joint(
     api = UsdPhysics.RevoluteJoint(prim) if revolute else UsdPhysics.PrismaticJoint(prim)
     lower, upper = float(api.GetLowerLimitAttr().Get()), float(api.GetUpperLimitAttr().Get())
     if not (np.isfinite([lower, upper]).all() and lower < upper):
-        raise AssetError(
-            path, f"joint {prim.GetPath()} has limits {lower} .. {upper}", "give it finite limits"
-        )
+        if limited:
+            raise AssetError(
+                path, f"joint {prim.GetPath()} has limits {lower} .. {upper}",
+                "state how far it opens: --limits 0 1.57 (rad or m)",
+            )  # fmt: skip
+        lower, upper = 0.0, 1.0
     scale = np.pi / 180.0 if revolute else unit
     frame = _frame(stage, prim, child, bodies[child], to_metric)
     axis = frame[:3, "XYZ".index(str(api.GetAxisAttr().Get()))]
@@ -183,13 +200,12 @@ def _root_attribute(stage: Any, name: str) -> Any | None:
     return attribute.Get() if attribute else None
 
 
-def _with_handle(asset: ArticulatedAsset, stage: Any, to_metric: Array) -> ArticulatedAsset:
+def _with_authored_handle(asset: ArticulatedAsset, stage: Any, to_metric: Array) -> ArticulatedAsset:
     from pxr import UsdGeom
 
     point, axis = _root_attribute(stage, "handle_point"), _root_attribute(stage, "handle_axis")
-    if point is None or axis is None:
-        guessed, direction = guess_handle(asset.moving, asset.joint)
-        return replace(asset, handle_point=guessed, handle_axis=direction)
+    if axis is None:
+        raise AssetError(asset.name, "has aomgen:handle_point without aomgen:handle_axis", "author both")
     matrix = np.array(UsdGeom.XformCache().GetLocalToWorldTransform(stage.GetDefaultPrim())).T
     place = to_metric @ matrix
     direction = place[:3, :3] @ np.array(axis, np.float64)

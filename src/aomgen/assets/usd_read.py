@@ -1,6 +1,6 @@
 """Reading articulated USD assets safely: a child process parses, this one only takes arrays.
 
-The child is `python -m aomgen.assets.usd_read FILE FOLDER JOINT`: it writes the asset into FOLDER; an error of ours
+The child is `python -m aomgen.assets.usd_read FILE FOLDER JOINT CHOICES`: it writes the asset into FOLDER; an error of ours
 becomes a JSON line on standard error and exit code REFUSED, anything else is a crash that the parent reports.
 """
 
@@ -10,6 +10,7 @@ import resource
 import subprocess
 import sys
 import tempfile
+from collections.abc import Sequence
 from pathlib import Path
 
 import aomgen
@@ -28,7 +29,14 @@ ARTIFACT = "asset"
 SUFFIXES = (".usd", ".usda", ".usdc", ".usdz")
 
 
-def read_usd(path: Path, joint: str = "", *, timeout_s: float = TIMEOUT_S) -> ArticulatedAsset:
+def read_usd(
+    path: Path,
+    joint: str = "",
+    *,
+    limits: Sequence[float] = (),
+    handle: Sequence[float] = (),
+    timeout_s: float = TIMEOUT_S,
+) -> ArticulatedAsset:
     """Read an articulated asset in a child process, so that a parser crash stays a typed error.
 
     Any metersPerUnit and upAxis, instances, face subsets, UsdPreviewSurface or MDL materials
@@ -49,7 +57,8 @@ def read_usd(path: Path, joint: str = "", *, timeout_s: float = TIMEOUT_S) -> Ar
     if not path.stat().st_size <= MAX_BYTES:
         raise LimitExceededError(path, f"has {path.stat().st_size} bytes, limit {MAX_BYTES}")
     with tempfile.TemporaryDirectory(prefix="aomgen-usd-") as folder:
-        _run_child([str(path.resolve()), folder, joint], path, timeout_s)
+        choices = json.dumps({"limits": list(limits), "handle": list(handle)})
+        _run_child([str(path.resolve()), folder, joint, choices], path, timeout_s)
         return load_artifact(Path(folder), ARTIFACT, ArticulatedAsset)
 
 
@@ -82,13 +91,17 @@ def _error_of(message: str, path: Path) -> AomgenError:
 
 
 def parse_as_child(arguments: list[str]) -> int:
-    """Parse the joint `arguments[2]` of file `arguments[0]` into folder `arguments[1]`; returns the exit code."""
+    """Parse the joint `arguments[2]` of file `arguments[0]` into folder `arguments[1]`; returns the exit code.
+
+    `arguments[3]` holds limits and handle in JSON, as `parse_usd` takes them.
+    """
     from aomgen.assets.usd_parse import parse_usd
 
     resource.setrlimit(resource.RLIMIT_AS, (MAX_MEMORY_BYTES, MAX_MEMORY_BYTES))
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     try:
-        save_artifact(Path(arguments[1]), ARTIFACT, parse_usd(Path(arguments[0]), arguments[2]))
+        asset = parse_usd(Path(arguments[0]), arguments[2], **json.loads(arguments[3]))
+        save_artifact(Path(arguments[1]), ARTIFACT, asset)
     except AomgenError as error:
         answer = {"error": type(error).__name__, "where": error.where, "problem": error.problem}
         sys.stderr.write(json.dumps({**answer, "remedy": error.remedy}) + "\n")

@@ -49,6 +49,11 @@ class AssetLink:
     mass: float
 
     @property
+    def volume(self) -> float:
+        """Of all colliders, [m^3]."""
+        return sum(8 * float(box.half_extents.prod()) for box in self.colliders)
+
+    @property
     def bounds(self) -> tuple[Array, Array]:
         """Low and high corner (3,) of the colliders, asset frame, [m]."""
         corners = np.concatenate([box.corners for box in self.colliders])
@@ -84,6 +89,7 @@ class ArticulatedAsset:
         handle_point: Where a gripper holds, (3,): the grasped middle of the handle.
         handle_axis: Unit direction (3,) along the handle's bar.
         credit: Who made it and under which licence, where that must be said.
+        notes: Sentences about what was assumed when it was read from a foreign file.
     """
 
     name: str
@@ -94,6 +100,7 @@ class ArticulatedAsset:
     handle_point: Vector3
     handle_axis: Vector3
     credit: str = ""
+    notes: tuple[str, ...] = ()
 
     __post_init__ = freeze_arrays
 

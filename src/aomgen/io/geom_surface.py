@@ -3,6 +3,8 @@
 # MuJoCo ships no type stubs: its classes are unknown to the checker.
 # pyright: reportUnknownParameterType=false
 
+from typing import Final, Literal
+
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
@@ -15,14 +17,32 @@ from aomgen.core.values import Array
 SIDES = 32
 # MuJoCo shows these groups by default; makers put collision shapes into the others.
 SHOWN_GROUPS = 3
+Shape = Literal["box", "sphere", "ellipsoid", "capsule", "cylinder", "cone"]
+_SHAPES: Final[dict[int, Shape]] = {
+    mujoco.mjtGeom.mjGEOM_BOX.value: "box",
+    mujoco.mjtGeom.mjGEOM_SPHERE.value: "sphere",
+    mujoco.mjtGeom.mjGEOM_ELLIPSOID.value: "ellipsoid",
+    mujoco.mjtGeom.mjGEOM_CAPSULE.value: "capsule",
+    mujoco.mjtGeom.mjGEOM_CYLINDER.value: "cylinder",
+}
 
 
-def find_visible_geoms(model: mujoco.MjModel) -> NDArray[np.bool_]:
+def find_colliding_geoms(model: mujoco.MjModel) -> NDArray[np.bool_]:
+    """Which geoms (G,) take part in contacts."""
+    return (model.geom_contype != 0) | (model.geom_conaffinity != 0)
+
+
+def find_visible_geoms(
+    model: mujoco.MjModel, colliding: NDArray[np.bool_] | None = None
+) -> NDArray[np.bool_]:
     """Which geoms (G,) are seen: those without contacts in a shown group; for a body without any,
     its colliding ones in a shown group, unless collision shapes have a group of their own.
+
+    Args:
+        colliding: Which geoms (G,) take part in contacts, where the model does not tell it.
     """
+    colliding = find_colliding_geoms(model) if colliding is None else colliding
     ours = (model.geom_bodyid > 0) & (model.geom_rgba[:, 3] > 0)
-    colliding = (model.geom_contype != 0) | (model.geom_conaffinity != 0)
     shown = ours & (model.geom_group < SHOWN_GROUPS)
     visual = shown & ~colliding
     # One group for all that collides and another for all that is seen: then nothing else is meant.
@@ -41,10 +61,10 @@ def geom_surface(model: mujoco.MjModel, geom: int) -> tuple[Array, NDArray[np.in
     if int(model.geom_type[geom]) == mujoco.mjtGeom.mjGEOM_MESH:
         vertices, faces = _mesh(model, int(model.geom_dataid[geom]))
     else:
-        points = _outer_points(int(model.geom_type[geom]), model.geom_size[geom])
-        if points is None:
+        shape = _SHAPES.get(int(model.geom_type[geom]))
+        if shape is None:
             return None
-        vertices, faces = _hull(points)
+        vertices, faces = hull_surface(outer_points(shape, model.geom_size[geom]))
     R = matrix_from_quat(model.geom_quat[geom])
     return vertices @ R.T + model.geom_pos[geom], faces
 
@@ -53,31 +73,37 @@ def _mesh(model: mujoco.MjModel, mesh: int) -> tuple[Array, NDArray[np.int64]]:
     start, count = model.mesh_vertadr[mesh], model.mesh_vertnum[mesh]
     first, faces = model.mesh_faceadr[mesh], model.mesh_facenum[mesh]
     vertices, index = np.unique(model.mesh_vert[start : start + count], axis=0, return_inverse=True)
-    return vertices, index.reshape(-1)[model.mesh_face[first : first + faces]].astype(np.int64)
+    return vertices.astype(np.float64), index.reshape(-1)[model.mesh_face[first : first + faces]].astype(
+        np.int64
+    )
 
 
-def _outer_points(kind: int, size: Array) -> Array | None:
-    """Points (N, 3) of which a primitive shape is the hull."""
-    G = mujoco.mjtGeom
+def outer_points(kind: Shape, size: Array) -> Array:
+    """Points (N, 3) of which a primitive shape is the hull.
+
+    Args:
+        size: Half extents (3,); of round shapes radius and half height, along z.
+    """
     angles = np.arange(SIDES) * 2 * np.pi / SIDES
     ring = np.stack([np.cos(angles), np.sin(angles), np.zeros(SIDES)], 1)
     heights = np.linspace(-np.pi / 2, np.pi / 2, SIDES // 2)[:, None, None]
     up = np.array([0.0, 0.0, 1.0])
     ball = (ring * np.cos(heights) + up * np.sin(heights)).reshape(-1, 3)
-    if kind == G.mjGEOM_BOX:
+    if kind == "box":
         return np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]) * size
-    if kind == G.mjGEOM_SPHERE:
+    if kind == "sphere":
         return ball * size[0]
-    if kind == G.mjGEOM_ELLIPSOID:
+    if kind == "ellipsoid":
         return ball * size
-    if kind == G.mjGEOM_CAPSULE:
+    if kind == "capsule":
         return np.concatenate([ball * size[0] + up * size[1], ball * size[0] - up * size[1]])
-    if kind == G.mjGEOM_CYLINDER:
-        return np.concatenate([ring * size[0] + up * size[1], ring * size[0] - up * size[1]])
-    return None
+    if kind == "cone":
+        return np.concatenate([ring * size[0] - up * size[1], [up * size[1]]])
+    return np.concatenate([ring * size[0] + up * size[1], ring * size[0] - up * size[1]])
 
 
-def _hull(points: Array) -> tuple[Array, NDArray[np.int64]]:
+def hull_surface(points: Array) -> tuple[Array, NDArray[np.int64]]:
+    """Vertices (V, 3) and faces (F, 3) of the convex hull of points (N, 3)."""
     hull = ConvexHull(points)
     corners = points[hull.simplices]
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])

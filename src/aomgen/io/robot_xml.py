@@ -1,5 +1,6 @@
 """Robot descriptions (URDF, MJCF): read within bounds, every file they name found inside one folder."""
 
+from collections import Counter
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
@@ -62,6 +63,12 @@ def read_robot_xml(path: Path, root: Path) -> RobotXml:
         references = _mjcf_references(path, tree, root)
         name = tree.get("model", path.stem)
         return RobotXml(path=path, name=name, kind="mjcf", text="", meshes={}, references=references)
+    if tree.tag == "mujocoinclude":
+        raise MalformedFileError(
+            path,
+            "is a fragment of an MJCF",
+            "write a file <mujoco> that includes it and the file of its assets",
+        )
     raise MalformedFileError(path, f"is a '{tree.tag}' file", "give a URDF (<robot>) or an MJCF (<mujoco>)")
 
 
@@ -98,6 +105,7 @@ def _urdf(path: Path, tree: ElementTree.Element, root: Path) -> RobotXml:
         name = known or f"m{len(meshes)}_{file.stem}{file.suffix.lower()}"
         meshes[name] = file
         mesh.set("filename", name)
+    _name_once(tree)
     for own in tree.findall("mujoco"):
         tree.remove(own)
     options = ElementTree.SubElement(ElementTree.SubElement(tree, "mujoco"), "compiler")
@@ -111,6 +119,16 @@ def _urdf(path: Path, tree: ElementTree.Element, root: Path) -> RobotXml:
         meshes=meshes,
         references=tuple(meshes.values()),
     )
+
+
+def _name_once(tree: ElementTree.Element) -> None:
+    """Number shapes that share a name: MuJoCo would forget it, and names tell what is a handle."""
+    seen = Counter[str]()
+    for element in (*tree.iter("visual"), *tree.iter("collision")):
+        name = element.get("name", "")
+        seen[name] += 1
+        if name and seen[name] > 1:
+            element.set("name", f"{name}_{seen[name]}")
 
 
 def _urdf_file(path: Path, name: str, root: Path) -> Path:
