@@ -39,7 +39,7 @@ def check_asset(asset: ArticulatedAsset) -> list[str]:
     problems = _check_sizes(asset) + _check_joint(asset) + _check_links(asset)
     if problems:
         return problems
-    return _check_range(asset) + _check_handle(asset)
+    return _check_range(asset) + check_handle(asset)
 
 
 def outward_normal(asset: ArticulatedAsset) -> Array:
@@ -63,7 +63,7 @@ def outward_normal(asset: ArticulatedAsset) -> Array:
         return joint.axis
     motion = np.cross(joint.axis, asset.handle_point - joint.origin)
     motion = motion / max(float(np.linalg.norm(motion)), 1e-12)
-    poses, _ = _stack_boxes(asset.moving.colliders)
+    poses, _ = stack_boxes(asset.moving.colliders)
     axes = np.concatenate([poses[:, :3, :3].transpose(0, 2, 1).reshape(-1, 3), motion[None]])
     alignments = axes @ motion
     # The motion itself is last and wins only where no box looks along it within 30 degrees.
@@ -73,22 +73,24 @@ def outward_normal(asset: ArticulatedAsset) -> Array:
 
 
 def held_at_rim(asset: ArticulatedAsset) -> bool:
-    """Whether the handle is a rim of the part itself, as a laptop's lid has one, and no bar that stands off."""
+    """Whether fingers hold the handle from both sides, as a laptop's lid or a knob, because none fits behind it."""
     bar = asset.handle_bar
     body = [box for box in asset.moving.colliders if not box.name.startswith("handle")]
     if bar is None or not body:
         return False
     model, data, names = _simulate_touch(asset)
     bar_geom, *others = (model.geom(f"{names.moving_body}_{box.name}").id for box in (bar, *body))
-    return any(mujoco.mj_geomDistance(model, data, bar_geom, other, 1.0, None) < TOUCH for other in others)
+    return any(
+        mujoco.mj_geomDistance(model, data, bar_geom, other, 1.0, None) < FINGER_BALL for other in others
+    )
 
 
-def _stack_boxes(colliders: Sequence[BoxCollider]) -> tuple[Array, Array]:
+def stack_boxes(colliders: Sequence[BoxCollider]) -> tuple[Array, Array]:
     """Poses (B, 4, 4) and half extents (B, 3) of colliders."""
     return np.array([box.T_asset_box for box in colliders]), np.array([box.half_extents for box in colliders])
 
 
-def _distance_to_boxes(points: ArrayLike, Ts: Array, half_extents: Array) -> Array:
+def distance_to_boxes(points: ArrayLike, Ts: Array, half_extents: Array) -> Array:
     """Distances (P, B) of points (P, 3) to oriented boxes (poses (B, 4, 4), half extents (B, 3)), 0 inside, [m]."""
     relative = np.asarray(points, np.float64)[:, None, :] - Ts[None, :, :3, 3]
     local = np.einsum("bji,pbj->pbi", Ts[:, :3, :3], relative)
@@ -238,11 +240,11 @@ def _simulate_touch(asset: ArticulatedAsset) -> tuple[mujoco.MjModel, mujoco.MjD
     return model, data, names
 
 
-def _check_handle(asset: ArticulatedAsset) -> list[str]:
-    """The bar lies where it is said to be, and a finger fits around and behind it."""
-    poses, half = _stack_boxes(asset.moving.colliders)
+def check_handle(asset: ArticulatedAsset) -> list[str]:
+    """Problems of the handle: the bar lies where it is said to be, and a finger fits around and behind it."""
+    poses, half = stack_boxes(asset.moving.colliders)
     point = asset.handle_point
-    distances = _distance_to_boxes(point[None], poses, half)[0]
+    distances = distance_to_boxes(point[None], poses, half)[0]
     if not distances.min() <= 0.002:
         return [f"handle point lies {1000 * distances.min():.0f} mm off every moving collider"]
     bar = int(np.argmin(distances))
@@ -254,16 +256,18 @@ def _check_handle(asset: ArticulatedAsset) -> list[str]:
     sides = np.stack([across, -across]) if rim else -outward[None]
     balls = point + sides * ((thickness if rim else depth) / 2 + FINGER_BALL / 2 + 5e-4)
     others = [box for number, box in enumerate(asset.moving.colliders) if number != bar]
-    gap = _distance_to_boxes(balls, *_stack_boxes([*asset.static.colliders, *others])).min()
+    gap = distance_to_boxes(balls, *stack_boxes([*asset.static.colliders, *others])).min()
     where = "on both sides of" if rim else "behind"
     mm = 1000
     return _failed(
         (
             thickness <= MAX_HANDLE_THICKNESS,
-            f"handle is {mm * thickness:.0f} mm thick, limit {mm * MAX_HANDLE_THICKNESS:.0f} mm",
+            f"handle is {mm * thickness:.0f} mm thick, limit {mm * MAX_HANDLE_THICKNESS:.0f} mm: import it with a smaller "
+            "--scale, or state another place with --handle",
         ),
         (
             bool(gap >= FINGER_BALL / 2),
-            f"no {mm * FINGER_BALL:.0f} mm ball fits {where} the handle (free radius {mm * gap:.1f} mm)",
+            f"no {mm * FINGER_BALL:.0f} mm ball fits {where} the handle (free radius {mm * gap:.1f} mm), so no finger does: "
+            "state another place with --handle when it is imported",
         ),
     )

@@ -4,12 +4,11 @@ from collections.abc import Sequence
 from itertools import pairwise
 
 import numpy as np
-import trimesh
 from numpy.typing import NDArray
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
-from aomgen.assets.convex_parts import depth_in_hull, fit_box, split_convex
+from aomgen.assets.convex_parts import closed_surface, depth_in_hull, fit_box, is_sheet, split_convex
 from aomgen.core.asset import BoxCollider
 from aomgen.core.mesh import Mesh, face_normals_areas
 from aomgen.core.values import Array
@@ -57,8 +56,9 @@ def _split(triangles: Array) -> list[Array]:
     corners = triangles.reshape(-1, 3)
     if _is_nearly_convex(triangles):
         return [corners]
-    surface = trimesh.Trimesh(corners, np.arange(len(corners)).reshape(-1, 3), process=False)
-    surface.merge_vertices(digits_vertex=5)
+    surface = closed_surface(triangles)
+    if is_sheet(surface):
+        return [corners]
     cells = [np.stack(cell) for cell in _cells(triangles)]
     aligned = np.abs(surface.face_normals).max(1) > ALIGNED
     straight = surface.area_faces[aligned].sum() >= STRAIGHT_SHARE * surface.area

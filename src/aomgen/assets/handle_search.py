@@ -1,11 +1,12 @@
 """Which colliders of a moving part are its handle: by name, by what protrudes, or a rim."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Final
 
 import numpy as np
 
+from aomgen.assets.asset_check import check_handle, held_at_rim
 from aomgen.core.asset import ArticulatedAsset, AssetLink, BoxCollider
 from aomgen.core.joint import Joint
 from aomgen.core.mesh import sample_meshes
@@ -17,14 +18,16 @@ from aomgen.errors import AssetError
 HANDLE_WORDS: Final = ("handle", "knob", "nob", "grip", "pull")
 # A handle protrudes from the part by at least this, [m].
 LEAST_PROTRUSION_M: Final = 0.008
+# Fingers hold a knob from both sides where it protrudes by this, [m].
+LEAST_PINCH_M: Final = 0.015
 # A handle covers less than this share of the front it is on.
 MOST_AREA: Final = 0.25
 # A hinged part's handle lies in the outer share of its reach.
 OUTER_SHARE: Final = 0.5
 # A collider within this of a named mesh belongs to it, [m].
 NEAR_NAMED_M: Final = 0.005
-# Colliders that protrude as far as the outermost one to within this are candidates for the held bar, [m].
-SAME_HEIGHT_M: Final = 0.004
+# Colliders whose heights differ by less are equally far out, [m]; so many are tried as the held bar.
+SAME_HEIGHT_M, MOST_BARS = 0.004, 3
 # A part thinner than this can be held at its rim, of which so much is its handle, [m].
 MAX_RIM_M, RIM_DEPTH_M = 0.05, 0.03
 # A box axis within 37 degrees of the opening direction is the normal of the front.
@@ -32,15 +35,6 @@ SAME_DIRECTION: Final = 0.8
 # Surface points in which a stated handle is measured.
 SAMPLES: Final = 40_000
 PREFIX: Final = "handle"
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Found:
-    """Indices of a handle's colliders, of the one that is held, and how far they protrude, [m]."""
-
-    handle: list[int]
-    bar: int
-    protrusion: float
 
 
 def opening_direction(link: AssetLink, joint: Joint) -> Array:
@@ -57,29 +51,55 @@ def opening_direction(link: AssetLink, joint: Joint) -> Array:
 
 
 def find_handle(asset: ArticulatedAsset) -> ArticulatedAsset:
-    """The asset with the handle's colliders named so, `handle_point` in the middle of the held one and `handle_axis` along it.
+    """The closed asset with the handle's colliders named so, `handle_point` in the middle of the held one and `handle_axis` along it.
 
-    Colliders that are named like a handle, or lie in a mesh named so, are looked at first; otherwise all
-    colliders that protrude from the largest front. The front looks in the opening direction; that of a
-    sliding door looks across it. A thin part without any handle is held at the rim far from its hinge.
+    Colliders that are named like a handle, or lie in a mesh named so, come first, then all that protrude
+    from the largest front in the opening direction, then from the sides, as handles of sliding doors do, then
+    the rim of a thin part far from its hinge. Of the first front with a handle that a gripper can hold, a bar
+    with room behind it is preferred to a knob that is held from both sides. Where nothing can be held, the
+    first candidate is taken, and `check_handle` says why.
 
     Raises:
-        AssetError: Nothing protrudes, and the part has no rim that fingers hold.
+        AssetError: Nothing protrudes, and the part has no rim.
     """
     link, joint = asset.moving, asset.joint
-    found = _search(link, joint, _find_named(link)) or _search(link, joint, [])
-    if found is None:
-        return _hold_rim(asset)
-    boxes = list(link.colliders)
-    for number, index in enumerate(found.handle):
+    named = _find_named(link)
+    first: ArticulatedAsset | None = None
+    for names in [named, []] if named else [[]]:
+        for front in _fronts(link, joint):
+            candidates = [
+                (_with_handle(asset, handle, bar), deep)
+                for handle, bar, deep in _protruding(link, joint, front, names)
+            ]
+            held = [(item, deep) for item, deep in candidates if not check_handle(item)]
+            bars = [item for item, _ in held if not held_at_rim(item)]
+            pinched = [item for item, deep in held if deep >= LEAST_PINCH_M]
+            if bars or pinched:
+                return (bars or pinched)[0]
+            first = first or next((item for item, _ in candidates), None)
+    rims = _at_rim(asset)
+    first = next((item for item in rims if not check_handle(item)), first or next(iter(rims), None))
+    if first is None:
+        raise AssetError(
+            asset.name,
+            f"has no handle: nothing protrudes from '{link.name}' by {1000 * LEAST_PROTRUSION_M:.0f} mm, "
+            f"nor is it a lid thinner than {1000 * MAX_RIM_M:.0f} mm",
+            "state where its handle is: --handle X0 Y0 Z0 X1 Y1 Z1, or name a mesh of it handle",
+        )
+    return first
+
+
+def _with_handle(asset: ArticulatedAsset, handle: Sequence[int], bar: int) -> ArticulatedAsset:
+    """The asset with some colliders, by index, named as its handle, of which one is held."""
+    boxes = list(asset.moving.colliders)
+    for number, index in enumerate(handle):
         boxes[index] = replace(boxes[index], name=f"{PREFIX}_{number}")
-    bar = boxes[found.bar]
-    along = int(np.argmax(bar.half_extents))
+    along = int(np.argmax(boxes[bar].half_extents))
     return replace(
         asset,
-        moving=replace(link, colliders=tuple(boxes)),
-        handle_point=bar.T_asset_box[:3, 3],
-        handle_axis=bar.T_asset_box[:3, along],
+        moving=replace(asset.moving, colliders=tuple(boxes)),
+        handle_point=boxes[bar].T_asset_box[:3, 3],
+        handle_axis=boxes[bar].T_asset_box[:3, along],
     )
 
 
@@ -127,16 +147,6 @@ def _is_named(name: str) -> bool:
     return any(word in name.lower() for word in HANDLE_WORDS)
 
 
-def _search(link: AssetLink, joint: Joint, named: Sequence[int]) -> _Found | None:
-    """The handle on the front that looks in the opening direction, or else on the one from which most protrudes."""
-    first, *others = _fronts(link, joint)
-    found = _protruding(link, joint, first, named)
-    if found is not None:
-        return found
-    across = [item for front in others if (item := _protruding(link, joint, front, named)) is not None]
-    return max(across, key=lambda item: item.protrusion, default=None)
-
-
 def _fronts(link: AssetLink, joint: Joint) -> list[Array]:
     """Unit normals (3,) of the faces that may carry the handle, the likeliest first."""
     direction = opening_direction(link, joint)
@@ -151,34 +161,38 @@ def _fronts(link: AssetLink, joint: Joint) -> list[Array]:
     return [front, *(sign * axis for axis in across for sign in (1, -1))]
 
 
-def _protruding(link: AssetLink, joint: Joint, front: Array, named: Sequence[int]) -> _Found | None:
-    """The colliders that stand off the largest one along a direction."""
+def _protruding(
+    link: AssetLink, joint: Joint, front: Array, named: Sequence[int]
+) -> list[tuple[list[int], int, float]]:
+    """Indices of the colliders that stand off the largest one along a direction, with each that may be held and its
+    protrusion, [m].
+    """
     sides = np.linalg.svd(front[None])[2][1:]
     spans = np.array([[_span(box, axis) for axis in (front, *sides)] for box in link.colliders])
     areas = (spans[:, 1:, 1] - spans[:, 1:, 0]).prod(1)
-    main = int(np.argmax(np.where(np.isin(np.arange(len(areas)), named), 0.0, areas)))
+    is_named = np.isin(np.arange(len(areas)), named)
+    main = int(np.argmax(np.where(is_named, 0.0, areas)))
     top = spans[main, 0, 1]
-    middles = np.array([box.T_asset_box[:3, 3] for box in link.colliders])
     out = spans[:, 0].mean(1) > top
     if len(named):
-        out &= np.isin(np.arange(len(areas)), named)
+        out &= is_named
     else:
         out &= areas < MOST_AREA * areas[main]
         if joint.type == "revolute":
-            arms = middles - joint.origin
+            arms = np.array([box.T_asset_box[:3, 3] for box in link.colliders]) - joint.origin
             reach = np.linalg.norm(arms - np.outer(arms @ joint.axis, joint.axis), axis=1)
             out &= reach >= OUTER_SHARE * reach.max()
-    chosen = np.flatnonzero(out)
-    if not len(chosen) or not spans[chosen, 0, 1].max() - top >= LEAST_PROTRUSION_M:
-        return None
-    heights = spans[chosen, 0].mean(1)
-    outermost = chosen[heights >= heights.max() - SAME_HEIGHT_M]
-    lengths = [2 * link.colliders[index].half_extents.max() for index in outermost]
-    return _Found(
-        handle=chosen.tolist(),
-        bar=int(outermost[int(np.argmax(lengths))]),
-        protrusion=float(spans[chosen, 0, 1].max() - top),
-    )
+    # What stands behind the rest of the part is no handle: the front board of a drawer protrudes from its bottom.
+    rest = spans[~out, 0, 1].max()
+    out &= spans[:, 0].mean(1) > rest - SAME_HEIGHT_M
+    handle = np.flatnonzero(out)
+    if not len(handle) or not spans[handle, 0, 1].max() - top >= LEAST_PROTRUSION_M:
+        return []
+    heights = np.round(spans[handle, 0].mean(1) / SAME_HEIGHT_M)
+    lengths = np.array([link.colliders[index].half_extents.max() for index in handle])
+    # The outermost first, of several the longest.
+    order = np.lexsort((-lengths, -heights))[:MOST_BARS]
+    return [(handle.tolist(), int(handle[place]), float(spans[handle[place], 0, 1] - top)) for place in order]
 
 
 def _span(box: BoxCollider, axis: Array) -> tuple[float, float]:
@@ -188,39 +202,32 @@ def _span(box: BoxCollider, axis: Array) -> tuple[float, float]:
     return middle - half, middle + half
 
 
-def _hold_rim(asset: ArticulatedAsset) -> ArticulatedAsset:
-    """The asset with the strip of its largest collider that is farthest from the hinge as its handle.
-
-    Raises:
-        AssetError: The part slides, or is too thick to be held.
-    """
+def _at_rim(asset: ArticulatedAsset) -> list[ArticulatedAsset]:
+    """The asset held at the strip of its largest collider that is farthest from the hinge; empty for thick or sliding parts."""
     link, joint = asset.moving, asset.joint
     index = int(np.argmax([np.sort(box.half_extents)[1:].prod() for box in link.colliders]))
     box = link.colliders[index]
-    thin = int(np.argmin(box.half_extents))
-    if joint.type != "revolute" or not 2 * box.half_extents[thin] <= MAX_RIM_M:
-        raise AssetError(
-            asset.name,
-            f"has no handle: nothing protrudes from '{link.name}' by {1000 * LEAST_PROTRUSION_M:.0f} mm, nor is it "
-            f"a lid thinner than {1000 * MAX_RIM_M:.0f} mm",
-            "state where its handle is: --handle X0 Y0 Z0 X1 Y1 Z1, or name a mesh of it handle",
-        )
     T, half = box.T_asset_box, box.half_extents
-    along = int(np.argmax([abs(T[:3, k] @ joint.axis) if k != thin else -1 for k in range(3)]))
+    thin = int(np.argmin(half))
+    if joint.type != "revolute" or not 2 * half[thin] <= MAX_RIM_M:
+        return []
+    along = int(np.argmax(np.abs(T[:3, :3].T @ joint.axis) - 2 * np.eye(3)[thin]))
     away = 3 - thin - along
-    sign = np.sign(T[:3, away] @ (T[:3, 3] - joint.origin))
+    outward = np.sign(T[:3, away] @ (T[:3, 3] - joint.origin)) * T[:3, away]
     depth = min(RIM_DEPTH_M / 2, half[away] / 2)
-    rim_half, rest_half = half.copy(), half.copy()
-    rim_half[away], rest_half[away] = depth, half[away] - depth
     rim, rest = T.copy(), T.copy()
-    rim[:3, 3] += sign * (half[away] - depth) * T[:3, away]
-    rest[:3, 3] -= sign * depth * T[:3, away]
+    rim[:3, 3] += (half[away] - depth) * outward
+    rest[:3, 3] -= depth * outward
     boxes = list(link.colliders)
-    boxes[index] = replace(box, T_asset_box=rest, half_extents=rest_half)
-    boxes.append(BoxCollider(name=f"{PREFIX}_rim", T_asset_box=rim, half_extents=rim_half))
-    return replace(
-        asset,
-        moving=replace(link, colliders=tuple(boxes)),
-        handle_point=rim[:3, 3],
-        handle_axis=T[:3, along],
-    )
+    boxes[index] = replace(box, T_asset_box=rest, half_extents=half - depth * np.eye(3)[away])
+    strip = half.copy()
+    strip[away] = depth
+    boxes.append(BoxCollider(name=f"{PREFIX}_rim", T_asset_box=rim, half_extents=strip))
+    return [
+        replace(
+            asset,
+            moving=replace(link, colliders=tuple(boxes)),
+            handle_point=rim[:3, 3],
+            handle_axis=T[:3, along],
+        )
+    ]

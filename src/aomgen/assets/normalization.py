@@ -8,10 +8,11 @@ from typing import Final, TypeVar
 
 import numpy as np
 
-from aomgen.assets.asset_check import find_overlaps, outward_normal
+from aomgen.assets.asset_check import distance_to_boxes, find_overlaps, outward_normal, stack_boxes
 from aomgen.assets.box_cover import box_cover
 from aomgen.assets.handle_search import find_handle, opening_direction, state_handle
 from aomgen.core.asset import ArticulatedAsset, AssetLink, BoxCollider
+from aomgen.core.mesh import sample_meshes
 from aomgen.core.transforms import apply, matrix_from_rotvec, transform
 from aomgen.core.values import Array
 from aomgen.errors import AssetError
@@ -20,6 +21,8 @@ from aomgen.errors import AssetError
 CUTS: Final = 6
 CLEARANCE_M, THINNEST_M = 2e-4, 1e-3
 T = TypeVar("T")
+# A link's own colliders are used where so much of its surface lies within this of them, [m].
+COVER_SHARE, COVER_M, COVER_SAMPLES = 0.9, 0.02, 4000
 # Used for a link whose file names no plausible mass, [kg/m^3] of its colliders.
 FALLBACK_DENSITY = 400.0
 # Lighter and heavier than any household thing of its volume, [kg/m^3].
@@ -45,14 +48,15 @@ def choose_joint(joints: Mapping[str, T], name: str, path: Path) -> T:
 
 
 def finish_link(link: AssetLink, path: Path) -> AssetLink:
-    """The link with boxes that cover it where it has no colliders, a mass, and every collider's name once.
+    """The link with boxes that cover it where its colliders do not, a mass, and every collider's name once.
 
     Raises:
         AssetError: It has no meshes.
     """
     boxes: list[BoxCollider] = []
     names = Counter[str]()
-    for item in link.colliders or box_cover(link.meshes):
+    colliders = link.colliders if link.meshes and _cover_surface(link) else box_cover(link.meshes)
+    for item in colliders:
         names[item.name] += 1
         suffix = f"_{names[item.name]}" if names[item.name] > 1 else ""
         boxes.append(replace(item, name=item.name + suffix))
@@ -60,6 +64,15 @@ def finish_link(link: AssetLink, path: Path) -> AssetLink:
         raise AssetError(path, f"link {link.name!r} has no meshes", "check what its joint connects")
     covered = replace(link, colliders=tuple(boxes))
     return covered if link.mass > 0 else replace(covered, mass=FALLBACK_DENSITY * covered.volume)
+
+
+def _cover_surface(link: AssetLink) -> bool:
+    """Whether most of what is seen of a link lies near its own colliders."""
+    if not link.colliders:
+        return False
+    points = sample_meshes(link.meshes, COVER_SAMPLES, np.random.default_rng(0))
+    off = distance_to_boxes(points, *stack_boxes(link.colliders)).min(1)
+    return float(np.mean(off <= COVER_M)) >= COVER_SHARE
 
 
 def complete(

@@ -15,7 +15,7 @@ from aomgen.core.mesh import Mesh
 from aomgen.core.transforms import apply, transform
 from aomgen.core.values import Array
 from aomgen.errors import AssetError, LimitExceededError, MalformedFileError
-from aomgen.io.geom_surface import hull_surface, outer_points
+from aomgen.io.geom_surface import Shape, hull_surface, outer_points
 
 # Far above any asset that renders well; more would fill the memory.
 MAX_FACES = 3_000_000
@@ -142,11 +142,12 @@ def _primitive_points(prim: Any) -> Array | None:
         return outer_points("box", np.full(3, 0.5 * float(UsdGeom.Cube(prim).GetSizeAttr().Get())))
     if prim.IsA(UsdGeom.Sphere):
         return outer_points("sphere", np.full(3, float(UsdGeom.Sphere(prim).GetRadiusAttr().Get())))
-    for kind, schema in (
-        ("cylinder", UsdGeom.Cylinder),
-        ("capsule", UsdGeom.Capsule),
-        ("cone", UsdGeom.Cone),
-    ):
+    schemas: dict[Shape, Any] = {
+        "cylinder": UsdGeom.Cylinder,
+        "capsule": UsdGeom.Capsule,
+        "cone": UsdGeom.Cone,
+    }
+    for kind, schema in schemas.items():
         if prim.IsA(schema):
             item = schema(prim)
             half = 0.5 * float(item.GetHeightAttr().Get())
