@@ -66,11 +66,11 @@ def find_handle(asset: ArticulatedAsset) -> ArticulatedAsset:
     named = _find_named(link)
     first: ArticulatedAsset | None = None
     for names in [named, []] if named else [[]]:
-        for front in _fronts(link, joint):
-            candidates = [
-                (_with_handle(asset, handle, bar), deep)
-                for handle, bar, deep in _protruding(link, joint, front, names)
-            ]
+        opening, *across = [_protruding(link, joint, front, names) for front in _fronts(link, joint)]
+        # A sliding door's handle is on the side from which most protrudes.
+        across.sort(key=lambda found: -max((deep for _, _, deep in found), default=0.0))
+        for found in (opening, *across):
+            candidates = [(_with_handle(asset, handle, bar), deep) for handle, bar, deep in found]
             held = [(item, deep) for item, deep in candidates if not check_handle(item)]
             bars = [item for item, _ in held if not held_at_rim(item)]
             pinched = [item for item, deep in held if deep >= LEAST_PINCH_M]
