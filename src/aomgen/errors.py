@@ -75,6 +75,15 @@ class AssetError(InputError):
     """An articulated asset cannot be used as it is."""
 
 
+class SeveralJointsError(AssetError):
+    """A file has several joints, and none is named."""
+
+    @property
+    def joints(self) -> list[str]:
+        """Their names, as the sentence lists them."""
+        return self.problem.partition(": ")[2].split(", ")
+
+
 class BackendError(AomgenError):
     """A library, driver or weight file is missing or broken."""
 

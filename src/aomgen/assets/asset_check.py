@@ -73,16 +73,14 @@ def outward_normal(asset: ArticulatedAsset) -> Array:
 
 
 def held_at_rim(asset: ArticulatedAsset) -> bool:
-    """Whether fingers hold the handle from both sides, as a laptop's lid or a knob, because none fits behind it."""
+    """Whether fingers hold the handle from both sides, as a laptop's lid or a knob, and none fits behind it."""
     bar = asset.handle_bar
     body = [box for box in asset.moving.colliders if not box.name.startswith("handle")]
     if bar is None or not body:
         return False
     model, data, names = _simulate_touch(asset)
     bar_geom, *others = (model.geom(f"{names.moving_body}_{box.name}").id for box in (bar, *body))
-    return any(
-        mujoco.mj_geomDistance(model, data, bar_geom, other, 1.0, None) < FINGER_BALL for other in others
-    )
+    return any(mujoco.mj_geomDistance(model, data, bar_geom, other, 1.0, None) < TOUCH for other in others)
 
 
 def stack_boxes(colliders: Sequence[BoxCollider]) -> tuple[Array, Array]:

@@ -6,7 +6,7 @@ from typing import Final
 
 import numpy as np
 
-from aomgen.assets.asset_check import check_handle, held_at_rim
+from aomgen.assets.asset_check import check_handle, outward_normal
 from aomgen.core.asset import ArticulatedAsset, AssetLink, BoxCollider
 from aomgen.core.joint import Joint
 from aomgen.core.mesh import sample_meshes
@@ -70,13 +70,16 @@ def find_handle(asset: ArticulatedAsset) -> ArticulatedAsset:
         # A sliding door's handle is on the side from which most protrudes.
         across.sort(key=lambda found: -max((deep for _, _, deep in found), default=0.0))
         for found in (opening, *across):
-            candidates = [(_with_handle(asset, handle, bar), deep) for handle, bar, deep in found]
-            held = [(item, deep) for item, deep in candidates if not check_handle(item)]
-            bars = [item for item, _ in held if not held_at_rim(item)]
-            pinched = [item for item, deep in held if deep >= LEAST_PINCH_M]
-            if bars or pinched:
-                return (bars or pinched)[0]
-            first = first or next((item for item, _ in candidates), None)
+            bars = [_with_handle(asset, handle, bar) for handle, bar, _ in found]
+            knobs = [
+                _on_its_front(asset, handle, bar, deep)
+                for handle, bar, deep in found
+                if deep >= LEAST_PINCH_M
+            ]
+            held = [item for item in (*bars, *knobs) if not check_handle(item)]
+            if held:
+                return held[0]
+            first = first or next(iter(bars), None)
     rims = _at_rim(asset)
     first = next((item for item in rims if not check_handle(item)), first or next(iter(rims), None))
     if first is None:
@@ -101,6 +104,25 @@ def _with_handle(asset: ArticulatedAsset, handle: Sequence[int], bar: int) -> Ar
         handle_point=boxes[bar].T_asset_box[:3, 3],
         handle_axis=boxes[bar].T_asset_box[:3, along],
     )
+
+
+def _on_its_front(asset: ArticulatedAsset, handle: Sequence[int], bar: int, deep: float) -> ArticulatedAsset:
+    """As `_with_handle`, with the held collider reaching down to the front, so that it is held from both sides.
+
+    Args:
+        deep: How far it protrudes from the front, [m].
+    """
+    held = _with_handle(asset, handle, bar)
+    box = held.moving.colliders[bar]
+    outward = outward_normal(held)
+    axis = int(np.argmax(np.abs(box.T_asset_box[:3, :3].T @ outward)))
+    missing = max(0.0, deep - 2 * box.half_extents[axis])
+    half, T = box.half_extents.copy(), box.T_asset_box.copy()
+    half[axis] += missing / 2
+    T[:3, 3] -= missing / 2 * outward
+    boxes = list(held.moving.colliders)
+    boxes[bar] = replace(box, T_asset_box=T, half_extents=half)
+    return replace(held, moving=replace(held.moving, colliders=tuple(boxes)), handle_point=T[:3, 3])
 
 
 def state_handle(link: AssetLink, low: Array, high: Array) -> AssetLink:

@@ -15,7 +15,7 @@ from aomgen.core.asset import ArticulatedAsset, AssetLink, BoxCollider
 from aomgen.core.mesh import sample_meshes
 from aomgen.core.transforms import apply, matrix_from_rotvec, transform
 from aomgen.core.values import Array
-from aomgen.errors import AssetError
+from aomgen.errors import AssetError, SeveralJointsError
 
 # Rounds in which colliders are cut back, what is left free between them, and boards thinner than which carry nothing, [m].
 CUTS: Final = 6
@@ -43,7 +43,8 @@ def choose_joint(joints: Mapping[str, T], name: str, path: Path) -> T:
     listed = ", ".join(joints) or "none"
     if not joints or not name:
         problem = f"has {len(joints)} revolute or prismatic joints, want 1: {listed}"
-        raise AssetError(path, problem, "name the one that opens: FILE#JOINT, or --joint when it is imported")
+        kind = SeveralJointsError if joints else AssetError
+        raise kind(path, problem, "name the one that opens: FILE#JOINT, or --joint when it is imported")
     raise AssetError(path, f"has no single joint '{name}'", f"choose one of: {listed}")
 
 

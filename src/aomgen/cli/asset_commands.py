@@ -3,11 +3,17 @@
 import json
 from dataclasses import asdict, replace
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from aomgen.errors import AssetError
+from aomgen.errors import AssetError, SeveralJointsError
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from aomgen.assets.doctor import Finding
+    from aomgen.core.asset import ArticulatedAsset
 
 assets_app = typer.Typer(no_args_is_help=True, help="Make, import and check articulated assets (USD).")
 JointName = Annotated[str, typer.Option(help="Which of several joints opens; the others stay as drawn.")]
@@ -46,16 +52,33 @@ def assets_import(
     ] = None,
     scale: Annotated[float, typer.Option(min=1e-4, help="2 makes a half-size model life-size.")] = 1.0,
     category: Annotated[str, typer.Option(help="For example microwave; as the file says without.")] = "",
+    limits: Annotated[
+        tuple[float, float] | None,
+        typer.Option(help="Limits of the joint in place of the file's, in rad or m from the drawn pose."),
+    ] = None,
+    handle: Annotated[
+        tuple[float, float, float, float, float, float] | None,
+        typer.Option(help="Corners X0 Y0 Z0 X1 Y1 Z1 of a box around the handle as drawn, in m, Z up."),
+    ] = None,
 ) -> None:
     """Turn a model of another format into a USD asset: closed, upright, with colliders and a handle, named as its file.
 
-    What it then lacks to be opened is said, as by `aomgen assets check`.
+    What was assumed, and what it lacks to be opened, is printed as by `aomgen assets check`. A file with several
+    joints needs --joint; `aomgen assets check FILE` lists them.
     """
     from aomgen.assets.doctor import examine
     from aomgen.assets.import_model import import_model
     from aomgen.assets.usd_write import write_usd
 
-    imported = import_model(model, joint=joint, joints_file=joints, scale=scale, category=category)
+    imported = import_model(
+        model,
+        joint=joint,
+        joints_file=joints,
+        scale=scale,
+        category=category,
+        limits=limits or (),
+        handle=handle or (),
+    )
     # Two of one model, or of one name, can be in one project.
     asset = replace(imported, name=path.stem)
     write_usd(asset, path)
@@ -65,9 +88,59 @@ def assets_import(
             print(f"  {finding.name}: {finding.problem or finding.warning}")
 
 
+def _load(spec: str) -> "ArticulatedAsset":
+    from aomgen.assets.choice import load_asset
+    from aomgen.assets.import_model import SUFFIXES, import_model
+
+    file, _, joint = spec.partition("#")
+    if Path(file).suffix.lower() in SUFFIXES:
+        return import_model(Path(file), joint=joint)
+    return load_asset(spec)
+
+
+def _fit_to(run: Path | None) -> "Callable[[ArticulatedAsset], Finding] | None":
+    """Whether an asset fits a run, as a function; None without a run."""
+    if run is None:
+        return None
+    from aomgen.cli.run import find_project
+    from aomgen.pipeline.runner import results_of
+    from aomgen.pipeline.stages import STAGES
+    from aomgen.replacement.stage import examine_fit
+
+    results = results_of(find_project(run), STAGES)
+    return lambda asset: examine_fit(results, asset)
+
+
+def _list_joints(
+    file: str, joints: "Sequence[str]", fit: "Callable[[ArticulatedAsset], Finding] | None"
+) -> None:
+    """Print a line for each joint of a file, and which of them fits a run."""
+    from aomgen.assets.doctor import examine
+
+    fitting = []
+    for joint in joints:
+        try:
+            asset = _load(f"{file}#{joint}")
+        except AssetError as error:
+            print(f"{joint:28} {error.problem}")
+            continue
+        findings = {item.name: item for item in examine(asset)}
+        problem = findings["use"].problem
+        words = [findings["joint"].state, findings["size"].state, problem or findings["handle"].state]
+        if fit is not None and not problem:
+            found = fit(asset)
+            words.append(found.problem or found.state)
+            fitting += [] if found.problem else [joint]
+        print(f"{joint:28} {'; '.join(words)}")
+    if fitting:
+        print(f"fits the recording: {file}#{fitting[0]}")
+
+
 @assets_app.command("check")
 def assets_check(
-    asset: Annotated[str, typer.Argument(help="A USD file, FILE#JOINT, or category:seed.")],
+    asset: Annotated[
+        str, typer.Argument(help="A USD, URDF, MJCF or OBJ file, FILE#JOINT, or category:seed.")
+    ],
     run: Annotated[
         Path | None, typer.Option("--for", help="Run whose recorded object it shall replace.")
     ] = None,
@@ -75,20 +148,20 @@ def assets_check(
 ) -> None:
     """Examine an asset: joint, size, handle, room for a finger, colliders, mass, textures; whether it fits a run.
 
-    Ends with exit code 3 where it cannot be used.
+    A file with several joints, of which none is named, is examined for each, and the joints are listed; with
+    --for, the one that fits the recording best is suggested. Ends with exit code 3 where it cannot be used.
     """
-    from aomgen.assets.choice import load_asset
     from aomgen.assets.doctor import examine
 
-    loaded = load_asset(asset)
+    fit = _fit_to(run)
+    try:
+        loaded = _load(asset)
+    except SeveralJointsError as error:
+        _list_joints(asset, error.joints, fit)
+        raise
     findings = examine(loaded)
-    if run is not None:
-        from aomgen.cli.run import find_project
-        from aomgen.pipeline.runner import results_of
-        from aomgen.pipeline.stages import STAGES
-        from aomgen.replacement.stage import examine_fit
-
-        findings.append(examine_fit(results_of(find_project(run), STAGES), loaded))
+    if fit is not None:
+        findings.append(fit(loaded))
     if as_json:
         print(json.dumps([asdict(finding) for finding in findings], indent=1))
     else:

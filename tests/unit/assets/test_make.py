@@ -292,14 +292,25 @@ def _with_collider(asset, box):
 
 def test_check_names_the_colliders_that_overlap(made: Made, tmp_path: Path) -> None:
     asset = made("microwave", 0)
-    peg = BoxCollider(
-        name="peg", T_asset_box=transform(np.eye(3), [0, 0, 0.01]), half_extents=[0.02, 0.02, 0.02]
-    )
+    place = apply(asset.joint.motion(0.6), asset.handle_point)
+    peg = BoxCollider(name="peg", T_asset_box=transform(np.eye(3), place), half_extents=[0.02, 0.02, 0.02])
     problems = check_asset(_with_collider(asset, peg))
     assert any("'peg'" in problem and "overlap" in problem for problem in problems)
     write_usd(_with_collider(asset, peg), tmp_path / "pegged.usda")
     with pytest.raises(AssetError, match="peg"):
         open_asset(str(tmp_path / "pegged.usda"))
+
+
+def test_what_overlaps_in_the_closed_state_is_a_hinge_and_said_so(made: Made) -> None:
+    asset = made("microwave", 0)
+    bar = asset.moving.colliders[0]
+    seal = replace(bar, name="seal", half_extents=bar.half_extents + 0.001)
+    static = replace(asset.static, colliders=(*asset.static.colliders, seal))
+    sealed = replace(asset, static=static)
+    assert check_asset(sealed) == []
+    (hinge,) = (finding.state for finding in examine(sealed) if finding.name == "hinge")
+    assert "'seal'" in hinge
+    assert "do not touch in simulation" in hinge
 
 
 def test_check_wants_room_for_a_finger_behind_the_handle(made: Made) -> None:

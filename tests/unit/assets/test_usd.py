@@ -10,7 +10,8 @@ import pytest
 from aomgen.assets.asset_check import check_asset
 from aomgen.assets.box_cover import box_cover
 from aomgen.assets.choice import make_asset
-from aomgen.assets.usd_parse import guess_handle, parse_usd
+from aomgen.assets.handle_search import find_handle
+from aomgen.assets.usd_parse import parse_usd
 from aomgen.assets.usd_read import read_usd
 from aomgen.assets.usd_write import write_usd
 from aomgen.core.asset import ArticulatedAsset
@@ -122,9 +123,10 @@ def test_bar_is_guessed_from_shape_alone(category: str, seed: int) -> None:
     unnamed = replace(
         asset.moving, meshes=tuple(replace(m, name=f"part_{i}") for i, m in enumerate(asset.moving.meshes))
     )
-    point, axis = guess_handle(unnamed, asset.joint)
-    assert point == pytest.approx(asset.handle_point, abs=0.008)
-    assert abs(axis @ asset.handle_axis) > 0.99
+    boxes = tuple(replace(box, name=f"box_{i}") for i, box in enumerate(asset.moving.colliders))
+    found = find_handle(replace(asset, moving=replace(unnamed, colliders=boxes)))
+    assert found.handle_point == pytest.approx(asset.handle_point, abs=0.008)
+    assert abs(found.handle_axis @ asset.handle_axis) > 0.99
 
 
 def test_boxes_are_made_where_none_are_authored(usd: Path) -> None:
