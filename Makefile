@@ -7,7 +7,7 @@ BIN := $(VENV)/bin
 CONSTRAINTS := constraints/cpu-py311.txt
 export PIP_DISABLE_PIP_VERSION_CHECK = 1
 
-.PHONY: demo test slow-test coverage check format scores build install weights native sanitize neon blender-env policy-env policy-gpu datasets-test robots-test clean
+.PHONY: demo test slow-test coverage check format scores build install weights native sanitize neon blender-env policy-env policy-gpu datasets-test robots-test models-test clean
 
 demo: install
 	$(BIN)/aomgen demo $(OUT)
@@ -68,6 +68,12 @@ ROBOTS := build/robots
 robots-test: $(VENV)/dev.stamp
 	$(BIN)/pip download -q --no-deps -d $(ROBOTS) gymnasium-robotics==1.4.2 gym-xarm==0.1.1
 	$(BIN)/python tests/robots_check.py $(ROBOTS) $(CAPTURE)
+
+# Other makers' microwaves, cabinets, drawers and windows, likewise.
+MODELS := build/models
+models-test: $(VENV)/dev.stamp
+	$(BIN)/pip download -q --no-deps -d $(MODELS) gymnasium-robotics==1.4.2 metaworld==3.1.1
+	$(BIN)/python tests/models_check.py $(MODELS)
 
 # The engine in place, for work on the C++ sources without reinstalling.
 native:

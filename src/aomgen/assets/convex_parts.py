@@ -2,7 +2,6 @@
 
 from typing import Final
 
-import coacd
 import numpy as np
 import trimesh
 from numpy.typing import NDArray
@@ -29,8 +28,6 @@ LOOSE_SHARE, SHEET_M = 0.15, 0.06
 LEAST_HALF_M: Final = 5e-4
 # Points that lie this near to one plane have no hull, [m].
 FLAT_M: Final = 1e-5
-
-coacd.set_log_level("error")
 
 
 def closed_surface(triangles: Array) -> trimesh.Trimesh:
@@ -77,6 +74,9 @@ def split_convex(surface: trimesh.Trimesh) -> list[Array]:
 
     Source: Wei et al., Approximate Convex Decomposition for 3D Meshes with Collision-Aware Concavity, 2022.
     """
+    import coacd
+
+    coacd.set_log_level("error")
     concavity = float(np.clip(CONCAVITY * surface.extents.max(), *CONCAVITY_RANGE))
     parts = coacd.run_coacd(
         coacd.Mesh(surface.vertices, surface.faces),

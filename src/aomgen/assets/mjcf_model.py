@@ -18,7 +18,7 @@ from aomgen.core.mesh import Mesh
 from aomgen.core.transforms import apply, matrix_from_quat, transform
 from aomgen.core.values import Array
 from aomgen.errors import AssetError
-from aomgen.io.geom_surface import find_visible_geoms, geom_surface
+from aomgen.io.geom_surface import SHOWN_GROUPS, find_visible_geoms, geom_surface
 from aomgen.io.mujoco_model import LEAST_INERTIA, LEAST_MASS, compile_model, parse_spec
 from aomgen.io.robot_xml import read_robot_xml
 
@@ -56,11 +56,12 @@ def read_mjcf_model(path: Path, joint_name: str, *, limited: bool = True) -> Art
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
     moved = _descendants(model, int(model.jnt_bodyid[number]))
+    seen = _seen(model, xml.kind == "urdf")
     return ArticulatedAsset(
         name=xml.name if len(hinges) == 1 else f"{xml.name}-{_joint_name(model, number)}",
         category=xml.name,
-        static=_link(model, data, ~moved, "static", path),
-        moving=_link(model, data, moved, "moving", path),
+        static=_link(model, data, ~moved, seen, "static", path),
+        moving=_link(model, data, moved, seen, "moving", path),
         joint=_joint(model, data, number, path, limited),
         handle_point=np.zeros(3),
         handle_axis=np.array([0.0, 0.0, 1.0]),
@@ -114,12 +115,17 @@ def _joint(model: mujoco.MjModel, data: mujoco.MjData, number: int, path: Path, 
 
 
 def _link(
-    model: mujoco.MjModel, data: mujoco.MjData, bodies: NDArray[np.bool_], name: str, path: Path
+    model: mujoco.MjModel,
+    data: mujoco.MjData,
+    bodies: NDArray[np.bool_],
+    seen: NDArray[np.bool_],
+    name: str,
+    path: Path,
 ) -> AssetLink:
     """What of the visible and colliding shapes belongs to some bodies, world frame."""
     mine = bodies[model.geom_bodyid]
     colliding = model.geom_priority > 0
-    meshes = [_mesh(model, data, int(geom)) for geom in np.flatnonzero(mine & _seen(model))]
+    meshes = [_mesh(model, data, int(geom)) for geom in np.flatnonzero(mine & seen)]
     if not meshes:
         raise AssetError(
             path, f"has no visible meshes on its {name} link", "check which bodies the joint moves"
@@ -147,12 +153,16 @@ def _geom_name(model: mujoco.MjModel, geom: int) -> str:
     return "_".join(filter(None, [model.body(int(model.geom_bodyid[geom])).name, own]))
 
 
-def _seen(model: mujoco.MjModel) -> NDArray[np.bool_]:
+def _seen(model: mujoco.MjModel, urdf: bool) -> NDArray[np.bool_]:
     """Also what a file fixes to the world, as an object's body is often part of it, and colliding shapes beside
     visible ones of the same group, unless meshes show the body.
     """
     colliding = model.geom_priority > 0
     shown = find_visible_geoms(model, colliding)
+    # Some makers draw a link by its collision shapes alone. The root of a URDF is MuJoCo's world, that of an MJCF
+    # holds the room.
+    bare = ~np.isin(model.geom_bodyid, model.geom_bodyid[shown]) & (model.geom_group < SHOWN_GROUPS)
+    shown |= bare & colliding & (model.geom_rgba[:, 3] > 0) & (urdf | (model.geom_bodyid > 0))
     drawn = shown & (model.geom_type == mujoco.mjtGeom.mjGEOM_MESH)
     beside = np.isin(model.geom_group, model.geom_group[shown & ~colliding]) & (model.geom_rgba[:, 3] > 0)
     shown |= colliding & beside & ~np.isin(model.geom_bodyid, model.geom_bodyid[drawn])

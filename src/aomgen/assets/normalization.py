@@ -49,15 +49,14 @@ def choose_joint(joints: Mapping[str, T], name: str, path: Path) -> T:
 
 
 def finish_link(link: AssetLink, path: Path) -> AssetLink:
-    """The link with boxes that cover it where its colliders do not, a mass, and every collider's name once.
+    """The link with boxes that cover it where it has no colliders, a mass, and every collider's name once.
 
     Raises:
         AssetError: It has no meshes.
     """
     boxes: list[BoxCollider] = []
     names = Counter[str]()
-    colliders = link.colliders if link.meshes and _cover_surface(link) else box_cover(link.meshes)
-    for item in colliders:
+    for item in link.colliders or box_cover(link.meshes):
         names[item.name] += 1
         suffix = f"_{names[item.name]}" if names[item.name] > 1 else ""
         boxes.append(replace(item, name=item.name + suffix))
@@ -69,7 +68,7 @@ def finish_link(link: AssetLink, path: Path) -> AssetLink:
 
 def _cover_surface(link: AssetLink) -> bool:
     """Whether most of what is seen of a link lies near its own colliders."""
-    if not link.colliders:
+    if not (link.colliders and link.meshes):
         return False
     points = sample_meshes(link.meshes, COVER_SAMPLES, np.random.default_rng(0))
     off = distance_to_boxes(points, *stack_boxes(link.colliders)).min(1)
@@ -95,7 +94,10 @@ def complete(
     """
     if limits:
         drawn = replace(drawn, joint=replace(drawn.joint, lower=float(limits[0]), upper=float(limits[1])))
-    moving, static = finish_link(drawn.moving, path), finish_link(drawn.static, path)
+    moving, static = (
+        finish_link(link if _cover_surface(link) else replace(link, colliders=()), path)
+        for link in (drawn.moving, drawn.static)
+    )
     if handle:
         moving = state_handle(moving, np.array(handle[:3]), np.array(handle[3:]))
     notes = [*drawn.notes]

@@ -294,9 +294,11 @@ def test_check_names_the_colliders_that_overlap(made: Made, tmp_path: Path) -> N
     asset = made("microwave", 0)
     place = apply(asset.joint.motion(0.6), asset.handle_point)
     peg = BoxCollider(name="peg", T_asset_box=transform(np.eye(3), place), half_extents=[0.02, 0.02, 0.02])
-    problems = check_asset(_with_collider(asset, peg))
+    static = replace(asset.static, colliders=(*asset.static.colliders, peg))
+    pegged = replace(asset, static=static)
+    problems = check_asset(pegged)
     assert any("'peg'" in problem and "overlap" in problem for problem in problems)
-    write_usd(_with_collider(asset, peg), tmp_path / "pegged.usda")
+    write_usd(pegged, tmp_path / "pegged.usda")
     with pytest.raises(AssetError, match="peg"):
         open_asset(str(tmp_path / "pegged.usda"))
 
