@@ -73,7 +73,7 @@ def outward_normal(asset: ArticulatedAsset) -> Array:
 
 
 def held_at_rim(asset: ArticulatedAsset) -> bool:
-    """Whether fingers hold the handle from both sides, as a laptop's lid or a knob, and none fits behind it."""
+    """Return whether fingers hold the handle from both sides, as a laptop's lid or a knob, and none fits behind it."""
     bar = asset.handle_bar
     body = [box for box in asset.moving.colliders if not box.name.startswith("handle")]
     if bar is None or not body:
@@ -239,7 +239,7 @@ def _simulate_touch(asset: ArticulatedAsset) -> tuple[mujoco.MjModel, mujoco.MjD
 
 
 def check_handle(asset: ArticulatedAsset) -> list[str]:
-    """Problems of the handle: the bar lies where it is said to be, and a finger fits around and behind it."""
+    """Problems of the handle: the bar has to lie at the handle point, and a finger fits around and behind it."""
     poses, half = stack_boxes(asset.moving.colliders)
     point = asset.handle_point
     distances = distance_to_boxes(point[None], poses, half)[0]

@@ -68,7 +68,7 @@ def _split(triangles: Array) -> list[Array]:
 
 
 def _is_nearly_convex(triangles: Array) -> bool:
-    """Whether the surface follows its convex hull, or is a rod or plate."""
+    """Return whether the surface follows its convex hull, or is a rod or plate."""
     corners = triangles.reshape(-1, 3)
     size = np.sort(np.ptp(corners, axis=0))
     if size[1] < ROD_THICKNESS or size[0] < PLATE_THICKNESS:

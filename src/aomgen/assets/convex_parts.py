@@ -43,7 +43,7 @@ def closed_surface(triangles: Array) -> trimesh.Trimesh:
 
 
 def is_sheet(surface: trimesh.Trimesh) -> bool:
-    """Whether a surface is a thin sheet without a back, as mouldings on a door are."""
+    """Return whether a surface is a thin sheet without a back, as mouldings on a door are."""
     open_share = len(_loose_edges(surface)) / len(surface.faces)
     return open_share > LOOSE_SHARE and float(surface.extents.min()) <= SHEET_M
 
@@ -107,7 +107,7 @@ def fit_box(points: Array) -> tuple[Array, Array]:
 
 
 def depth_in_hull(points: Array, samples: Array) -> Array:
-    """How far samples (S, 3) lie below the convex hull of points (N, 3), [m]; zeros where these are flat."""
+    """Depths (S,) of samples (S, 3) below the convex hull of points (N, 3), [m]; zeros where these are flat."""
     try:
         hull = ConvexHull(points)
     except QhullError:

@@ -1,4 +1,4 @@
-"""Which colliders of a moving part are its handle: by name, by what protrudes, or a rim."""
+"""Find the colliders of a moving part that form its handle: by name, by protrusion, or at a rim."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -26,7 +26,7 @@ MOST_AREA: Final = 0.25
 OUTER_SHARE: Final = 0.5
 # A collider within this of a named mesh belongs to it, [m].
 NEAR_NAMED_M: Final = 0.005
-# Colliders whose heights differ by less are equally far out, [m]; so many are tried as the held bar.
+# Colliders whose heights differ by less are equally far out, [m]; of them, this number is tried as the held bar.
 SAME_HEIGHT_M, MOST_BARS = 0.004, 3
 # A part thinner than this can be held at its rim, of which so much is its handle, [m].
 MAX_RIM_M, RIM_DEPTH_M = 0.05, 0.03
@@ -129,7 +129,7 @@ def state_handle(link: AssetLink, low: Array, high: Array) -> AssetLink:
     """The link with one more collider, named as its handle: the box around its surface between two corners (3,), [m].
 
     Raises:
-        AssetError: Nothing of the link lies there.
+        AssetError: The box contains no surface of the link.
     """
     points = sample_meshes(link.meshes, SAMPLES, np.random.default_rng(0))
     inside = points[((points >= low) & (points <= high)).all(1)]
@@ -204,7 +204,7 @@ def _protruding(
             arms = np.array([box.T_asset_box[:3, 3] for box in link.colliders]) - joint.origin
             reach = np.linalg.norm(arms - np.outer(arms @ joint.axis, joint.axis), axis=1)
             out &= reach >= OUTER_SHARE * reach.max()
-    # What stands behind the rest of the part is no handle: the front board of a drawer protrudes from its bottom.
+    # A handle protrudes from all other colliders: the front board of a drawer protrudes from its bottom alone.
     rest = spans[~out, 0, 1].max()
     out &= spans[:, 0].mean(1) > rest - SAME_HEIGHT_M
     handle = np.flatnonzero(out)

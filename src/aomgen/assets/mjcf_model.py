@@ -82,7 +82,7 @@ def model_root(path: Path) -> Path:
 
 
 def _joint_name(model: mujoco.MjModel, number: int) -> str:
-    """Of the joint, or of the body that it moves."""
+    """Name of the joint, or else of the body that it moves."""
     return model.joint(number).name or model.body(int(model.jnt_bodyid[number])).name or f"joint_{number}"
 
 
@@ -146,7 +146,7 @@ def _boxes(model: mujoco.MjModel, data: mujoco.MjData, geom: int) -> list[BoxCol
 
 
 def _geom_name(model: mujoco.MjModel, geom: int) -> str:
-    """Of the shape or its mesh; with that of its body, which may be all that says handle."""
+    """Name of the shape or its mesh, after that of its body, as sometimes only the body is named handle."""
     number = int(model.geom_dataid[geom])
     meshed = model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_MESH
     own = model.geom(geom).name or (model.mesh(number).name if meshed else "") or f"geom_{geom}"

@@ -25,7 +25,7 @@ T = TypeVar("T")
 COVER_SHARE, COVER_M, COVER_SAMPLES = 0.9, 0.02, 4000
 # Used for a link whose file names no plausible mass, [kg/m^3] of its colliders.
 FALLBACK_DENSITY = 400.0
-# Lighter and heavier than any household thing of its volume, [kg/m^3].
+# Densities outside these belong to no furniture or appliance, [kg/m^3].
 DENSITIES: Final = (20.0, 4000.0)
 # Limits at which an asset takes room that differs less than this share are equally closed.
 SAME_ROOM: Final = 0.02
@@ -67,7 +67,7 @@ def finish_link(link: AssetLink, path: Path) -> AssetLink:
 
 
 def _cover_surface(link: AssetLink) -> bool:
-    """Whether most of what is seen of a link lies near its own colliders."""
+    """Return whether most of the visible surface of a link is near its own colliders."""
     if not (link.colliders and link.meshes):
         return False
     points = sample_meshes(link.meshes, COVER_SAMPLES, np.random.default_rng(0))
@@ -115,7 +115,7 @@ def complete(
 
 
 def _with_plausible_mass(link: AssetLink) -> AssetLink:
-    """The link, with the mass of a usual density where its own is that of no household thing."""
+    """The link, with a mass of usual density where its own is implausible for furniture or appliances."""
     low, high = DENSITIES
     plausible = low <= link.mass / link.volume <= high
     return link if plausible else replace(link, mass=FALLBACK_DENSITY * link.volume)

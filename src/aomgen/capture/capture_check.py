@@ -60,7 +60,7 @@ class CheckedCapture:
         return "\n".join(f"  {line}" for line in lines)
 
     def _describe_gripper(self, log: JointLog) -> str:
-        """How the gripper's column is read, so that a wrong unit is seen."""
+        """Line that states how the gripper's column is read, so that a wrong unit is noticed."""
         low, high = float(log.gripper.min()), float(log.gripper.max())
         distances = 1000 * self.robot.pad_distances([low, high])
         fingers = f", fingers {distances[0]:.0f} to {distances[1]:.0f} mm apart" if len(distances) else ""
@@ -141,7 +141,7 @@ def check_robot(capture: Capture) -> RobotModel:
 
 
 def _beyond_limits(capture: Capture, robot: RobotModel) -> Array:
-    """How far each joint (J,) of the log passes its limits, [rad] or [m]; negative within them."""
+    """Distances (J,) by which the joints of the log exceed their limits, [rad] or [m]; negative within them."""
     low, high = robot.joint_limits.T
     joints = capture.joint_log.joints
     return np.maximum(low - joints.min(0), joints.max(0) - high)

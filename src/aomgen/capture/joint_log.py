@@ -26,7 +26,7 @@ MAX_ANGLE_RAD = 2 * np.pi * 1.02
 # A step between two rows that is this near to whole turns is a wrapped angle, [rad]. The fastest wrist turns by
 # less between two rows of a log of 15 Hz.
 MAX_WRAP_ERROR = 0.5
-# What docs/capture.md asks for, with room for 29.97 Hz, [1/s].
+# Rate that docs/capture.md requests, with room for 29.97 Hz, [1/s].
 WANTED_RATE_HZ = 29.0
 # Opening anything by 5 cm turns some joint of a table-top arm by more, [rad] or [m].
 MIN_TRAVEL = 0.03
@@ -47,7 +47,7 @@ STROKE_SLACK = 0.05
 # The widest two-finger grippers open by 0.14 m; a column that moves but stays below this is likely their
 # opening in metres, [m].
 MAX_OPENING_M = 0.15
-# How other drivers count: largest value of the column, what it probably means, and what to write.
+# Units of other drivers: largest value of the column, the probable unit, and what to write.
 GRIPPER_UNITS: Final = (
     (102.0, "per cent or millimetres", "[0, 100] for per cent, [85, 0] for an opening of 85 mm"),
     (255.0, "counts of 0..255", "[0, 255]"),

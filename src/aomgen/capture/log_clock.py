@@ -30,7 +30,7 @@ _NAME: Final = re.compile(
     r"(?:[ _.\-]*[\[(]?(" + "|".join(sorted(_ABBREVIATIONS, key=len, reverse=True)) + r")[\])]?)?"
 )
 # The slowest log that is used has four rows a second. Its period in seconds is shorter than that of a log of 2 kHz
-# in milliseconds; the same holds for the next units, so the median period tells the unit of an unnamed clock, [s].
+# in milliseconds; the same holds for the next units, so the median period determines the unit of an unnamed clock, [s].
 LONGEST_PERIOD_S: Final = 0.25
 # Packets overtake one another by less than this; a larger step back is another recording, [s].
 MAX_REORDER_S: Final = 0.25
@@ -39,7 +39,7 @@ MAX_SPEED_RAD_S: Final = 12.0
 
 
 def find_time_column(header: Sequence[str]) -> tuple[str, str]:
-    """Name of the time column and its unit, "" where the name does not tell it.
+    """Name of the time column and its unit, "" where the name does not state it.
 
     `time_s` is taken where it exists, otherwise the first name that reads as a time, names with a unit first.
 

@@ -3,7 +3,7 @@
 One description of what such a file may look like:
 
 - Encoding: UTF-8 or UTF-16 with or without a byte order mark, otherwise Latin-1.
-- Separator: comma, semicolon, tab, vertical bar or white space; the one that yields the wanted columns.
+- Separator: comma, semicolon, tab, vertical bar or white space; the one that yields the required columns.
 - Numbers: with a decimal point, or with a decimal comma where the comma does not separate columns.
 - Lines: any line ends; empty lines and comments (`#`, `%`, `//`) anywhere, the header itself may be a
   comment as numpy writes it; repeated headers; an incomplete last line of a logger that was stopped.
@@ -83,11 +83,11 @@ def read_number(text: str) -> float:
     return float(text.replace(",", ".") if _DECIMAL_COMMA.match(text) else text)
 
 
-def read_log_table(path: Path, wanted: Sequence[str]) -> LogTable:
+def read_log_table(path: Path, required: Sequence[str]) -> LogTable:
     """Read a table in any of the dialects above.
 
     Args:
-        wanted: Columns that must be there.
+        required: Columns that must be there.
 
     Raises:
         MissingFileError, LimitExceededError: As their names say.
@@ -102,7 +102,7 @@ def read_log_table(path: Path, wanted: Sequence[str]) -> LogTable:
     lines = [(number, line) for number, line in lines if line and not _DECLARATION.match(line)]
     if not len(lines) <= MAX_ROWS:
         raise LimitExceededError(path, f"has more than {MAX_ROWS} rows")
-    start, header, separator = _find_header(lines, wanted, path)
+    start, header, separator = _find_header(lines, required, path)
     return _read_rows(path, lines[start + 1 :], header, separator)
 
 
@@ -122,11 +122,11 @@ def _decode(data: bytes, path: Path) -> str:
 
 
 def _find_header(
-    lines: list[tuple[int, str]], wanted: Sequence[str], path: Path
+    lines: list[tuple[int, str]], required: Sequence[str], path: Path
 ) -> tuple[int, list[str], str]:
     """Index of the header line, column names and separator.
 
-    The header is the first line that is no comment, unless the comment before it holds the wanted names.
+    The header is the first line that is no comment, unless the comment before it contains the required names.
     """
     first = next((k for k, (_, line) in enumerate(lines) if not line.startswith(COMMENTS)), len(lines))
     found: tuple[int, list[str], str] = (first, [], ",")
@@ -139,10 +139,10 @@ def _find_header(
             line = line.removeprefix(mark)
         for separator in SEPARATORS:
             names = [name.strip() for name in next(_split([line.strip()], separator))]
-            score = sum(name in names for name in wanted)
+            score = sum(name in names for name in required)
             if score > best:
                 best, found = score, (at, names, separator)
-    missing = [name for name in wanted if name not in found[1]]
+    missing = [name for name in required if name not in found[1]]
     if missing:
         listed = ", ".join(found[1]) or "none"
         raise MalformedFileError(
@@ -152,7 +152,7 @@ def _find_header(
             if found[1]
             else "export it with a header",
         )
-    repeated = [name for name in wanted if found[1].count(name) > 1]
+    repeated = [name for name in required if found[1].count(name) > 1]
     if repeated:
         raise MalformedFileError(path, f"has two columns '{repeated[0]}'", "rename one of them")
     return found

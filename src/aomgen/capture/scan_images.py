@@ -108,7 +108,7 @@ def common_size(images: tuple[Path, ...]) -> tuple[int, int]:
 
 
 def _turned(images: Sequence[Path]) -> str:
-    """Which of the images EXIF turns, as the end of a sentence; empty for none."""
+    """End of a sentence that names the images that EXIF turns; empty for none."""
     turned = []
     for path in images:
         with open_image(path) as image:

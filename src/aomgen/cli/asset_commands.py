@@ -99,7 +99,7 @@ def _load(spec: str) -> "ArticulatedAsset":
 
 
 def _fit_to(run: Path | None) -> "Callable[[ArticulatedAsset], Finding] | None":
-    """Whether an asset fits a run, as a function; None without a run."""
+    """Function that reports whether an asset fits a run; None without a run."""
     if run is None:
         return None
     from aomgen.cli.run import find_project

@@ -50,7 +50,7 @@ class AssetLink:
 
     @property
     def volume(self) -> float:
-        """Of all colliders, [m^3]."""
+        """Volume of all colliders, [m^3]."""
         return sum(8 * float(box.half_extents.prod()) for box in self.colliders)
 
     @property

@@ -18,8 +18,9 @@ _WHITE: Final = 203.0
 _M1, _M2 = 2610 / 16384, 2523 / 4096 * 128
 # Constants of the same curve, continued.
 _C1, _C2, _C3 = 3424 / 4096, 2413 / 4096 * 32, 2392 / 4096 * 32
-# Luminance of BT.2020 primaries, and their conversion to those of sRGB (BT.2087-0).
+# Luminance of the BT.2020 primaries.
 _LUMA_2020: Final = np.array([0.2627, 0.6780, 0.0593])
+# Their conversion to those of sRGB, BT.2087-0.
 _SRGB_FROM_2020: Final = np.array(
     [[1.6605, -0.5876, -0.0728], [-0.1246, 1.1329, -0.0083], [-0.0182, -0.1006, 1.1187]]
 )

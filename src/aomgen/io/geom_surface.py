@@ -28,7 +28,7 @@ _SHAPES: Final[dict[int, Shape]] = {
 
 
 def find_colliding_geoms(model: mujoco.MjModel) -> NDArray[np.bool_]:
-    """Which geoms (G,) take part in contacts."""
+    """Mask (G,) of the geoms that take part in contacts."""
     return (model.geom_contype != 0) | (model.geom_conaffinity != 0)
 
 
@@ -39,7 +39,7 @@ def find_visible_geoms(
     its colliding ones in a shown group, unless collision shapes have a group of their own.
 
     Args:
-        colliding: Which geoms (G,) take part in contacts, where the model does not tell it.
+        colliding: Mask (G,) of the geoms that take part in contacts, where the model itself does not state it.
     """
     colliding = find_colliding_geoms(model) if colliding is None else colliding
     ours = (model.geom_bodyid > 0) & (model.geom_rgba[:, 3] > 0)

@@ -32,7 +32,7 @@ def image_size(path: Path) -> tuple[int, int]:
 
 
 def exif_orientation(image: Image.Image) -> int:
-    """How viewers turn an image, 1 (as stored) to 8; values outside count as 1."""
+    """EXIF orientation of an image, 1 (as stored) to 8; values outside count as 1."""
     orientation = image.getexif().get(EXIF_ORIENTATION, 1)
     return orientation if orientation in range(1, 9) else 1
 

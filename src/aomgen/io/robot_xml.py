@@ -122,7 +122,7 @@ def _urdf(path: Path, tree: ElementTree.Element, root: Path) -> RobotXml:
 
 
 def _name_once(tree: ElementTree.Element) -> None:
-    """Number shapes that share a name: MuJoCo would forget it, and names tell what is a handle."""
+    """Number shapes that share a name: MuJoCo drops repeated names, and handles are found by name."""
     seen = Counter[str]()
     for element in (*tree.iter("visual"), *tree.iter("collision")):
         name = element.get("name", "")

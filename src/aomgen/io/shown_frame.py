@@ -24,7 +24,7 @@ _SQUARE: Final = 0.002
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FrameDisplay:
-    """How the stored frames of a stream are shown.
+    """Transformation from the stored frames of a stream to the frames that a player shows.
 
     Attributes:
         transposed: Rows and columns are exchanged first.
@@ -40,11 +40,11 @@ class FrameDisplay:
 
     @property
     def turned(self) -> bool:
-        """Whether the frames are not stored upright."""
+        """True where the frames are not stored upright."""
         return self.transposed or any(self.mirrored)
 
     def describe(self) -> str:
-        """What is done to the frames, in words; empty where they are shown as stored."""
+        """Description of the transformation; empty where frames are shown as stored."""
         done = [
             "turned upright" if self.turned else "",
             "stretched to square pixels" if self.aspect != 1 else "",
@@ -74,7 +74,7 @@ class FrameDisplay:
 
 
 def read_display(stream: VideoStream, frame: VideoFrame, path: Path) -> FrameDisplay:
-    """How a stream is shown, from its header and its first frame.
+    """Read from header and first frame how a player shows a stream.
 
     Raises:
         MalformedFileError: A display matrix that does not turn by quarter turns.

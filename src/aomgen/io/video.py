@@ -63,7 +63,7 @@ class Video:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class VideoInfo:
-    """What a video holds, without all of it decoded.
+    """Size, length and rate of a video, read without decoding all of it.
 
     Attributes:
         width, height: Size of the frames as they are shown, [px].
@@ -197,7 +197,7 @@ def read_frames(path: Path, numbers: Sequence[int]) -> list[NDArray[np.uint8]]:
 
 @contextmanager
 def _opened(path: Path, **options: str) -> Iterator[tuple[InputContainer, VideoStream]]:
-    """Container and the stream of pictures that a player shows; a cover image is none."""
+    """Open a container and its video stream; cover images are not considered."""
     if not path.is_file():
         raise MissingFileError(path, "is missing", "copy the video or correct capture.toml")
     try:
