@@ -81,7 +81,8 @@ def read_times(table: LogTable, others: Sequence[str]) -> tuple[Array, tuple[str
             f"has no column '{TIME_COLUMN}' (columns: {', '.join(table.header) or 'none'})",
             "name the column of the time stamps time_s",
         )
-    dated = bool(table.rows) and _is_date(table.rows[0][table.header.index(name)])
+    at = table.header.index(name)
+    dated = bool(table.rows) and len(table.rows[0]) > at and _is_date(table.rows[0][at])
     ticks = np.array(table.column(name, _read_date if dated else read_number))
     if not np.isfinite(ticks).all():
         row = table.lines[int(np.argmin(np.isfinite(ticks)))]

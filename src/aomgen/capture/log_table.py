@@ -138,7 +138,10 @@ def _find_header(
         for mark in COMMENTS:
             line = line.removeprefix(mark)
         for separator in SEPARATORS:
-            names = [name.strip() for name in next(_split([line.strip()], separator))]
+            try:
+                names = [name.strip() for name in next(_split([line.strip()], separator), [])]
+            except csv.Error as error:
+                raise MalformedFileError(path, f"has no header ({error})", "re-export the log") from error
             score = sum(name in names for name in required)
             if score > best:
                 best, found = score, (at, names, separator)
@@ -166,11 +169,14 @@ def _split(lines: Sequence[str], separator: str) -> Iterator[list[str]]:
 
 def _read_rows(path: Path, lines: list[tuple[int, str]], header: list[str], separator: str) -> LogTable:
     kept: list[tuple[int, list[str]]] = []
-    comments = headers = 0
+    headers = 0
     data = [(number, line) for number, line in lines if not line.startswith(COMMENTS)]
     comments = len(lines) - len(data)
-    fields_of = _split([line for _, line in data], separator)
-    for (number, _), fields in zip(data, fields_of, strict=False):
+    try:
+        split = list(_split([line for _, line in data], separator))
+    except csv.Error as error:
+        raise MalformedFileError(path, f"is not a table ({error})", "re-export the log") from error
+    for (number, _), fields in zip(data, split, strict=False):
         if [field.strip() for field in fields] == header:
             headers += 1
         elif any(field.strip() for field in fields):
