@@ -6,7 +6,6 @@ from dataclasses import dataclass
 
 import mujoco
 import numpy as np
-from numpy.typing import ArrayLike
 
 from aomgen.assets.mjcf import AssetNames, add_asset
 from aomgen.core.asset import ArticulatedAsset, BoxCollider
@@ -63,7 +62,7 @@ def outward_normal(asset: ArticulatedAsset) -> Array:
         return joint.axis
     motion = np.cross(joint.axis, asset.handle_point - joint.origin)
     motion = motion / max(float(np.linalg.norm(motion)), 1e-12)
-    poses, _ = stack_boxes(asset.moving.colliders)
+    poses, _ = _stack_boxes(asset.moving.colliders)
     axes = np.concatenate([poses[:, :3, :3].transpose(0, 2, 1).reshape(-1, 3), motion[None]])
     alignments = axes @ motion
     # The motion itself is last and wins only where no box looks along it within 30 degrees.
@@ -83,16 +82,9 @@ def held_at_rim(asset: ArticulatedAsset) -> bool:
     return any(mujoco.mj_geomDistance(model, data, bar_geom, other, 1.0, None) < TOUCH for other in others)
 
 
-def stack_boxes(colliders: Sequence[BoxCollider]) -> tuple[Array, Array]:
+def _stack_boxes(colliders: Sequence[BoxCollider]) -> tuple[Array, Array]:
     """Poses (B, 4, 4) and half extents (B, 3) of colliders."""
     return np.array([box.T_asset_box for box in colliders]), np.array([box.half_extents for box in colliders])
-
-
-def distance_to_boxes(points: ArrayLike, Ts: Array, half_extents: Array) -> Array:
-    """Distances (P, B) of points (P, 3) to oriented boxes (poses (B, 4, 4), half extents (B, 3)), 0 inside, [m]."""
-    relative = np.asarray(points, np.float64)[:, None, :] - Ts[None, :, :3, 3]
-    local = np.einsum("bji,pbj->pbi", Ts[:, :3, :3], relative)
-    return np.linalg.norm(np.maximum(np.abs(local) - half_extents, 0.0), axis=-1)
 
 
 def _failed(*checks: tuple[bool, str]) -> list[str]:
@@ -164,13 +156,12 @@ def _check_links(asset: ArticulatedAsset) -> list[str]:
 def _check_range(asset: ArticulatedAsset) -> list[str]:
     """Pairs of static and moving colliders that overlap along the joint, but not in the closed state."""
     found: dict[tuple[str, str], float] = {}
-    hinged = find_hinged_pairs(asset)
     for overlap in find_overlaps(asset):
-        pair = overlap.static, overlap.moving
-        if pair not in hinged:
-            found.setdefault(pair, overlap.theta)
+        found.setdefault((overlap.static, overlap.moving), overlap.theta)
     return [
-        f"colliders {a!r} and {b!r} overlap at joint value {theta:.3g}" for (a, b), theta in found.items()
+        f"colliders {a!r} and {b!r} overlap at joint value {theta:.3g}"
+        for (a, b), theta in found.items()
+        if theta > 0.0
     ]
 
 
@@ -240,9 +231,9 @@ def _simulate_touch(asset: ArticulatedAsset) -> tuple[mujoco.MjModel, mujoco.MjD
 
 def check_handle(asset: ArticulatedAsset) -> list[str]:
     """Problems of the handle: the bar has to lie at the handle point, and a finger fits around and behind it."""
-    poses, half = stack_boxes(asset.moving.colliders)
+    poses, half = _stack_boxes(asset.moving.colliders)
     point = asset.handle_point
-    distances = distance_to_boxes(point[None], poses, half)[0]
+    distances = np.array([box.distance(point) for box in asset.moving.colliders])
     if not distances.min() <= 0.002:
         return [f"handle point lies {1000 * distances.min():.0f} mm off every moving collider"]
     bar = int(np.argmin(distances))
@@ -254,7 +245,7 @@ def check_handle(asset: ArticulatedAsset) -> list[str]:
     sides = np.stack([across, -across]) if rim else -outward[None]
     balls = point + sides * ((thickness if rim else depth) / 2 + FINGER_BALL / 2 + 5e-4)
     others = [box for number, box in enumerate(asset.moving.colliders) if number != bar]
-    gap = distance_to_boxes(balls, *stack_boxes([*asset.static.colliders, *others])).min()
+    gap = min(box.distance(ball) for box in (*asset.static.colliders, *others) for ball in balls)
     where = "on both sides of" if rim else "behind"
     mm = 1000
     return _failed(

@@ -59,12 +59,12 @@ def _split(triangles: Array) -> list[Array]:
     surface = closed_surface(triangles)
     if is_sheet(surface):
         return [corners]
-    cells = [np.stack(cell) for cell in _cells(triangles)]
     aligned = np.abs(surface.face_normals).max(1) > ALIGNED
     straight = surface.area_faces[aligned].sum() >= STRAIGHT_SHARE * surface.area
-    if not surface.is_watertight or (straight and len(cells) <= MAX_CELLS):
-        return cells
-    return split_convex(surface)
+    if surface.is_watertight and not straight:
+        return split_convex(surface)
+    cells = [np.stack(cell) for cell in _cells(triangles)]
+    return split_convex(surface) if surface.is_watertight and len(cells) > MAX_CELLS else cells
 
 
 def _is_nearly_convex(triangles: Array) -> bool:

@@ -13,7 +13,7 @@ from aomgen.assets.asset_check import (
     outward_normal,
 )
 from aomgen.assets.normalization import DENSITIES
-from aomgen.core.asset import ArticulatedAsset, AssetLink, BoxCollider
+from aomgen.core.asset import ArticulatedAsset, AssetLink
 from aomgen.core.mesh import sample_meshes
 from aomgen.core.values import Array
 
@@ -103,23 +103,13 @@ def _room(tree: cKDTree, start: Array, way: Array) -> float:
 
 def _colliders(link: AssetLink, surface: Array) -> Finding:
     """How far what is seen lies outside what is touched."""
-    off = 1000 * float(np.percentile(_off_boxes(surface, link.colliders), MOST))
+    off = 1000 * float(np.percentile(link.distances(surface), MOST))
     far = off > 1000 * NEAR_M
     return Finding(
         name=f"colliders of {link.name}",
         state=f"{len(link.colliders)} boxes, the surface up to {off:.1f} mm outside",
         warning=f"farther than {1000 * NEAR_M:.0f} mm: author boxes that follow the surface" if far else "",
     )
-
-
-def _off_boxes(points: Array, boxes: tuple[BoxCollider, ...]) -> Array:
-    """Distance of points (N, 3) to the nearest box, 0 inside."""
-    nearest = np.full(len(points), np.inf)
-    for box in boxes:
-        T = box.T_asset_box
-        local = np.abs((points - T[:3, 3]) @ T[:3, :3]) - box.half_extents
-        nearest = np.minimum(nearest, np.linalg.norm(np.maximum(local, 0.0), axis=1))
-    return nearest
 
 
 def _mass(link: AssetLink) -> Finding:

@@ -95,8 +95,8 @@ def find_handle(asset: ArticulatedAsset) -> ArticulatedAsset:
 def _with_handle(asset: ArticulatedAsset, handle: Sequence[int], bar: int) -> ArticulatedAsset:
     """The asset with some colliders, by index, named as its handle, of which one is held."""
     boxes = list(asset.moving.colliders)
-    for number, index in enumerate(handle):
-        boxes[index] = replace(boxes[index], name=f"{PREFIX}_{number}")
+    for index in handle:
+        boxes[index] = replace(boxes[index], name=f"{PREFIX}_{boxes[index].name}")
     along = int(np.argmax(boxes[bar].half_extents))
     return replace(
         asset,
@@ -140,7 +140,7 @@ def state_handle(link: AssetLink, low: Array, high: Array) -> AssetLink:
         )  # fmt: skip
     lower, upper = inside.min(0), inside.max(0)
     box = BoxCollider(
-        name=PREFIX,
+        name=f"{PREFIX}_stated",
         T_asset_box=transform(np.eye(3), (lower + upper) / 2),
         half_extents=np.maximum((upper - lower) / 2, 1e-3),
     )
@@ -172,8 +172,7 @@ def _is_named(name: str) -> bool:
 def _fronts(link: AssetLink, joint: Joint) -> list[Array]:
     """Unit normals (3,) of the faces that may carry the handle, the likeliest first."""
     direction = opening_direction(link, joint)
-    largest = max(link.colliders, key=lambda box: float(np.sort(box.half_extents)[1:].prod()))
-    axes = largest.T_asset_box[:3, :3].T
+    axes = link.colliders[_largest(link)].T_asset_box[:3, :3].T
     along = axes @ direction
     best = int(np.argmax(np.abs(along)))
     front = axes[best] * np.sign(along[best]) if abs(along[best]) >= SAME_DIRECTION else direction
@@ -181,6 +180,11 @@ def _fronts(link: AssetLink, joint: Joint) -> list[Array]:
         return [front]
     across = [axes[k] for k in range(3) if abs(along[k]) < SAME_DIRECTION]
     return [front, *(sign * axis for axis in across for sign in (1, -1))]
+
+
+def _largest(link: AssetLink) -> int:
+    """Index of the collider with the largest face."""
+    return int(np.argmax([np.sort(box.half_extents)[1:].prod() for box in link.colliders]))
 
 
 def _protruding(
@@ -227,7 +231,7 @@ def _span(box: BoxCollider, axis: Array) -> tuple[float, float]:
 def _at_rim(asset: ArticulatedAsset) -> list[ArticulatedAsset]:
     """The asset held at the strip of its largest collider that is farthest from the hinge; empty for thick or sliding parts."""
     link, joint = asset.moving, asset.joint
-    index = int(np.argmax([np.sort(box.half_extents)[1:].prod() for box in link.colliders]))
+    index = _largest(link)
     box = link.colliders[index]
     T, half = box.T_asset_box, box.half_extents
     thin = int(np.argmin(half))

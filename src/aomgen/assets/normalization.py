@@ -8,7 +8,7 @@ from typing import Final, TypeVar
 
 import numpy as np
 
-from aomgen.assets.asset_check import distance_to_boxes, find_overlaps, outward_normal, stack_boxes
+from aomgen.assets.asset_check import find_overlaps, outward_normal
 from aomgen.assets.box_cover import box_cover
 from aomgen.assets.handle_search import find_handle, opening_direction, state_handle
 from aomgen.core.asset import ArticulatedAsset, AssetLink, BoxCollider
@@ -71,8 +71,7 @@ def _cover_surface(link: AssetLink) -> bool:
     if not (link.colliders and link.meshes):
         return False
     points = sample_meshes(link.meshes, COVER_SAMPLES, np.random.default_rng(0))
-    off = distance_to_boxes(points, *stack_boxes(link.colliders)).min(1)
-    return float(np.mean(off <= COVER_M)) >= COVER_SHARE
+    return float(np.mean(link.distances(points) <= COVER_M)) >= COVER_SHARE
 
 
 def complete(

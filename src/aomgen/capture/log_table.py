@@ -102,8 +102,11 @@ def read_log_table(path: Path, required: Sequence[str]) -> LogTable:
     lines = [(number, line) for number, line in lines if line and not _DECLARATION.match(line)]
     if not len(lines) <= MAX_ROWS:
         raise LimitExceededError(path, f"has more than {MAX_ROWS} rows")
-    start, header, separator = _find_header(lines, required, path)
-    return _read_rows(path, lines[start + 1 :], header, separator)
+    try:
+        start, header, separator = _find_header(lines, required, path)
+        return _read_rows(path, lines[start + 1 :], header, separator)
+    except csv.Error as error:
+        raise MalformedFileError(path, f"is not a table ({error})", "re-export the log") from error
 
 
 def _decode(data: bytes, path: Path) -> str:
@@ -138,10 +141,7 @@ def _find_header(
         for mark in COMMENTS:
             line = line.removeprefix(mark)
         for separator in SEPARATORS:
-            try:
-                names = [name.strip() for name in next(_split([line.strip()], separator), [])]
-            except csv.Error as error:
-                raise MalformedFileError(path, f"has no header ({error})", "re-export the log") from error
+            names = [name.strip() for name in next(_split([line.strip()], separator), [])]
             score = sum(name in names for name in required)
             if score > best:
                 best, found = score, (at, names, separator)
@@ -172,10 +172,7 @@ def _read_rows(path: Path, lines: list[tuple[int, str]], header: list[str], sepa
     headers = 0
     data = [(number, line) for number, line in lines if not line.startswith(COMMENTS)]
     comments = len(lines) - len(data)
-    try:
-        split = list(_split([line for _, line in data], separator))
-    except csv.Error as error:
-        raise MalformedFileError(path, f"is not a table ({error})", "re-export the log") from error
+    split = _split([line for _, line in data], separator)
     for (number, _), fields in zip(data, split, strict=False):
         if [field.strip() for field in fields] == header:
             headers += 1

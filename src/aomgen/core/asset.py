@@ -53,6 +53,15 @@ class AssetLink:
         """Volume of all colliders, [m^3]."""
         return sum(8 * float(box.half_extents.prod()) for box in self.colliders)
 
+    def distances(self, points: Array) -> Array:
+        """Distances (N,) of points (N, 3) of the asset frame to the nearest collider, 0 inside, [m]."""
+        nearest = np.full(len(points), np.inf)
+        for box in self.colliders:
+            T = box.T_asset_box
+            local = np.abs((points - T[:3, 3]) @ T[:3, :3]) - box.half_extents
+            nearest = np.minimum(nearest, np.linalg.norm(np.maximum(local, 0.0), axis=1))
+        return nearest
+
     @property
     def bounds(self) -> tuple[Array, Array]:
         """Low and high corner (3,) of the colliders, asset frame, [m]."""

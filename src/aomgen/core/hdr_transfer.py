@@ -1,5 +1,6 @@
 """High dynamic range video signals (HLG, PQ) as sRGB images."""
 
+from functools import cache
 from typing import Final, Literal
 
 import numpy as np
@@ -28,6 +29,18 @@ _SRGB_FROM_2020: Final = np.array(
 _KNEE: Final = 0.75
 
 
+@cache
+def _light_of_levels(transfer: Transfer) -> NDArray[np.float32]:
+    """Light (65536,) of each level: of HLG the scene's, as a share of its peak, of PQ the display's, white = 1."""
+    levels = np.arange(65536) / 65535
+    if transfer == "HLG":
+        light = np.where(levels <= 0.5, levels**2 / 3, (np.exp((levels - _C) / _A) + _B) / 12)
+    else:
+        root = levels ** (1 / _M2)
+        light = _PQ_PEAK / _WHITE * (np.maximum(root - _C1, 0) / (_C2 - _C3 * root)) ** (1 / _M1)
+    return light.astype(np.float32)
+
+
 def tone_map(signal: NDArray[np.uint16], transfer: Transfer) -> NDArray[np.uint8]:
     """Convert a BT.2020 signal of high dynamic range to an sRGB image.
 
@@ -41,16 +54,10 @@ def tone_map(signal: NDArray[np.uint16], transfer: Transfer) -> NDArray[np.uint8
 
     Source: ITU-R BT.2100-2 (curves), BT.2087-0 (primaries), BT.2408-7 (white).
     """
-    levels = np.arange(65536) / 65535
+    light = _light_of_levels(transfer)[signal]
     if transfer == "HLG":
-        scene = np.where(levels <= 0.5, levels**2 / 3, (np.exp((levels - _C) / _A) + _B) / 12)
-        light = scene.astype(np.float32)[signal]
         luminance = np.maximum(light @ _LUMA_2020.astype(np.float32), 1e-6)
         light *= (_HLG_PEAK / _WHITE * luminance ** (_HLG_GAMMA - 1))[..., None]
-    else:
-        root = levels ** (1 / _M2)
-        display = (np.maximum(root - _C1, 0) / (_C2 - _C3 * root)) ** (1 / _M1)
-        light = (_PQ_PEAK / _WHITE * display).astype(np.float32)[signal]
     linear = np.maximum(light @ _SRGB_FROM_2020.T.astype(np.float32), 0)
     brightest = np.maximum(linear.max(-1, keepdims=True), 1e-6)
     compressed = 1 - (1 - _KNEE) * np.exp(-(brightest - _KNEE) / (1 - _KNEE))

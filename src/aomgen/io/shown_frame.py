@@ -54,7 +54,7 @@ class FrameDisplay:
 
     def apply(self, frame: VideoFrame) -> VideoFrame:
         """The frame as it is shown; the same object where nothing has to be done."""
-        if not self.describe():
+        if not (self.turned or self.transfer or self.aspect != 1):
             return frame
         if self.aspect != 1:
             width = round(frame.width * self.aspect / 2) * 2

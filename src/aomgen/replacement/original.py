@@ -183,6 +183,6 @@ def _link(name: str, boxes: Mapping[str, Array]) -> AssetLink:
     """A link that is seen as its colliders (2, 3), for those who use the asset without its Gaussians."""
     shapes = {key: AlignedBox(lower=tuple(low), upper=tuple(high)) for key, (low, high) in boxes.items()}
     colliders = tuple(shape.collider(key) for key, shape in shapes.items())
-    volume = sum(8 * float(collider.half_extents.prod()) for collider in colliders)
     mesh = boxes_mesh(name, list(shapes.values()), Material())
-    return AssetLink(name=name, meshes=(mesh,), colliders=colliders, mass=FALLBACK_DENSITY * volume)
+    link = AssetLink(name=name, meshes=(mesh,), colliders=colliders, mass=0.0)
+    return replace(link, mass=FALLBACK_DENSITY * link.volume)
