@@ -10,8 +10,8 @@ from aomgen.core.mesh import face_normals_areas, sample_surface
 from aomgen.core.plan import FittedAsset
 from aomgen.core.transforms import apply, invert
 from aomgen.core.values import Array
-from aomgen.episodes.planning import retarget
-from aomgen.episodes.retarget import DemonstratedMotion, RetargetedMotion
+from aomgen.episodes.candidates import list_motions
+from aomgen.episodes.retarget import MOVE, DemonstratedMotion, RetargetedMotion
 from aomgen.robots.robot import FingerPad, RobotModel
 
 # Points of a surface lie about so far apart, and only those so near to the held point are looked at, [m].
@@ -50,7 +50,7 @@ def grip_on_meshes(fitted: FittedAsset, demo: Demonstration, robot: RobotModel) 
     """
     shown = DemonstratedMotion(demo)
     boxes, surface = (_near(points(fitted.asset), fitted) for points in (_box_points, _mesh_points))
-    motions = retarget(fitted, shown, fitted.T_world_asset, robot, "aomgen")
+    motions = list_motions(fitted, shown, fitted.T_world_asset, robot)
     grips = (_grip(motion, robot, boxes, surface)._replace(tried=k) for k, motion in enumerate(motions))
     first = next(grips)
     return first if first.holds else next((grip for grip in grips if grip.holds), first)
@@ -58,7 +58,7 @@ def grip_on_meshes(fitted: FittedAsset, demo: Demonstration, robot: RobotModel) 
 
 def _grip(motion: RetargetedMotion, robot: RobotModel, boxes: Array, surface: Array) -> Grip:
     """Of one grasp, on points of colliders and meshes (N, 3)."""
-    times, fitted = motion.shown.knots[2], motion.fitted
+    times, fitted = motion.shown.knots[MOVE], motion.fitted
     moved = fitted.T_world_asset @ fitted.asset.joint.motion(motion.thetas(times))
     Ts_part_ee = invert(moved) @ motion.holding(times)
     clearances = [_clearances(robot, T, _stalled(robot, T, boxes), surface) for T in Ts_part_ee]

@@ -12,9 +12,8 @@ from aomgen.assets.usd_write import write_usd
 from aomgen.core.episode import PHASES
 from aomgen.core.plan import EpisodePlan, Rejection, Variation, VerifiedEpisode
 from aomgen.core.transforms import apply
-from aomgen.episodes.grasp_plan import PlanParams
 from aomgen.episodes.ik import IkSolver, ik_solver
-from aomgen.episodes.planning import plan_episode
+from aomgen.episodes.planning import PlanParams, plan_episode
 from aomgen.episodes.record import episode_of
 from aomgen.episodes.variations import Ranges, scaled_fit
 from aomgen.evaluation.evaluate import interval_95

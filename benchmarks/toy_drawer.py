@@ -7,7 +7,7 @@ from aomgen.core.demonstration import Demonstration, SupportPlane
 from aomgen.core.plan import FittedAsset
 from aomgen.core.transforms import apply, interpolate, matrix_from_rotvec, transform
 from aomgen.episodes.ik import IkSolver, solve_path
-from aomgen.episodes.joint_limits import IkLimits, IkPath
+from aomgen.episodes.joint_limits import IkLimits
 
 SUPPORT = SupportPlane(height=0.05, low_xy=np.full(2, -np.inf), high_xy=np.full(2, np.inf))
 NEAR = np.array([2.11, -1.51, 2.26, -0.75, 0.53, 1.57])
@@ -47,16 +47,16 @@ def opening(
     pieces = [(back, hold, ease), (hold, hold, still), (hold, pulled, ease), (pulled, pulled, still)]
     poses = np.concatenate([interpolate(a, b, s) for a, b, s in [*pieces, (pulled, gone, ease)]])
     first = solve_path(solver, back[None], NEAR, IkLimits(iterations=60))
-    assert isinstance(first, IkPath)
-    path = solve_path(solver, poses, first.joints[-1], IkLimits())
-    assert isinstance(path, IkPath)
+    assert isinstance(first, np.ndarray)
+    path = solve_path(solver, poses, first[-1], IkLimits())
+    assert isinstance(path, np.ndarray)
     times = np.arange(len(poses)) / 10
     close, pull, release, leave = 2.6, 3.4, 6.0, 6.8
     gripper = np.interp(times, [close, pull - 0.2, release, leave - 0.2], [0, 0.72, 0.72, 0])
     thetas = np.concatenate([np.zeros(34), 0.15 * ease, np.full(34, 0.15)])
     return Demonstration(
         times_s=times,
-        joints=path.joints,
+        joints=path,
         gripper=gripper,
         Ts_world_ee=poses,
         thetas=thetas,

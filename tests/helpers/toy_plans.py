@@ -8,7 +8,7 @@ from aomgen.core.demonstration import SupportPlane
 from aomgen.core.plan import EpisodePlan, FittedAsset, Variation
 from aomgen.core.transforms import apply, matrix_from_rotvec, transform
 from aomgen.episodes.ik import ik_solver, solve_path
-from aomgen.episodes.joint_limits import IkLimits, IkPath
+from aomgen.episodes.joint_limits import IkLimits
 from aomgen.robots.robot import RobotModel
 
 SUPPORT = SupportPlane(height=0.05, low_xy=[-np.inf] * 2, high_xy=[np.inf] * 2)
@@ -59,7 +59,7 @@ def toy_plan(
     Rs = np.array([matrix_from_rotvec(angle * joint.axis) @ R_world_ee for angle in turns])
     poses = transform(Rs, points + Rs @ np.array(offset_ee))
     path = solve_path(ik_solver(robot), np.concatenate([poses[:1], poses]), NEAR, IkLimits(iterations=60))
-    assert isinstance(path, IkPath), path
+    assert isinstance(path, np.ndarray), path
     fitted = FittedAsset(
         asset=asset,
         T_world_asset=T_world_object,
@@ -76,7 +76,7 @@ def toy_plan(
         fitted=fitted,
         T_world_object=T_world_object,
         fps=10,
-        joints=path.joints[1:],
+        joints=path[1:],
         gripper=np.interp(np.arange(len(thetas)), [2, 6, 40, 44], [1 - closed, 1, 1, 1 - closed]),
         thetas=thetas,
         phases=np.ones(len(thetas)),

@@ -5,9 +5,8 @@ from itertools import count
 
 from aomgen.core.demonstration import Demonstration, SupportPlane
 from aomgen.core.plan import FittedAsset, Rejection, VerifiedEpisode
-from aomgen.episodes.grasp_plan import PlanParams
 from aomgen.episodes.ik import ik_solver
-from aomgen.episodes.planning import plan_episode
+from aomgen.episodes.planning import PlanParams, plan_episode
 from aomgen.episodes.variations import Ranges, draw
 from aomgen.robots.robot import RobotModel
 from aomgen.simulation.scene import build_scene

@@ -18,11 +18,10 @@ from aomgen.core.camera import Camera
 from aomgen.core.plan import EpisodePlan, FittedAsset, Rejection, Variation, VerifiedEpisode
 from aomgen.episodes.generate import MAX_SKIPPED
 from aomgen.episodes.grasp_choice import GRASPS_FOLDER, GraspChoice, WorkingGrasps, choose_grasp, draws_of
-from aomgen.episodes.grasp_plan import PlanParams
 from aomgen.episodes.grasps import Grasp
 from aomgen.episodes.ik import IkSolver, ik_solver
 from aomgen.episodes.ledger import Unit, object_folder, write_rejection
-from aomgen.episodes.planning import open_task, plan_episode, working_grasps
+from aomgen.episodes.planning import Planner, PlanParams, plan_episode
 from aomgen.episodes.pushes import pushed_joints
 from aomgen.episodes.reach_map import ReachMap, map_reach
 from aomgen.episodes.record import episode_of, store_episode, trajectory_of
@@ -187,16 +186,14 @@ class EpisodeFactory:
             return load_artifact(found, unit_name(number), WorkingGrasps)
         opened, demo = self.asset(number), self.results.demonstration
         alike = self._alike(opened.fitted.asset.category)
-        # The paper's method knows one grasp.
-        wanted = 0 if self.plan_params.method == "paper" else draws_of(len(alike))
         draws = (self.screen(Unit(asset=number, index=index)) for index in range(MAX_SKIPPED))
         passing = (variation for variation, rejection in draws if rejection is None)
-        tasks = (
-            open_task(fitted, demo, variation, scene, self.solver, self.plan_params)
-            for variation in islice(passing, wanted)
+        planners = (
+            Planner(fitted, demo, variation, scene, self.solver, self.plan_params)
+            for variation in islice(passing, draws_of(len(alike)))
             for fitted, scene in [opened.sized(variation.scale)]
         )
-        return WorkingGrasps(draws=tuple(tuple(working_grasps(task)) for task in tasks))
+        return WorkingGrasps(draws=tuple(tuple(planner.working_grasps()) for planner in planners))
 
     def _alike(self, category: str) -> list[int]:
         assets = enumerate(self.results.fitted_assets)

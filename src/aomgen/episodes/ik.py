@@ -16,7 +16,7 @@ from scipy.linalg import solveh_banded
 from aomgen.core.plan import Rejection
 from aomgen.core.transforms import interpolate, path_steps, skew, transform
 from aomgen.core.values import Array, Matrix4, freeze_arrays
-from aomgen.episodes.joint_limits import IkLimits, IkPath
+from aomgen.episodes.joint_limits import IkLimits
 from aomgen.robots.robot import RobotModel
 
 # Of the least-squares step, [m^2]; carries the arm across singular poses instead of around them.
@@ -38,6 +38,9 @@ SETTLED, ROUNDS, RESERVE = 1e-3, 5, 0.95
 SEED_STEPS = 12
 # Of Gauss-Newton at each of them; what is left over is done at the next.
 SEED_ITERATIONS = 4
+# Starts from which other configurations of a pose are searched, and steps of each: a UR5e has eight, and a few more
+# where its wrist may turn twice. Configurations that differ by less in each joint count as one, [rad] or [m].
+ARM_SEEDS, ARM_ITERATIONS, SAME_ARM = 64, 60, 0.3
 # Good enough is better than exact: near a singular pose the last 0.2 mm cost a turn of the wrist. [m], [rad].
 CLOSE_M, CLOSE_RAD = 2e-4, 2e-3
 
@@ -118,8 +121,8 @@ def ik_solver(robot: RobotModel) -> IkSolver:
 
 def solve_path(
     solver: IkSolver, Ts_world_ee: Array, start_joints: ArrayLike, limits: IkLimits
-) -> IkPath | Rejection:
-    """Arm joints along a path of end effector poses (T, 4, 4), close enough together for the arm to follow.
+) -> Array | Rejection:
+    """Arm joints (T, J) along a path of end effector poses (T, 4, 4), close enough together for the arm to follow.
 
     Where the arm is before the first pose (J,) sets its branch. Speed is left to `check_speed`, as only the caller
     knows the time.
@@ -144,12 +147,10 @@ def solve_smoothly(
     guesses: Array,
     fps: float,
     limits: IkLimits,
-    start: Array | None = None,
-) -> IkPath | Rejection:
+) -> Array | Rejection:
     """As `solve_path`, from joints near the solution (T, J), so smoothly in time as the limits of the residuals allow.
 
-    Near a singular pose, where exact joints would jump, the hand strays by up to those limits instead. A `start` (J,)
-    is where the arm begins, if it meets the first pose.
+    Near a singular pose, where exact joints would jump, the end effector strays by up to those limits instead.
     """
     low, high = solver.robot.joint_limits.T
     joints, count = np.clip(guesses, low, high), len(guesses)
@@ -163,15 +164,12 @@ def solve_smoothly(
             J, errors = scales * J, scales * errors[..., None]
             hessians = J.swapaxes(1, 2) @ J
             gradient = (J.swapaxes(1, 2) @ errors)[..., 0] - bending @ joints
-            if start is not None:
-                hessians[0] += np.eye(len(start))
-                gradient[0] += start - joints[0]
             step = _solve_banded(hessians, bending, gradient)
             step *= min(1.0, MAX_STEP / max(float(np.abs(step).max()), 1e-9))
             joints = np.clip(joints + step, low, high)
             if np.abs(step).max() < SETTLED:
                 break
-        residuals = np.stack(_residuals(solver, Ts_world_ee, joints), 1)
+        residuals = np.stack(path_residuals(solver, Ts_world_ee, joints), 1)
         shares = residuals / (RESERVE * np.array([limits.residual_mm, limits.residual_deg]))
         if shares.max() <= 1.0:
             break
@@ -193,18 +191,16 @@ def _solve_banded(hessians: Array, bending: Array, gradient: Array) -> Array:
     return solveh_banded(flat, gradient.ravel(), lower=True, check_finite=False).reshape(count, size)
 
 
-def _judge(solver: IkSolver, Ts_world_ee: Array, joints: Array, limits: IkLimits) -> IkPath | Rejection:
-    """Joints (T, J) as a path; or a Rejection at the first pose that breaks a limit."""
-    residuals_mm, residuals_deg = _residuals(solver, Ts_world_ee, joints)
+def _judge(solver: IkSolver, Ts_world_ee: Array, joints: Array, limits: IkLimits) -> Array | Rejection:
+    """The joints (T, J); or a Rejection at the first pose that breaks a limit."""
+    residuals_mm, residuals_deg = path_residuals(solver, Ts_world_ee, joints)
     low, high = solver.robot.joint_limits.T
     keep = np.where(solver.robot.slides, limits.slide_margin, limits.limit_margin)
     margins = np.minimum(joints - low, high - joints)
     missed = ~((residuals_mm <= limits.residual_mm) & (residuals_deg <= limits.residual_deg))
     broken = np.flatnonzero(missed | ~np.all(margins >= keep, axis=1))
     if not len(broken):
-        return IkPath(
-            joints=joints, residual_mm=float(residuals_mm.max()), residual_deg=float(residuals_deg.max())
-        )
+        return joints
     row = int(broken[0])
     if missed[row]:
         mm, deg = float(residuals_mm[row]), float(residuals_deg[row])
@@ -234,7 +230,7 @@ def follow(
     for k, poses in enumerate(Ts_world_ee):
         live = np.flatnonzero(reached == k)
         found = converge(solver, poses[live], now[live], limits.iterations)
-        mm, deg = _residuals(solver, poses[live], found)
+        mm, deg = path_residuals(solver, poses[live], found)
         there = (mm <= limits.residual_mm) & (deg <= limits.residual_deg)
         now[live[there]] = found[there]
         reached[live[there]] += 1
@@ -253,6 +249,29 @@ def walk(solver: IkSolver, T_world_from: Array, Ts_world_to: Array, start: Array
     for poses in steps:
         joints = converge(solver, poses, joints, SEED_ITERATIONS)
     return joints
+
+
+def find_arms(solver: IkSolver, T_world_ee: Array, first: Array, limits: IkLimits) -> Array:
+    """Configurations (N, J) that reach a pose (4, 4): `first` (J,), then others, those most like it first.
+
+    Arms that differ by whole turns of a joint count as one.
+    """
+    low, high = solver.robot.joint_limits.T
+    seeds = np.random.default_rng(0).uniform(
+        np.maximum(low, -np.pi), np.minimum(high, np.pi), (ARM_SEEDS, len(low))
+    )
+    Ts = np.repeat(T_world_ee[None], ARM_SEEDS, 0)
+    found = converge(solver, Ts, seeds, ARM_ITERATIONS)
+    mm, deg = path_residuals(solver, Ts, found)
+    found = found[(mm <= limits.residual_mm) & (deg <= limits.residual_deg)]
+    turns = np.where(solver.robot.slides, 0.0, 2 * np.pi * np.round((first - found) / (2 * np.pi)))
+    turned = found + turns
+    found = np.where((turned > low) & (turned < high), turned, found)
+    arms = [first]
+    for joints in found[np.argsort(np.abs(found - first).sum(1), kind="stable")]:
+        if all(np.abs(joints - arm).max() > SAME_ARM for arm in arms):
+            arms.append(joints)
+    return np.stack(arms)
 
 
 def converge(
@@ -287,7 +306,7 @@ def converge(
     return joints
 
 
-def _residuals(solver: IkSolver, Ts_world_ee: Array, joints: Array) -> tuple[Array, Array]:
+def path_residuals(solver: IkSolver, Ts_world_ee: Array, joints: Array) -> tuple[Array, Array]:
     """Distances of joints (N, J) to poses (N, 4, 4): (N,), [mm] and [deg]."""
     errors, _ = solver.errors(Ts_world_ee, joints)
     return 1000 * np.linalg.norm(errors[:, :3], axis=1), np.rad2deg(np.linalg.norm(errors[:, 3:], axis=1))

@@ -1,14 +1,13 @@
 """What the arm's joints may do along a path: where, how fast, how abruptly."""
 
 from dataclasses import dataclass
-from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
 
 from aomgen.core.episode import PHASES
 from aomgen.core.plan import Rejection
-from aomgen.core.values import Array, freeze_arrays
+from aomgen.core.values import Array
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -39,17 +38,6 @@ class IkLimits:
     limit_margin: float = 0.02
     slide_margin: float = 0.002
     iterations: int = 12
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class IkPath:
-    """A solved path: joints, and its largest residuals."""
-
-    joints: Annotated[Array, "_ _"]
-    residual_mm: float
-    residual_deg: float
-
-    __post_init__ = freeze_arrays
 
 
 def check_speed(

@@ -1,50 +1,80 @@
-"""Plan one episode: place the object, choose a grasp and a way to it; which grasps would do."""
+"""Plan one episode: generate candidates, evaluate them one by one, and take the first that passes.
 
-from collections.abc import Sequence
-from dataclasses import replace
-from itertools import islice, product
-from typing import Final, NamedTuple
+The candidates come in the order in which policies want them: the arm's configuration and the motion as demonstrated, the
+grasp most like the usual one. Only where none of them passes, the hand approaches straight, the free motion is searched
+around what stands in the way, and then the arm takes another configuration.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from aomgen.core.demonstration import Demonstration
+from aomgen.core.episode import PHASES
 from aomgen.core.plan import EpisodePlan, FittedAsset, Rejection, Variation
+from aomgen.core.transforms import invert
 from aomgen.core.values import Array
-from aomgen.episodes.grasp_plan import (
-    Method,
-    PlanParams,
-    PlanTask,
-    check_grip,
-    follow_contact,
-    follow_sides,
-    plan_with,
-    stall,
+from aomgen.episodes.candidates import WAYS, Candidate, Way, follow_contact, follow_sides, list_motions
+from aomgen.episodes.free_motion import find_free_path
+from aomgen.episodes.grasps import Grasp, between, difference
+from aomgen.episodes.ik import IkSolver, find_arms, path_residuals, solve_smoothly
+from aomgen.episodes.joint_limits import IkLimits, check_speed
+from aomgen.episodes.retarget import (
+    CONTACT,
+    INTERVAL_PHASES,
+    DemonstratedMotion,
+    RetargetedMotion,
+    ease,
 )
-from aomgen.episodes.grasps import Grasp, between, difference, grasp_depths, grasps
-from aomgen.episodes.ik import IkSolver
-from aomgen.episodes.retarget import DETOURS, WAYS, DemonstratedMotion, RetargetedMotion, TriedWays
-from aomgen.episodes.start import choose_start
-from aomgen.robots.robot import RobotModel
-from aomgen.simulation.collision_check import self_overlap_mm
+from aomgen.episodes.start import find_start
+from aomgen.simulation.collision_check import (
+    KinematicLimits,
+    check_kinematics,
+    make_collision_test,
+    self_overlap_mm,
+    stalling_gripper,
+)
 from aomgen.simulation.scene import Scene
 
-# Kept free between the object and the arm before its hand, [m]: a lid that resists lags behind its plan.
+# Kept free between the object and the arm before its gripper, [m]: a lid that resists lags behind its plan.
 CLEARANCE_M = 0.003
-# To an eighth of the way between two grasps, which are less apart.
+# Bisections between two grasps, to an eighth of their difference; and how far apart they may be, [rad].
 HALVINGS: Final = 3
 MAX_APART_RAD: Final = np.pi / 2
+# A motion that is too fast is made this much slower than needed, as a factor: sampling shifts its peaks.
+SLOWER = 1.05
 # Reasons of rejection, from early to late.
 REASONS = (
     "joint_limit",
     "unreachable",
-    "branch",
     "too_fast",
     "too_jerky",
     "self_collision",
     "collision",
+    "no_path",
     "grip_collision",
     "no_grip",
 )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PlanParams:
+    """How an episode is planned.
+
+    Attributes:
+        fps: Samples a second.
+        ik: Limits of the arm.
+        kinematic: Limits of tier A.
+        max_slow_down: How much slower than requested a phase may become: demonstrations may start near the handle.
+    """
+
+    fps: float = 10.0
+    ik: IkLimits = field(default_factory=IkLimits)
+    kinematic: KinematicLimits = field(default_factory=KinematicLimits)
+    max_slow_down: float = 5.0
 
 
 def plan_episode(
@@ -60,178 +90,248 @@ def plan_episode(
 
     Args:
         fitted: The object and its planned motion. It faces as the recorded object did, so its
-            axes are those in which the demonstrated hand is understood.
+            axes are those in which the demonstrated end effector is understood.
         scene: Robot, table and this asset, at any pose.
         usual: See `grasp_choice`.
 
     Returns:
-        The plan; or the Rejection of the grasp that came farthest, its metrics with the number of
+        The plan; or the Rejection of the candidate that came farthest, its metrics with the number of
         `grasps_tried`.
     """
-    task = open_task(fitted, demo, variation, scene, solver, params)
-    motions = _motions(task, usual)
-    found = _plan(task, motions, WAYS + DETOURS if params.method == "aomgen" else WAYS[:1])
-    if isinstance(found, Rejection):
-        return found
-    return found.plan if usual is None else _nearer(task, motions[0], found).plan
+    planner = Planner(fitted, demo, variation, scene, solver, params)
+    motions = planner.list_motions(usual)
+    found = planner.search(motions)
+    if usual is None or isinstance(found, Rejection):
+        return found if isinstance(found, Rejection) else found[1]
+    return planner.approach_usual(motions[0].grasp, *found)
 
 
-class _Planned(NamedTuple):
-    """A plan, and how it came about."""
+class Planner:
+    """What all candidates of one variation share; arguments as for `plan_episode`."""
 
-    plan: EpisodePlan
-    motion: RetargetedMotion
-    ways: TriedWays
+    def __init__(
+        self,
+        fitted: FittedAsset,
+        demo: Demonstration,
+        variation: Variation,
+        scene: Scene,
+        solver: IkSolver,
+        params: PlanParams,
+    ) -> None:
+        self.fitted, self.variation, self.solver = fitted, variation, solver
+        self.shown, self.robot = DemonstratedMotion(demo), scene.robot
+        self.T_world_object = variation.placed(fitted)
+        self.scene = scene.placed(self.T_world_object, CLEARANCE_M)
+        allowed = params.kinematic.max_self_penetration_mm
+        allowed += self_overlap_mm(self.scene, demo.joints[0], float(demo.gripper[0]))
+        kinematic = replace(params.kinematic, max_self_penetration_mm=allowed)
+        self.params = replace(params, kinematic=kinematic)
+        self.is_free = make_collision_test(self.scene, float(demo.gripper[0]), fitted.start_theta, kinematic)
+        self.start = self._find_start(demo.Ts_world_ee[0], demo.joints[0])
+        self._stalls = dict[tuple[str | float, ...], float]()
+        # Seeds of OMPL start at 1.
+        self.seed = 1 + int(np.random.default_rng([variation.seed, variation.index]).integers(2**31 - 1))
 
+    def _find_start(self, T_from: Array, joints: Array) -> Array | None:
+        """Where the arm begins (J,), in the configuration that it has at a pose (4, 4).
 
-def _plan(
-    task: PlanTask, motions: list[RetargetedMotion], all_ways: Sequence[TriedWays]
-) -> _Planned | Rejection:
-    """The first plan, over ways and then motions; or the rejection that came farthest."""
-    held, best = _hold(task, motions)
-    # Grasps that hold, and among them those that something blocks beside the handle.
-    checked, blocked = set[int](), set[int]()
-    for ways in all_ways:
-        style, group = ways
-        tried = sorted(blocked if ways in DETOURS else held)
-        styled = {k: replace(motions[k], **style._asdict()) for k in tried}
-        arms = follow_sides(task, styled, held)
-        for free, k in product(group, tried):
-            if k not in held:
-                continue
-            result = None if k in checked else check_grip(task, motions[k], held[k])
-            checked.add(k)
-            if result is None:
-                result = plan_with(task, styled[k], arms[k], free)
-            if isinstance(result, EpisodePlan):
-                return _Planned(result, motions[k], (style, (free,)))
-            best = max(best, result, key=_rank)
-            if result.metrics.get("in_contact"):
-                del held[k]
-                blocked.discard(k)
-            elif result.reason == "collision":
-                blocked.add(k)
-    return replace(best, metrics={**best.metrics, "grasps_tried": float(len(motions))})
+        The end effector begins where it was demonstrated, or where it was as seen from the object, and is raised until
+        it is free.
+        """
+        demo, offset = self.shown.demo, np.array(self.variation.start_offset or 0.0)
+        if np.array_equal(joints, demo.joints[0]) and self.is_free(joints):
+            return joints + offset
+        there = demo.Ts_world_ee[0]
+        carried = self.T_world_object @ invert(self.fitted.T_world_asset) @ there
+        Ts_start = np.stack([carried, there])
+        found = find_start(Ts_start, T_from, joints, self.solver, self.params.ik, self.is_free)
+        return None if found is None else found + offset
 
+    def list_motions(self, usual: Grasp | None = None) -> list[RetargetedMotion]:
+        """Motions with all grasps, see `candidates.list_motions`."""
+        return list_motions(self.fitted, self.shown, self.T_world_object, self.robot, usual)
 
-def _nearer(task: PlanTask, usual: RetargetedMotion, found: _Planned) -> _Planned:
-    """A plan whose grasp lies between the usual and the found one, by bisection, as near to the usual one as works.
+    def search(
+        self, motions: Sequence[RetargetedMotion], ways: Sequence[Way] = WAYS
+    ) -> tuple[Candidate, EpisodePlan] | Rejection:
+        """The first candidate that passes, and its plan; or the rejection that came farthest."""
+        best = Rejection(reason="no_grasp", detail="the asset offers no grasp")
+        for found in self.evaluate_all(motions, ways):
+            if not isinstance(found, Rejection):
+                return found
+            best = max(best, found, key=_rank)
+        return replace(best, metrics={**best.metrics, "grasps_tried": float(len(motions))})
 
-    Grasps then change with the object's pose by little steps, which policies learn; the grid's are of 15 degrees and more.
-    """
-    low, high, far = 0.0, 1.0, found.motion
-    # Between a hand and one that is turned half round there is none that holds.
-    if found.ways in DETOURS or not 0 < difference(usual.grasp, far.grasp) < MAX_APART_RAD:
-        return found
-    for _ in range(HALVINGS):
-        share = (low + high) / 2
-        motion = replace(far, grasp=between(usual.grasp, far.grasp, share))
-        nearer = _plan(task, [motion], [found.ways])
-        if isinstance(nearer, Rejection):
-            low = share
-        else:
-            high, found = share, nearer
-    return found
+    def evaluate_all(
+        self, motions: Sequence[RetargetedMotion], ways: Sequence[Way]
+    ) -> Iterator[tuple[Candidate, EpisodePlan] | Rejection]:
+        """Evaluate all candidates, the best first; what cannot be held is evaluated once."""
+        for number, arm in enumerate(self._arms(ways)):
+            contacts = dict[int, Array]()
+            for k, contact in enumerate(follow_contact(motions, arm, self.solver, self.params.ik)):
+                if isinstance(contact, Rejection):
+                    yield contact
+                else:
+                    contacts[k] = contact
+            for way in ways if number == 0 else ways[-1:]:
+                if self.start is None and way[1] == "demonstrated":
+                    continue
+                for k, candidate in follow_sides(motions, contacts, way, self.solver, self.params.ik):
+                    result = candidate if isinstance(candidate, Rejection) else self.evaluate(candidate)
+                    if isinstance(result, Rejection):
+                        yield result
+                        if result.metrics.get("in_contact"):
+                            del contacts[k]
+                    elif not isinstance(candidate, Rejection):
+                        yield candidate, result
 
-
-def working_grasps(task: PlanTask) -> list[Grasp]:
-    """All grasps with which an episode can be planned the first way, that nearest to the demonstrated first."""
-    motions = _motions(task)
-    held, _ = _hold(task, motions)
-    style, group = WAYS[0]
-    styled = {k: replace(motions[k], **style._asdict()) for k in held}
-    arms, working = follow_sides(task, styled, held), dict[str, Grasp]()
-    for k in held:
-        if check_grip(task, motions[k], held[k]) is not None:
-            continue
-        if any(isinstance(plan_with(task, styled[k], arms[k], free), EpisodePlan) for free in group):
-            grasp = motions[k].grasp
-            working.setdefault(grasp.name, grasp)
-    return list(working.values())
-
-
-def open_task(
-    fitted: FittedAsset,
-    demo: Demonstration,
-    variation: Variation,
-    scene: Scene,
-    solver: IkSolver,
-    params: PlanParams,
-) -> PlanTask:
-    """What all grasps of one variation share; arguments as for `plan_episode`."""
-    T_world_object = variation.placed(fitted)
-    placed = scene.placed(T_world_object, CLEARANCE_M)
-    allowed = params.kinematic.max_self_penetration_mm
-    allowed += self_overlap_mm(placed, demo.joints[0], float(demo.gripper[0]))
-    params = replace(params, kinematic=replace(params.kinematic, max_self_penetration_mm=allowed))
-    return PlanTask(
-        shown=DemonstratedMotion(demo),
-        variation=variation,
-        fitted=fitted,
-        placed=placed,
-        solver=solver,
-        params=params,
-        start=choose_start(demo, fitted, placed, T_world_object, solver, params.ik, params.kinematic)
-        + (np.array(variation.start_offset) if variation.start_offset else 0.0),
-    )
-
-
-def _motions(task: PlanTask, usual: Grasp | None = None) -> list[RetargetedMotion]:
-    """Of all grasps, from the arm's first joints."""
-    robot, fitted = task.placed.robot, task.fitted
-    moved = not np.array_equal(task.start, task.shown.demo.joints[0])
-    T_world_start = robot.ee_poses(task.start[None])[0] if moved else None
-    T_world_object = task.variation.placed(fitted)
-    return retarget(fitted, task.shown, T_world_object, robot, task.params.method, T_world_start, usual)
-
-
-def _hold(task: PlanTask, motions: list[RetargetedMotion]) -> tuple[dict[int, Array], Rejection]:
-    """Joints (K, J) along the contact by number of grasp, where the arm can follow, and what came farthest of the rest.
-
-    These motions learn how far their fingers close.
-    """
-    contacts = follow_contact(task, motions)
-    held = dict[int, Array]()
-    best = Rejection(reason="no_grasp", detail="the asset offers no grasp")
-    for k, contact in enumerate(contacts):
-        if isinstance(contact, Rejection):
-            best = max(best, contact, key=_rank)
-        else:
-            held[k] = contact
-            motions[k] = replace(motions[k], held_at=stall(task, contact[0]))
-    return held, best
-
-
-def retarget(
-    fitted: FittedAsset,
-    shown: DemonstratedMotion,
-    T_world_object: Array,
-    robot: RobotModel,
-    method: Method,
-    T_world_start: Array | None = None,
-    usual: Grasp | None = None,
-) -> list[RetargetedMotion]:
-    """The motions with all grasps that a method tries, in the order of `grasps`.
-
-    The hand begins at a pose (4, 4); where it was demonstrated if None.
-    """
-    demo, rigid = shown.demo, method == "paper"
-    depths = grasp_depths(fitted.asset, float(demo.grasp_ee[2]), robot)
-    found = grasps(fitted, shown.hand_at_closed(fitted), depths, demo.ee_turn_ratio, usual)
-    return [
-        RetargetedMotion(
-            shown=shown,
-            fitted=fitted,
-            T_world_object=T_world_object,
-            grasp=grasp,
-            T_world_start=T_world_start,
-            rigid=rigid,
+    def evaluate(self, candidate: Candidate) -> EpisodePlan | Rejection:
+        """Check the motion near the handle, then find the free motion, the time law and the plan of a candidate."""
+        motion, shown, params, free = candidate.motion, self.shown, self.params, candidate.free
+        knots, held_at = candidate.knots.ravel(), self._find_stall(candidate)
+        at_knots = candidate.joints.reshape(len(knots), -1)
+        near = self._check_motion(motion, knots, at_knots, held_at)
+        if isinstance(near, Rejection):
+            return near
+        start, goal = self.start, candidate.joints[0, 0]
+        if start is None:
+            start = self._find_start(motion.knots[0, 0], goal)
+        if start is None:
+            return Rejection(reason="no_path", detail="the arm has a collision wherever it could begin")
+        path = self._find_free_path(start, goal, held_at) if free == "searched" else None
+        if isinstance(path, Rejection):
+            return path
+        T_free = self.robot.ee_poses(self._free_joints(shown.knots[0], start, goal, path))
+        stretches, slow_down = motion.stretches(T_free) / self.variation.speed, np.ones(len(PHASES))
+        while True:
+            times = shown.retime(stretches * slow_down[list(INTERVAL_PHASES)], params.fps)
+            first = int(np.searchsorted(times, shown.marks[1]))
+            guesses = np.stack([np.interp(times[first:], knots, q) for q in at_knots.T], 1)
+            poses = motion.at(times[first:])
+            joints = solve_smoothly(self.solver, poses, guesses, params.fps, params.ik)
+            if isinstance(joints, Rejection):
+                return _locate(joints, shown.phases(times), first)
+            mm, deg = path_residuals(self.solver, poses, joints)
+            # The smoothed path begins beside the first knot.
+            goal = candidate.joints[0, 0] + joints[0] - guesses[0]
+            joints = np.concatenate([self._free_joints(times[:first], start, goal, path), joints])
+            rates = check_speed(joints, params.fps, params.ik, self.robot.slides, shown.phases(times))
+            if not isinstance(rates, Rejection):
+                break
+            needed = np.array([rates.metrics[f"{phase}_share"] for phase in PHASES])
+            slow_down *= np.where(needed > 1.0, SLOWER * needed, 1.0)
+            if not slow_down.max() <= params.max_slow_down:
+                in_contact = float(slow_down[CONTACT] > params.max_slow_down)
+                return replace(rates, metrics={**rates.metrics, "in_contact": in_contact})
+        figures = self._check_motion(motion, times, joints, held_at)
+        if isinstance(figures, Rejection):
+            return figures
+        return EpisodePlan(
+            variation=self.variation,
+            fitted=self.fitted,
+            T_world_object=self.T_world_object,
+            fps=params.fps,
+            joints=joints,
+            gripper=shown.gripper(times, held_at),
+            thetas=motion.thetas(times),
+            phases=shown.phases(times),
+            Ts_world_ee=self.robot.ee_poses(joints),
+            grasp=str(candidate),
+            metrics={**figures, **rates, "residual_mm": float(mm.max()), "residual_deg": float(deg.max())},
         )
-        for grasp in (islice(found, 1) if rigid else found)
-    ]
+
+    def approach_usual(self, usual: Grasp, found: Candidate, plan: EpisodePlan) -> EpisodePlan:
+        """A plan whose grasp lies between the usual and the found one, by bisection, as near to the usual one as works.
+
+        Grasps then change with the object's pose by small steps, which policies learn; those offered are 15 degrees and
+        more apart.
+        """
+        far, low, high = found.motion.grasp, 0.0, 1.0
+        # Between an end effector and one that is turned half round there is none that holds.
+        if found.free == "searched" or not 0 < difference(usual, far) < MAX_APART_RAD:
+            return plan
+        for _ in range(HALVINGS):
+            share = (low + high) / 2
+            motion = replace(found.motion, grasp=between(usual, far, share))
+            nearer = self.search([motion], [(motion.style, found.free)])
+            if isinstance(nearer, Rejection):
+                low = share
+            else:
+                high, plan = share, nearer[1]
+        return plan
+
+    def working_grasps(self) -> list[Grasp]:
+        """All grasps with which an episode can be planned the first way, that nearest to the demonstrated first."""
+        found = self.evaluate_all(self.list_motions(), WAYS[:1])
+        working = dict[str, Grasp]()
+        for item in found:
+            if not isinstance(item, Rejection):
+                grasp = item[0].motion.grasp
+                working.setdefault(grasp.name, grasp)
+        return list(working.values())
+
+    def _arms(self, ways: Sequence[Way]) -> Iterator[Array]:
+        """Configurations (J,) that hold the handle as demonstrated; others than the demonstrated one if paths are searched."""
+        times = self.shown.from_closed(self.fitted)[:1]
+        first = self.shown.joints(times)[0]
+        yield first
+        if ways[-1][1] == "searched":
+            yield from find_arms(self.solver, self.shown.poses(times)[0], first, self.params.ik)[1:]
+
+    def _find_free_path(self, start: Array, goal: Array, held_at: float) -> Array | Rejection:
+        """Joints (N, J) from the start to the approach, around what stands in the way."""
+        opened = float(self.shown.gripper(self.shown.knots[0], held_at).min())
+        is_free = make_collision_test(self.scene, opened, self.fitted.start_theta, self.params.kinematic)
+        path = find_free_path(start, goal, self.robot.joint_limits, is_free, self.seed)
+        if path is None:
+            return Rejection(
+                reason="no_path", detail="no path of the arm leads to the handle without a collision"
+            )
+        return path
+
+    def _free_joints(self, times: Array, start: Array, goal: Array, path: Array | None) -> Array:
+        """Joints (N, J) of the free motion that ends at `goal` (J,): along a path, or the demonstrated ones."""
+        if path is None:
+            return self.shown.bend(times, start, goal)
+        shares = ease(times / max(self.shown.marks[1], 1e-9))
+        lengths = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1)))
+        along = np.stack([np.interp(shares * lengths[-1], lengths, q) for q in path.T], 1)
+        return along + shares[:, None] * (goal - path[-1])
+
+    def _find_stall(self, candidate: Candidate) -> float:
+        """Gripper value 0..1 at which the fingers stall on the handle; the same for all arms with a grasp."""
+        grasp, demo = candidate.motion.grasp, self.shown.demo
+        key = (grasp.name, *grasp.held_ee)
+        if key not in self._stalls:
+            measured = float(np.median(demo.gripper[demo.contact_frames]))
+            theta = self.fitted.start_theta
+            self._stalls[key] = stalling_gripper(self.scene, candidate.joints[1, 0], theta, measured)
+        return self._stalls[key]
+
+    def _check_motion(
+        self, motion: RetargetedMotion, times: Array, joints: Array, held_at: float
+    ) -> dict[str, float] | Rejection:
+        """Tier A at times (N,), the fingers as wide open as the handle will hold them."""
+        phases, gripper = self.shown.phases(times), self.shown.gripper(times, held_at)
+        holding = (phases == CONTACT) & (gripper > 0.95)
+        # While the fingers close or open about the handle, how far they are is left to the simulation.
+        between = (phases == CONTACT) & ~holding
+        gripper = np.minimum(gripper, held_at)
+        widest = max(0.5 * held_at, float(gripper.min()))
+        gripper = np.where(between, np.minimum(gripper, widest), gripper)
+        thetas = motion.thetas(times)
+        result = check_kinematics(self.scene, joints, gripper, thetas, holding, self.params.kinematic)
+        return _locate(result, phases) if isinstance(result, Rejection) else result
+
+
+def _locate(rejection: Rejection, phases: NDArray[np.int64], first: int = 0) -> Rejection:
+    """A Rejection of rows from `first` on, with where it is: in contact no other approach can mend it."""
+    row = first + round(rejection.metrics["sample"])
+    where = {"path_share": row / len(phases), "in_contact": float(phases[row] == CONTACT)}
+    return replace(rejection, metrics={**rejection.metrics, **where})
 
 
 def _rank(rejection: Rejection) -> float:
-    """How far planning came, to tell which of several rejections says most."""
+    """How far planning came, to find which of several rejections says most."""
     known = REASONS.index(rejection.reason) if rejection.reason in REASONS else -1
     return known + rejection.metrics.get("path_share", 0.0)

@@ -1,6 +1,7 @@
 """Where the arm can hold a handle along the whole contact: a map over the places and turns of an object."""
 
 from dataclasses import dataclass
+from itertools import product
 from typing import Annotated, Final
 
 import numpy as np
@@ -10,9 +11,9 @@ from aomgen.core.demonstration import Demonstration
 from aomgen.core.plan import FittedAsset, Variation
 from aomgen.core.transforms import apply
 from aomgen.core.values import Array, freeze_arrays
-from aomgen.episodes.grasp_plan import PlanParams
-from aomgen.episodes.ik import IkSolver, follow, walk
-from aomgen.episodes.planning import retarget
+from aomgen.episodes.candidates import list_motions
+from aomgen.episodes.ik import IkSolver, find_arms, follow, walk
+from aomgen.episodes.planning import PlanParams
 from aomgen.episodes.retarget import DemonstratedMotion
 from aomgen.episodes.variations import Range, Ranges, scaled_fit
 from aomgen.robots.reach import longest_reach
@@ -64,7 +65,7 @@ def map_reach(
     *,
     max_nodes: int = MAX_NODES,
 ) -> ReachMap:
-    """Follow the contact with every grasp that planning tries, at every node, on the demonstration's branch.
+    """Follow the contact with every grasp and arm configuration that planning tries, at every node.
 
     Args:
         fitted: Its size is the middle of the range of sizes.
@@ -73,7 +74,7 @@ def map_reach(
     """
     fitted = scaled_fit(fitted, sum(ranges.scale) / 2)
     shown = DemonstratedMotion(demo)
-    motions = retarget(fitted, shown, np.eye(4), solver.robot, params.method)
+    motions = list_motions(fitted, shown, np.eye(4), solver.robot)
     knots = shown.from_closed(fitted)
     times = knots[np.linspace(0, len(knots) - 1, POSES).round().astype(int)]
     Ts_object_ee = np.stack([motion.holding(times) for motion in motions])
@@ -90,13 +91,13 @@ def map_reach(
     reach, handles = longest_reach(solver.robot), apply(Ts_world_object, fitted.contact_asset[None])
     near = np.linalg.norm(handles - reach.shoulder_world, axis=1) <= reach.reach_m
     reached = np.zeros(len(Ts_world_object), bool)
-    for Ts in Ts_object_ee:
-        # Nodes that no grasp before has reached.
+    for arm, Ts in product(find_arms(solver, T_world_from, start, params.ik), Ts_object_ee):
+        # Nodes that no arm and no grasp before has reached.
         left = np.flatnonzero(near & ~reached)
         if not len(left):
             break
         targets = Ts_world_object[left] @ Ts[:, None]
-        joints = walk(solver, T_world_from, targets[0], start)
+        joints = walk(solver, T_world_from, targets[0], arm)
         _, counts = follow(solver, targets, joints, params.ik)
         reached[left] = counts == POSES
     places = apply(Ts_world_object, fitted.middle_asset[None])[:, :2].reshape(*grid.shape[:3], 2)

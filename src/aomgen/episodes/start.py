@@ -1,54 +1,40 @@
 """Where the arm begins when the object stands in the way of the demonstrated beginning."""
 
+from collections.abc import Callable
 from typing import Final
 
 import numpy as np
 
-from aomgen.core.demonstration import Demonstration
-from aomgen.core.plan import FittedAsset, Rejection
-from aomgen.core.transforms import interpolate, invert
+from aomgen.core.transforms import interpolate
 from aomgen.core.values import Array
 from aomgen.episodes.ik import IkSolver, follow
 from aomgen.episodes.joint_limits import IkLimits
-from aomgen.simulation.collision_check import KinematicLimits, check_kinematics
-from aomgen.simulation.scene import Scene
 
-# By how much the hand begins higher than demonstrated, the lowest that is free, [m].
+# How much higher than demonstrated the end effector begins, the lowest that is free, [m].
 RAISED_M: Final = (0.0, 0.1, 0.2, 0.3)
-# Poses from the demonstrated start to another one, so that the arm stays on its branch.
+# Poses on the way to a start, so that the arm keeps its configuration.
 STEPS: Final = 12
 
 
-def choose_start(
-    demo: Demonstration,
-    fitted: FittedAsset,
-    scene: Scene,
-    T_world_object: Array,
+def find_start(
+    Ts_start: Array,
+    T_from: Array,
+    joints: Array,
     solver: IkSolver,
     limits: IkLimits,
-    kinematic: KinematicLimits,
-) -> Array:
-    """Arm joints (J,) to begin with: the demonstrated ones, or when they are blocked others nearby.
+    is_free: Callable[[Array], bool],
+) -> Array | None:
+    """Arm joints (J,) at the first of some poses, or above it, at which nothing collides; None when there are none.
 
-    The hand begins where it was demonstrated, or where it was as seen from the object, and is raised until it is
-    free. The demonstrated ones when nothing is.
+    Args:
+        Ts_start: Poses (N, 4, 4) at which the end effector may begin.
+        T_from, joints: A pose (4, 4) and the arm's joints (J,) there, whose configuration is kept.
+        is_free: Whether joints (J,) have no collision.
     """
-    start, gripper, there = demo.joints[0], demo.gripper[:1], demo.Ts_world_ee[0]
-
-    def is_free(joints: Array) -> bool:
-        theta, held = np.array([fitted.start_theta]), np.zeros(1, bool)
-        result = check_kinematics(scene, joints[None], gripper, theta, held, kinematic)
-        return not isinstance(result, Rejection)
-
-    if is_free(start):
-        return start
-    carried = T_world_object @ invert(fitted.T_world_asset) @ there
-    for raised in RAISED_M:
-        for T in (carried, there):
-            goal = T.copy()
-            goal[2, 3] += raised
-            way = interpolate(there, goal, np.linspace(0, 1, STEPS))[:, None]
-            joints, reached = follow(solver, way, start[None], limits)
-            if reached[0] == STEPS and is_free(joints[-1, 0]):
-                return joints[-1, 0]
-    return start
+    goals = np.repeat(Ts_start[None], len(RAISED_M), 0)
+    goals[..., 2, 3] += np.array(RAISED_M)[:, None]
+    shares = np.linspace(0, 1, STEPS)
+    steps = np.stack([interpolate(T_from, goal, shares) for goal in goals.reshape(-1, 4, 4)], 1)
+    found, reached = follow(solver, steps, np.repeat(joints[None], steps.shape[1], 0), limits)
+    free = (found[-1, k] for k in np.flatnonzero(reached == STEPS) if is_free(found[-1, k]))
+    return next(free, None)

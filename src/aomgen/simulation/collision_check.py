@@ -1,6 +1,6 @@
 """Tier A: does a commanded trajectory avoid collisions and reach the handle, before anything is simulated."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import product
@@ -22,6 +22,8 @@ from aomgen.simulation.scene import Scene, build_scene
 TABLE_CLEARANCE_M = 0.005
 # No point moves farther between two configurations that are looked at, [m].
 SWEEP_M = 0.005
+# Configurations on the path of a search keep this much of the limits, [mm]: the path is smoothed afterwards.
+SEARCH_RESERVE_MM = 0.5
 # How much longer the way of a point may be than the chord between its samples, as a factor.
 SWEEP_RESERVE = 1.25
 # Halvings of the gripper's stroke until it stalls on what it holds: to half a millimetre.
@@ -85,6 +87,9 @@ def check_kinematics(
     # Samples first: most of what collides does so there already.
     found, places = _sweep(scene, data, kinds, qpos, rows, holding)
     worst = {kind: max(worst[kind], found[kind]) for kind in worst}
+    result = _judge(worst, _Overlap(), limits)
+    if isinstance(result, Rejection):
+        return result
     gaps = [_grip_gap_mm(scene, data, row) for row in qpos[holding]]
     gap = _Overlap(max(gaps, default=0.0), float(np.flatnonzero(holding)[np.argmax(gaps)]) if gaps else 0.0)
     result = _judge(worst, gap, limits)
@@ -162,14 +167,11 @@ def _sweep(
     if not pairs:
         return worst, places
     touching, at = np.concatenate(pairs), np.repeat(rows, counts)
-    mm = -1000.0 * np.concatenate(depths)
+    mm = _depths_mm(scene, touching, np.concatenate(depths))
     # Fingers that close or open about the handle between two samples are meant to touch it.
     held = holding[np.floor(at).astype(int)] | holding[np.ceil(at).astype(int)]
     kind = kinds[touching[:, 0], touching[:, 1]]
     kind = np.where((kind == HANDLE) & ~held, SCENE, kind)
-    # For the arm, not for its hand, the object counts as grown.
-    arm = scene.roles.robot & ~scene.roles.gripper
-    mm += 1000.0 * scene.clearance * (scene.roles.object[touching].any(1) & arm[touching].any(1))
     for name, number in (("scene", SCENE), ("self", SELF), ("handle", HANDLE)):
         mine = np.where(kind == number, mm, 0.0)
         deepest = int(mine.argmax())
@@ -180,6 +182,39 @@ def _sweep(
             names = f"{body_a} and {model.geom(int(b)).name or body_b}"
             worst[name] = _Overlap(float(mine[deepest]), float(at[deepest]), names)
     return worst, places
+
+
+def make_collision_test(
+    scene: Scene, gripper: float, theta: float, limits: KinematicLimits
+) -> Callable[[Array], bool]:
+    """Return a test of arm configurations (J,): whether they overlap with nothing, the handle included.
+
+    Overlaps count from `SEARCH_RESERVE_MM` before the limits on.
+    """
+    data, kinds = mujoco.MjData(scene.model), _pair_kinds(scene)
+    qpos = scene.qpos(np.zeros((1, len(scene.robot.joint_names))), gripper, theta)[0]
+    deepest = np.array(
+        [np.inf, limits.max_penetration_mm, limits.max_self_penetration_mm, limits.max_penetration_mm]
+    )
+    deepest -= SEARCH_RESERVE_MM
+
+    def is_free(joints: Array) -> bool:
+        qpos[scene.arm.qpos] = joints
+        _place(scene, data, qpos)
+        if not data.ncon:
+            return True
+        pairs = data.contact.geom
+        mm = _depths_mm(scene, pairs, data.contact.dist)
+        return bool((mm <= deepest[kinds[pairs[:, 0], pairs[:, 1]]]).all())
+
+    return is_free
+
+
+def _depths_mm(scene: Scene, pairs: NDArray[np.int32], distances: Array) -> Array:
+    """Depths (N,) of contacts between geoms (N, 2); for the arm, not for its gripper, the object counts as grown."""
+    arm = scene.roles.robot & ~scene.roles.gripper
+    grown = scene.roles.object[pairs].any(1) & arm[pairs].any(1)
+    return -1000.0 * distances + 1000.0 * scene.clearance * grown
 
 
 def _held(scene: Scene) -> NDArray[np.bool_]:

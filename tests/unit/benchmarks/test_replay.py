@@ -11,9 +11,8 @@ from aomgen.assets.usd_write import write_usd
 from aomgen.core.demonstration import Demonstration
 from aomgen.core.plan import EpisodePlan, FittedAsset, Rejection, Variation, VerifiedEpisode
 from aomgen.core.transforms import apply
-from aomgen.episodes.grasp_plan import PlanParams
 from aomgen.episodes.ik import ik_solver
-from aomgen.episodes.planning import plan_episode
+from aomgen.episodes.planning import PlanParams, plan_episode
 from aomgen.episodes.record import episode_of
 from aomgen.episodes.variations import scaled_fit
 from aomgen.io.artifact import read_json, save_artifact

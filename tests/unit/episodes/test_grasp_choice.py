@@ -13,10 +13,9 @@ from aomgen.core.demonstration import Demonstration
 from aomgen.core.plan import EpisodePlan, FittedAsset, Variation
 from aomgen.core.transforms import matrix_from_rotvec
 from aomgen.episodes.grasp_choice import GraspChoice, choose_grasp
-from aomgen.episodes.grasp_plan import PlanParams
 from aomgen.episodes.grasps import Grasp, difference, grasps
 from aomgen.episodes.ik import IkSolver
-from aomgen.episodes.planning import open_task, plan_episode, working_grasps
+from aomgen.episodes.planning import Planner, PlanParams, plan_episode
 from aomgen.episodes.retarget import DemonstratedMotion
 from aomgen.robots.robot import RobotModel
 from aomgen.simulation.scene import build_scene
@@ -82,7 +81,7 @@ def test_plans_use_the_usual_grasp_where_it_works(
 ) -> None:
     scene = build_scene(robot, fitted.asset, fitted.T_world_asset, SUPPORT)
     task = (fitted, demo, HERE, scene, solver, PlanParams())
-    working = working_grasps(open_task(*task))
+    working = Planner(*task).working_grasps()
     assert len(working) > 1
     plain, usual = plan_episode(*task), plan_episode(*task, working[-1])
     assert isinstance(plain, EpisodePlan)
@@ -101,7 +100,7 @@ def test_where_the_usual_grasp_does_not_work_plans_come_near_to_it(
 ) -> None:
     scene = build_scene(robot, fitted.asset, fitted.T_world_asset, SUPPORT)
     task = (fitted, demo, HERE, scene, solver, PlanParams())
-    working = working_grasps(open_task(*task))
+    working = Planner(*task).working_grasps()
     names = [grasp.name for grasp in working]
     shown = DemonstratedMotion(demo)
     offered = list(grasps(fitted, shown.hand_at_closed(fitted), [0.01], demo.ee_turn_ratio))

@@ -9,10 +9,17 @@ from scipy.optimize import least_squares
 from aomgen.core.demonstration import Demonstration
 from aomgen.core.plan import Rejection, Variation
 from aomgen.core.transforms import apply, invert, rotvec_from_matrix
-from aomgen.episodes.grasp_plan import PlanParams
-from aomgen.episodes.ik import IkSolver, follow, ik_solver, solve_path, solve_smoothly
-from aomgen.episodes.joint_limits import IkLimits, IkPath, check_speed
-from aomgen.episodes.planning import plan_episode
+from aomgen.episodes.ik import (
+    IkSolver,
+    find_arms,
+    follow,
+    ik_solver,
+    path_residuals,
+    solve_path,
+    solve_smoothly,
+)
+from aomgen.episodes.joint_limits import IkLimits, check_speed
+from aomgen.episodes.planning import PlanParams, plan_episode
 from aomgen.robots.loading import load_robot
 from aomgen.robots.robot import RobotModel
 from aomgen.simulation.scene import build_scene
@@ -60,12 +67,12 @@ def test_all_poses_at_once_agree_with_one_after_the_other(
         return np.concatenate([left[:3, 3], 0.3 * rotvec_from_matrix(left[:3, :3])])
 
     path = solve_path(solver, demo.Ts_world_ee, demo.joints[0], IkLimits())
-    assert isinstance(path, IkPath)
+    assert isinstance(path, np.ndarray)
     guesses = demo.joints + np.random.default_rng(1).normal(0, 0.02, demo.joints.shape)
     smooth = solve_smoothly(solver, demo.Ts_world_ee, guesses, 10.0, IkLimits())
-    assert isinstance(smooth, IkPath)
+    assert isinstance(smooth, np.ndarray)
     joints = demo.joints[0]
-    for T, there, smoothly in zip(demo.Ts_world_ee, path.joints, smooth.joints, strict=True):
+    for T, there, smoothly in zip(demo.Ts_world_ee, path, smooth, strict=True):
         joints = least_squares(missed, joints, args=(T,), xtol=1e-12).x
         np.testing.assert_allclose(there, joints, atol=0.005)
         np.testing.assert_allclose(smoothly, joints, atol=0.005)
@@ -86,11 +93,26 @@ def test_paths_to_random_poses_hold_their_promise(robot: RobotModel, solver: IkS
             if isinstance(path, Rejection):
                 continue
             solved += 1
-            mm, deg = residuals(robot, asked, path.joints)
+            mm, deg = residuals(robot, asked, path)
             assert mm <= limits.residual_mm + 1e-6
             assert deg <= limits.residual_deg + 1e-6
-            assert path.residual_mm == pytest.approx(mm, abs=1e-6)
+            worst = [float(values.max()) for values in path_residuals(solver, asked, path)]
+            assert worst == pytest.approx([mm, deg], abs=1e-6)
     assert solved > 90
+
+
+def test_all_configurations_of_a_pose_are_found(robot: RobotModel, solver: IkSolver) -> None:
+    """A UR5e reaches a pose in front of it with shoulder left or right, elbow up or down, wrist flipped or not."""
+    first = np.array([2.11, -1.51, 2.26, -0.75, 0.53, 1.57])
+    T = robot.ee_poses(first[None])[0]
+    arms = find_arms(solver, T, first, IkLimits())
+    np.testing.assert_array_equal(arms[0], first)
+    assert len(arms) >= 8
+    mm, deg = residuals(robot, np.repeat(T[None], len(arms), 0), arms)
+    assert mm <= IkLimits().residual_mm
+    assert deg <= IkLimits().residual_deg
+    gaps = np.abs(arms[:, None] - arms).max(-1)
+    assert gaps[np.triu_indices(len(arms), 1)].min() > 0.3
 
 
 def test_plans_of_random_places_hold_their_promise(

@@ -10,13 +10,12 @@ from aomgen.core.asset import ArticulatedAsset
 from aomgen.core.boxes import OrientedBox
 from aomgen.core.demonstration import Demonstration, gripper_command, timing
 from aomgen.core.plan import EpisodePlan, FittedAsset, Rejection, Variation, VerifiedEpisode
-from aomgen.core.transforms import apply, interpolate, invert, matrix_from_rotvec, transform
-from aomgen.episodes.grasp_plan import PlanParams
+from aomgen.core.transforms import apply, invert, matrix_from_rotvec, transform
 from aomgen.episodes.grasps import Grasp, grasps, orientations
 from aomgen.episodes.ik import IkSolver
 from aomgen.episodes.joint_limits import IkLimits
-from aomgen.episodes.planning import plan_episode
-from aomgen.episodes.retarget import CONTACT, ROOM, DemonstratedMotion, RetargetedMotion
+from aomgen.episodes.planning import PlanParams, plan_episode
+from aomgen.episodes.retarget import CONTACT, NEAR_M, ROOM, DemonstratedMotion, RetargetedMotion
 from aomgen.robots.robot import RobotModel
 from aomgen.simulation.collision_check import KinematicLimits, check_kinematics
 from aomgen.simulation.scene import Scene, build_scene
@@ -75,30 +74,38 @@ def test_fingers_come_wider_than_a_thick_handle(demo: Demonstration) -> None:
 def test_same_object_at_the_same_place_gives_the_demonstrated_motion(
     demo: Demonstration, fitted: FittedAsset
 ) -> None:
-    motion = motion_of(demo, fitted, fitted.T_world_asset).sample(10.0)
-    assert len(motion.thetas) == len(demo.times_s)
-    assert 1000 * np.abs(motion.Ts_world_ee[:, :3, 3] - demo.Ts_world_ee[:, :3, 3]).max() < 12
-    np.testing.assert_allclose(motion.Ts_world_ee[:, :3, :3], demo.Ts_world_ee[:, :3, :3], atol=1e-3)
+    motion = motion_of(demo, fitted, fitted.T_world_asset)
+    shown = motion.shown
+    times = shown.times[shown.times >= shown.marks[1]]
+    there = shown.poses(times)
+    assert 1000 * np.abs(motion.at(times)[:, :3, 3] - there[:, :3, 3]).max() < 12
+    np.testing.assert_allclose(motion.at(times)[:, :3, :3], there[:, :3, :3], atol=1e-3)
+    free = shown.times[shown.times < shown.marks[1]]
+    joints = shown.bend(free, demo.joints[0], shown.joints(shown.marks[1:2])[0])
+    np.testing.assert_allclose(joints, shown.joints(free), atol=1e-9)
 
 
 def test_contact_segment_moves_rigidly_with_the_object(demo: Demonstration, fitted: FittedAsset) -> None:
-    variation = Variation(seed=0, index=0, x=0.04, y=-0.03, yaw=0.3)
-    T = variation.placed(fitted)
-    grasp = grasp_of(demo, fitted)
-    there = motion_of(demo, fitted, T).sample(10.0)
-    here = motion_of(demo, fitted, fitted.T_world_asset).sample(10.0)
-    moved = T @ invert(fitted.T_world_asset) @ here.Ts_world_ee[here.phases == CONTACT]
-    times = here.demo_times_s[here.phases == CONTACT]
-    same = np.abs(there.demo_times_s[:, None] - times[None]).min(1) < 1e-9
-    rows = np.flatnonzero(same & (there.phases == CONTACT))
-    match = [int(np.argmin(np.abs(times - there.demo_times_s[row]))) for row in rows]
-    if len(rows):
-        np.testing.assert_allclose(there.Ts_world_ee[rows], moved[match], atol=1e-9)
-    held = apply(there.Ts_world_ee, grasp.held_ee[None])
-    handle = apply(T @ fitted.asset.joint.motion(there.thetas), fitted.contact_asset[None])
-    contact = there.phases == CONTACT
-    np.testing.assert_allclose(held[contact], handle[contact], atol=1e-9)
-    np.testing.assert_allclose(there.Ts_world_ee[0], demo.Ts_world_ee[0], atol=1e-6)
+    T = Variation(seed=0, index=0, x=0.04, y=-0.03, yaw=0.3).placed(fitted)
+    there, here = motion_of(demo, fitted, T), motion_of(demo, fitted, fitted.T_world_asset)
+    moments = there.shown.moments
+    times = np.linspace(moments.close, moments.free, 40)
+    np.testing.assert_allclose(there.at(times), T @ invert(fitted.T_world_asset) @ here.at(times), atol=1e-9)
+    held = apply(there.at(times), there.grasp.held_ee[None])
+    handle = apply(T @ fitted.asset.joint.motion(there.thetas(times)), fitted.contact_asset[None])
+    np.testing.assert_allclose(held, handle, atol=1e-9)
+
+
+def test_a_straight_approach_ends_at_the_handle_and_backs_off_little(
+    demo: Demonstration, fitted: FittedAsset
+) -> None:
+    motion = motion_of(demo, fitted, fitted.T_world_asset, style="straight")
+    moments, marks = motion.shown.moments, motion.shown.marks
+    T_hold = motion.holding(np.array([moments.close, moments.free]))
+    for times, T in ((marks[1:3], T_hold[0]), (marks[[5, 6]], T_hold[1])):
+        ways = motion.at(np.linspace(*times, 20))[:, :3, 3] - T[:3, 3]
+        np.testing.assert_allclose(ways - np.outer(ways @ T[:3, 2], T[:3, 2]), 0.0, atol=1e-9)
+        assert np.linalg.norm(ways, axis=1).max() == pytest.approx(NEAR_M, abs=0.02)
 
 
 def test_plan_starts_where_the_demonstration_did_and_is_smooth(
@@ -229,35 +236,6 @@ def test_closing_goes_back_where_opening_came_from(
     np.testing.assert_allclose(closing.holding(start + end - times), poses, atol=1e-9)
 
 
-def test_the_papers_method_turns_the_contact_rigidly(demo: Demonstration, fitted: FittedAsset) -> None:
-    T = Variation(seed=0, index=0, x=0.1, y=-0.05, yaw=0.4).placed(fitted)
-    motion = motion_of(demo, fitted, T, rigid=True)
-    sampled = motion.sample(10.0)
-    held = sampled.phases == CONTACT
-    turned = T @ invert(fitted.T_world_asset) @ motion.shown.poses(sampled.demo_times_s[held])
-    np.testing.assert_allclose(sampled.Ts_world_ee[held], turned, atol=1e-12)
-    np.testing.assert_allclose(sampled.Ts_world_ee[[0, -1]], demo.Ts_world_ee[[0, -1]], atol=1e-2)
-    close = np.array([motion.shown.moments.close])
-    shares = sampled.demo_times_s[sampled.phases == 0] / close
-    straight = interpolate(demo.Ts_world_ee[0], motion.holding(close)[0], shares)
-    np.testing.assert_allclose(sampled.Ts_world_ee[sampled.phases == 0], straight, atol=1e-9)
-
-
-def test_the_papers_method_repeats_the_demonstration_where_it_was_made(
-    robot: RobotModel, solver: IkSolver, demo: Demonstration, fitted: FittedAsset
-) -> None:
-    scene = build_scene(robot, fitted.asset, fitted.T_world_asset, SUPPORT)
-    here = Variation(seed=0, index=0, x=0.0, y=0.0, yaw=0.0)
-    plan = plan_episode(fitted, demo, here, scene, solver, PlanParams(method="paper"))
-    assert isinstance(plan, EpisodePlan), plan
-    shown = DemonstratedMotion(demo)
-    held = plan.phases == CONTACT
-    assert 60 < len(plan) <= len(demo.times_s) + 3
-    moments = np.linspace(shown.moments.close, shown.moments.free, int(held.sum()))
-    off = plan.Ts_world_ee[held][:, :3, 3] - shown.poses(moments)[:, :3, 3]
-    assert 1000 * np.linalg.norm(off, axis=1).max() < 10
-
-
 def test_pose_out_of_reach_is_rejected_with_a_reason(
     robot: RobotModel, solver: IkSolver, demo: Demonstration, fitted: FittedAsset
 ) -> None:
@@ -274,7 +252,9 @@ def test_a_film_that_begins_near_the_handle_begins_there_with_every_object(
     robot: RobotModel, solver: IkSolver, demo: Demonstration, fitted: FittedAsset, way: float
 ) -> None:
     """The way to the new place is not shown; the arm takes it from where it was, as fast as it can."""
-    left = DemonstratedMotion(demo).way(timing(demo).close) - DemonstratedMotion(demo).way(demo.times_s)
+    left = DemonstratedMotion(demo).distance(timing(demo).close) - DemonstratedMotion(demo).distance(
+        demo.times_s
+    )
     rows = slice(int(np.flatnonzero(left <= way)[0]), None)
     names = ("times_s", "joints", "gripper", "Ts_world_ee", "thetas")
     near = replace(demo, **{name: getattr(demo, name)[rows] for name in names})

@@ -7,9 +7,8 @@ import pytest
 
 from aomgen.core.demonstration import Demonstration
 from aomgen.core.plan import EpisodePlan, FittedAsset, Variation, VerifiedEpisode
-from aomgen.episodes.grasp_plan import PlanParams
 from aomgen.episodes.ik import IkSolver
-from aomgen.episodes.planning import plan_episode
+from aomgen.episodes.planning import PlanParams, plan_episode
 from aomgen.episodes.pushes import CALM_S, pushed_joints
 from aomgen.episodes.retarget import CONTACT
 from aomgen.episodes.variations import Ranges

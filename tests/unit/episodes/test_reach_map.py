@@ -7,9 +7,8 @@ import pytest
 
 from aomgen.core.demonstration import Demonstration
 from aomgen.core.plan import EpisodePlan, FittedAsset, Variation
-from aomgen.episodes.grasp_plan import PlanParams
 from aomgen.episodes.ik import IkSolver
-from aomgen.episodes.planning import plan_episode
+from aomgen.episodes.planning import PlanParams, plan_episode
 from aomgen.episodes.reach_map import MAX_NODES, ReachMap, map_reach
 from aomgen.episodes.variations import Ranges, draw
 from aomgen.robots.robot import RobotModel

@@ -7,10 +7,8 @@ import pytest
 
 from aomgen.core.demonstration import Demonstration
 from aomgen.core.plan import EpisodePlan, FittedAsset, Variation
-from aomgen.episodes.grasp_plan import PlanParams
 from aomgen.episodes.ik import IkSolver
-from aomgen.episodes.planning import plan_episode
-from aomgen.episodes.start import choose_start
+from aomgen.episodes.planning import Planner, PlanParams, plan_episode
 from aomgen.robots.robot import RobotModel
 from aomgen.simulation.scene import build_scene
 from backwards import closing_of
@@ -35,9 +33,10 @@ def test_the_arm_does_not_begin_in_a_drawer_that_stands_open(
     robot: RobotModel, solver: IkSolver, fitted: FittedAsset, demo: Demonstration, open_m: float
 ) -> None:
     """The hand begins 27 cm before the closed drawer, which is put 18 cm nearer."""
-    closing, params = closing_of(demo), PlanParams()
+    closing = closing_of(demo)
     motion = replace(fitted, thetas=np.full(20, open_m))
-    T = Variation(seed=0, index=0, x=-0.18, y=0.0, yaw=0.0).placed(fitted)
-    scene = build_scene(robot, fitted.asset, fitted.T_world_asset, SUPPORT).placed(T)
-    start = choose_start(closing, motion, scene, T, solver, params.ik, params.kinematic)
+    variation = Variation(seed=0, index=0, x=-0.18, y=0.0, yaw=0.0)
+    scene = build_scene(robot, fitted.asset, fitted.T_world_asset, SUPPORT)
+    start = Planner(motion, closing, variation, scene, solver, PlanParams()).start
+    assert start is not None
     assert (not np.array_equal(start, closing.joints[0])) == (open_m > 0)
