@@ -13,7 +13,6 @@ from gymnasium.utils.env_checker import check_env
 from aomgen.datasets.features import ACTION_SPACES
 from aomgen.episodes.factory import EpisodeFactory
 from aomgen.episodes.ledger import unit_of
-from aomgen.episodes.record import trajectory_of
 from aomgen.episodes.render import render_episode
 from aomgen.evaluation.draws import SuiteRequest, make_suite
 from aomgen.evaluation.environment import OpenEnv
@@ -24,7 +23,6 @@ from aomgen.evaluation.suite import open_results, open_suite
 from aomgen.evaluation.views import SplatViews
 from aomgen.io.episode_folder import list_committed, read_episode
 from aomgen.results import Results
-from aomgen.simulation.replay import Reached
 
 # Image sizes that steps are timed at, two cameras each, [px].
 SIZES: Final = ((320, 240), (128, 128))
@@ -104,15 +102,10 @@ def _psnrs(factory: EpisodeFactory, path: Path) -> list[float]:
     scene, robot = factory.results.episode_scene, factory.results.robot
     carried = robot.camera_paths(episode.joints, episode.gripper)
     paths = {name: path for name, path in carried.items() if name in episode.cameras}
-    drawn = render_episode(
-        twin, robot, trajectory_of(episode), layers, scene.T_world_plane, 1, soft=soft, paths=paths
-    )
+    drawn = render_episode(twin, robot, episode, layers, scene.T_world_plane, 1, soft=soft, paths=paths)
     views, found = SplatViews(factory, opened, fitted, variation, tuple(paths)), []
     for t in np.linspace(0, len(episode) - 1, COMPARED_FRAMES).astype(int).tolist():
-        state = Reached(
-            episode.joints[t], float(episode.gripper[t]), float(episode.thetas[t]), episode.Ts_world_ee[t]
-        )
-        for name, image in views.draw(state).items():
+        for name, image in views.draw(episode.at(episode.times_s[[t]])).items():
             error = np.mean((image.astype(np.float64) - drawn[name].images_srgb[t]) ** 2)
             found.append(float(10 * np.log10(255**2 / error)) if error else EQUAL_DB)
     return found

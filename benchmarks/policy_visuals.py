@@ -3,14 +3,12 @@
 from functools import cache, partial
 from pathlib import Path
 
-from aomgen.core.episode import Episode
 from aomgen.episodes.factory import EpisodeFactory
 from aomgen.episodes.ledger import unit_of
 from aomgen.evaluation.suite import open_results
 from aomgen.evaluation.views import SimulatorViews
 from aomgen.io.episode_folder import commit_episode, list_committed, read_episode
 from aomgen.io.video import encode_video
-from aomgen.simulation.replay import Reached
 from benchmarks.replay_runs import start_workers
 
 
@@ -27,14 +25,9 @@ def _redraw(run: Path, home: Path, source: Path) -> None:
     episode, factory, unit = read_episode(source).episode, _factory(run), unit_of(source.name)
     opened, variation = factory.asset(unit.asset), factory.variation(unit)
     views = SimulatorViews(factory, opened, opened.sized(variation.scale)[0], variation)
-    drawn = [views.draw(reached) for reached in _states(episode)]
+    drawn = [views.draw(episode.at([time_s])) for time_s in episode.times_s]
     videos = {name: encode_video([images[name] for images in drawn], episode.fps) for name in episode.cameras}
     commit_episode(home, episode, videos)
-
-
-def _states(episode: Episode) -> list[Reached]:
-    rows = zip(episode.joints, episode.gripper, episode.thetas, episode.Ts_world_ee, strict=True)
-    return [Reached(joints, float(gripper), float(theta), T) for joints, gripper, theta, T in rows]
 
 
 @cache

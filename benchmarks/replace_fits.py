@@ -8,7 +8,7 @@ import numpy as np
 
 from aomgen.assets.choice import make_asset
 from aomgen.core.plan import Rejection
-from aomgen.errors import EstimationError, ReconstructionError
+from aomgen.errors import ConfigError, EstimationError, ReconstructionError
 from aomgen.replacement.fitting import FitParams, fit_asset
 from benchmarks.grip_on_meshes import grip_on_meshes
 from benchmarks.motion_worlds import motion_world
@@ -44,10 +44,10 @@ def _fits(category: str, seed: int, folder: Path, tell: Callable[[str], None]) -
     refused: list[str] = []
     for number in range(seed, seed + MAX_WORLDS):
         tell(f"film {category}-{number}")
-        given = motion_world(category, number, folder / "worlds", "open").demonstration
         try:
+            given = motion_world(category, number, folder / "worlds", "open").demonstration
             demo, _, contact, _ = recorded_motion(given, "opening")
-        except (EstimationError, ReconstructionError) as error:
+        except (ConfigError, EstimationError, ReconstructionError) as error:
             refused.append(f"{category}-{number}: {error}")
             continue
         assets = [make_asset(category, number + OTHER_OBJECT + k) for k in range(ASSETS)]

@@ -11,9 +11,10 @@ from numpy.typing import NDArray
 from aomgen.core.camera import Camera
 from aomgen.core.episode import NEW_CAMERA
 from aomgen.core.plan import FittedAsset
+from aomgen.core.trajectory import SceneTrajectory
 from aomgen.core.transforms import transform
 from aomgen.core.values import Array
-from aomgen.episodes.render import Trajectory, render_episode, static_layers
+from aomgen.episodes.render import render_episode, static_layers
 from aomgen.io.artifact import load_artifact
 from aomgen.replacement.stage import BACKGROUND_FOLDER
 from aomgen.results import Results
@@ -99,7 +100,8 @@ class RoomPictures:
     ) -> dict[str, NDArray[np.uint8]]:
         """What the twin, or another one, shows each camera, (H, W, 3)."""
         twin = twin or self.twin
-        trajectory = Trajectory(
+        trajectory = SceneTrajectory(
+            times_s=np.zeros(1),
             joints=shot.joints[None],
             gripper=np.array([shot.gripper]),
             thetas=np.array([shot.theta or 0.0]),

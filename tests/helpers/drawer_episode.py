@@ -38,6 +38,7 @@ def drawer_episode(
         asset_usd="asset.usda",
         joint_names=tuple("abcdef"),
         fps=10,
+        times_s=np.arange(frames) / 10,
         joints=joints,
         gripper=np.zeros(frames),
         action_joints=joints,

@@ -38,6 +38,7 @@ def make_episode(index: int, frames: int, *, cameras: tuple[str, ...] = ("front"
         asset_usd="asset.usda",
         joint_names=tuple(f"joint_{i}" for i in range(6)),
         fps=FPS,
+        times_s=np.arange(frames) / FPS,
         joints=joints,
         gripper=np.linspace(0, 1, frames),
         action_joints=joints + 0.01,

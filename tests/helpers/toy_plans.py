@@ -76,6 +76,7 @@ def toy_plan(
         fitted=fitted,
         T_world_object=T_world_object,
         fps=10,
+        times_s=np.arange(len(thetas)) / 10,
         joints=path[1:],
         gripper=np.interp(np.arange(len(thetas)), [2, 6, 40, 44], [1 - closed, 1, 1, 1 - closed]),
         thetas=thetas,

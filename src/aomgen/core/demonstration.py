@@ -10,6 +10,7 @@ from aomgen.core.boxes import OrientedBox
 from aomgen.core.camera import Camera
 from aomgen.core.joint import Joint
 from aomgen.core.light import Light
+from aomgen.core.trajectory import Trajectory
 from aomgen.core.values import Array, Matrix4, Vector3, freeze_arrays
 
 # Smallest change of the gripper that is a grasp: fingers that reach under a lid are hardly open before.
@@ -19,33 +20,23 @@ OPEN = 0.03
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Demonstration:
-    """What the robot and the object's part did, sampled at a constant rate.
+class Demonstration(Trajectory):
+    """What the robot and the object's part did, sampled at a constant rate; times are on the video's clock.
 
     Attributes:
-        times_s: (T,), video clock.
-        joints: Arm joints (T, J), [rad].
-        gripper: Measured (T,), 0 open .. 1 closed.
         Ts_world_ee: End effector poses (T, 4, 4).
-        thetas: Part's joint value (T,), [rad] or [m].
         start_s, end_s: When the part began and ceased to move.
         joint: World frame; 0 is the scanned state, axis positive in the demonstrated direction.
         grasp_ee: Point of the part that the hand holds (3,), end effector frame, [m].
         ee_turn_ratio: Turn of the hand over turn of the part during contact.
     """
 
-    times_s: Annotated[Array, "T"]
-    joints: Annotated[Array, "T _"]
-    gripper: Annotated[Array, "T"]
     Ts_world_ee: Annotated[Array, "T 4 4"]
-    thetas: Annotated[Array, "T"]
     start_s: float
     end_s: float
     joint: Joint
     grasp_ee: Vector3
     ee_turn_ratio: float
-
-    __post_init__ = freeze_arrays
 
     @property
     def contact_frames(self) -> NDArray[np.int64]:

@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 
 from aomgen.core.camera import Camera
 from aomgen.core.joint import Joint
-from aomgen.core.values import Array, Matrix4, freeze_arrays
+from aomgen.core.trajectory import SceneTrajectory
+from aomgen.core.values import Array, freeze_arrays
 
 PHASES: Final = ("approach", "contact", "retreat")
 FINGERS: Final = ("left", "right")
@@ -39,7 +40,7 @@ class ContactLog:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Episode:
+class Episode(SceneTrajectory):
     """Everything about one demonstration except its pictures.
 
     T frames at a constant rate, J arm joints. The plain fields are what the robot has reached at
@@ -55,14 +56,12 @@ class Episode:
         asset_usd: Path of its USD file, relative to the episode's folder.
         joint_names: J names.
         fps: Frames a second.
-        joints, action_joints: (T, J), [rad].
-        gripper, action_gripper: (T,), 0 open .. 1 closed.
+        action_joints: (T, J), [rad].
+        action_gripper: (T,), 0 open .. 1 closed.
         Ts_world_ee, Ts_world_ee_action: End effector poses (T, 4, 4).
-        thetas: Object joint value (T,), [rad] or [m].
         phases: (T,) index into `PHASES`.
         contacts: Finger contacts.
         joint: The object's joint, world frame, at this episode's object pose.
-        T_world_object: Object pose (4, 4).
         cameras: Camera of each video, by name; one that moves is at its first pose.
         verdict: What verification measured; plain JSON values.
         simulation: What verification assumed about object and control; plain JSON values.
@@ -75,19 +74,15 @@ class Episode:
     robot: str
     asset: str
     asset_usd: str
-    joint_names: Annotated[tuple[str, ...], "N"]
+    joint_names: Annotated[tuple[str, ...], "J"]
     fps: int
-    joints: Annotated[Array, "T N"]
-    gripper: Annotated[Array, "T"]
-    action_joints: Annotated[Array, "T N"]
+    action_joints: Annotated[Array, "T J"]
     action_gripper: Annotated[Array, "T"]
     Ts_world_ee: Annotated[Array, "T 4 4"]
     Ts_world_ee_action: Annotated[Array, "T 4 4"]
-    thetas: Annotated[Array, "T"]
     phases: Annotated[NDArray[np.int64], "T"]
     contacts: ContactLog
     joint: Joint
-    T_world_object: Matrix4
     cameras: Mapping[str, Camera]
     verdict: Mapping[str, Any]
     simulation: Mapping[str, Any]
@@ -98,11 +93,3 @@ class Episode:
         for name, Ts in self.camera_poses.items():
             if name not in self.cameras or np.shape(Ts) != (len(self), 4, 4):
                 raise ValueError(f"Episode.camera_poses of {name} have shape {np.shape(Ts)}, or no camera")
-
-    def __len__(self) -> int:
-        return len(self.thetas)
-
-    @property
-    def times_s(self) -> Array:
-        """Time of each frame (T,), from the start of the demonstration."""
-        return np.arange(len(self)) / self.fps

@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from aomgen.core.asset import ArticulatedAsset
 from aomgen.core.episode import ContactLog
+from aomgen.core.trajectory import SceneTrajectory, Trajectory
 from aomgen.core.transforms import apply, matrix_from_rotvec, transform
 from aomgen.core.values import Array, Matrix4, Vector3, freeze_arrays
 from aomgen.core.verdict import Verdict
@@ -172,17 +173,13 @@ class Variation:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class EpisodePlan:
-    """A commanded trajectory that passed the kinematic checks.
+class EpisodePlan(SceneTrajectory):
+    """A commanded trajectory that passed the kinematic checks, with the object's planned joint values.
 
     Attributes:
         variation: The object's place.
         fitted: The object.
-        T_world_object: Its pose (4, 4).
         fps: Samples a second.
-        joints: Commanded arm joints (T, J), [rad].
-        gripper: Commanded gripper (T,), 0..1.
-        thetas: Planned joint value of the object (T,), [rad] or [m].
         phases: (T,) index into `core.episode.PHASES`.
         Ts_world_ee: Commanded end effector poses (T, 4, 4).
         grasp: Which grasp was chosen, for the record.
@@ -191,25 +188,11 @@ class EpisodePlan:
 
     variation: Variation
     fitted: FittedAsset
-    T_world_object: Matrix4
     fps: float
-    joints: Annotated[Array, "T _"]
-    gripper: Annotated[Array, "T"]
-    thetas: Annotated[Array, "T"]
     phases: Annotated[NDArray[np.int64], "T"]
     Ts_world_ee: Annotated[Array, "T 4 4"]
     grasp: str
     metrics: Mapping[str, float]
-
-    __post_init__ = freeze_arrays
-
-    def __len__(self) -> int:
-        return len(self.thetas)
-
-    @property
-    def times_s(self) -> Array:
-        """Time of each sample (T,), from the start of the episode."""
-        return np.arange(len(self.thetas)) / self.fps
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -218,19 +201,13 @@ class VerifiedEpisode:
 
     Attributes:
         plan: What was commanded (the actions).
-        joints: Reached arm joints (T, J), [rad].
-        gripper: Reached gripper (T,), 0..1.
-        thetas: Reached joint value of the object (T,), [rad] or [m].
-        Ts_world_ee: Reached end effector poses (T, 4, 4).
+        reached: By robot and object.
         contacts: Finger contacts on the object.
         verdict: Margins of all settings.
     """
 
     plan: Annotated[EpisodePlan, "T"]
-    joints: Annotated[Array, "T J"]
-    gripper: Annotated[Array, "T"]
-    thetas: Annotated[Array, "T"]
-    Ts_world_ee: Annotated[Array, "T 4 4"]
+    reached: Annotated[Trajectory, "T"]
     contacts: ContactLog
     verdict: Verdict
 

@@ -24,7 +24,7 @@ from aomgen.episodes.ledger import Unit, object_folder, write_rejection
 from aomgen.episodes.planning import Planner, PlanParams, plan_episode
 from aomgen.episodes.pushes import pushed_joints
 from aomgen.episodes.reach_map import ReachMap, map_reach
-from aomgen.episodes.record import episode_of, store_episode, trajectory_of
+from aomgen.episodes.record import episode_of, store_episode
 from aomgen.episodes.render import ImageParams, render_episode, static_layers
 from aomgen.episodes.screening import Place
 from aomgen.episodes.variations import Ranges, draw, scaled_fit
@@ -223,7 +223,8 @@ class EpisodeFactory:
         results, plan, images = self.results, verified.plan, self.params.images
         home = episode_folder(self.folder, unit.number)
         cameras = self.place.views(plan.variation, plan.fitted)
-        paths = results.robot.camera_paths(verified.joints, verified.gripper) if images.robot_cameras else {}
+        reached = verified.reached
+        paths = results.robot.camera_paths(reached.joints, reached.gripper) if images.robot_cameras else {}
         episode = episode_of(
             verified,
             unit.number,
@@ -239,7 +240,7 @@ class EpisodeFactory:
             frames = render_episode(
                 twin,
                 results.robot,
-                trajectory_of(episode),
+                episode,
                 layers,
                 results.episode_scene.T_world_plane,
                 1,

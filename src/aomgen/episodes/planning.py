@@ -1,8 +1,8 @@
 """Plan one episode: generate candidates, evaluate them one by one, and take the first that passes.
 
 The candidates come in the order in which policies want them: the arm's configuration and the motion as demonstrated, the
-grasp most like the usual one. Only where none of them passes, the hand approaches straight, the free motion is searched
-around what stands in the way, and then the arm takes another configuration.
+grasp most like the usual one. Only where none of them passes, the end effector approaches straight, then the free motion is
+searched around obstacles, and at last the arm takes another configuration.
 """
 
 from collections.abc import Iterator, Sequence
@@ -128,6 +128,11 @@ class Planner:
         self.params = replace(params, kinematic=kinematic)
         self.is_free = make_collision_test(self.scene, float(demo.gripper[0]), fitted.start_theta, kinematic)
         self.start = self._find_start(demo.Ts_world_ee[0], demo.joints[0])
+        grip = float(np.median(demo.gripper[demo.contact_frames]))
+        self._held_tests = [
+            make_collision_test(self.scene, grip, theta, kinematic, holding=True)
+            for theta in (fitted.start_theta, fitted.target_theta)
+        ]
         self._stalls = dict[tuple[str | float, ...], float]()
         # Seeds of OMPL start at 1.
         self.seed = 1 + int(np.random.default_rng([variation.seed, variation.index]).integers(2**31 - 1))
@@ -171,7 +176,8 @@ class Planner:
             for k, contact in enumerate(follow_contact(motions, arm, self.solver, self.params.ik)):
                 if isinstance(contact, Rejection):
                     yield contact
-                else:
+                # Of the first arm a rejection shall name what collides.
+                elif number == 0 or self._is_clear(contact):
                     contacts[k] = contact
             for way in ways if number == 0 else ways[-1:]:
                 if self.start is None and way[1] == "demonstrated":
@@ -184,6 +190,11 @@ class Planner:
                             del contacts[k]
                     elif not isinstance(candidate, Rejection):
                         yield candidate, result
+
+    def _is_clear(self, contact: Array) -> bool:
+        """Whether the arm is free of collisions at both ends of a contact (K, J), which most arms are not."""
+        ends = zip(self._held_tests, contact[[0, -1]], strict=True)
+        return all(is_free(joints) for is_free, joints in ends)
 
     def evaluate(self, candidate: Candidate) -> EpisodePlan | Rejection:
         """Check the motion near the handle, then find the free motion, the time law and the plan of a candidate."""
@@ -231,6 +242,7 @@ class Planner:
             fitted=self.fitted,
             T_world_object=self.T_world_object,
             fps=params.fps,
+            times_s=np.arange(len(times)) / params.fps,
             joints=joints,
             gripper=shown.gripper(times, held_at),
             thetas=motion.thetas(times),

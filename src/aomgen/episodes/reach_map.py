@@ -1,7 +1,7 @@
 """Where the arm can hold a handle along the whole contact: a map over the places and turns of an object."""
 
 from dataclasses import dataclass
-from itertools import product
+from itertools import chain, product
 from typing import Annotated, Final
 
 import numpy as np
@@ -22,6 +22,8 @@ from aomgen.robots.reach import longest_reach
 PITCH_M, PITCH_DEG, MAX_NODES = 0.05, 15.0, 7
 # Name of an asset's map in the stage's folder, with the asset's number.
 REACH_MAP: Final = "reach_{:02d}"
+# Grasps that are tried with other configurations of the arm: the map is coarse, and they are alike.
+OTHER_GRASPS: Final = 6
 # Poses of the contact that are looked at: some 10 cm of a handle's way apart.
 POSES: Final = 5
 
@@ -65,7 +67,9 @@ def map_reach(
     *,
     max_nodes: int = MAX_NODES,
 ) -> ReachMap:
-    """Follow the contact with every grasp and arm configuration that planning tries, at every node.
+    """Follow the contact at every node with every grasp that planning tries, on the demonstrated configuration of the arm.
+
+    Where none reaches, other configurations are tried with some of the grasps.
 
     Args:
         fitted: Its size is the middle of the range of sizes.
@@ -91,7 +95,9 @@ def map_reach(
     reach, handles = longest_reach(solver.robot), apply(Ts_world_object, fitted.contact_asset[None])
     near = np.linalg.norm(handles - reach.shoulder_world, axis=1) <= reach.reach_m
     reached = np.zeros(len(Ts_world_object), bool)
-    for arm, Ts in product(find_arms(solver, T_world_from, start, params.ik), Ts_object_ee):
+    first, *others = find_arms(solver, T_world_from, start, params.ik)
+    some = Ts_object_ee[:: max(1, len(Ts_object_ee) // OTHER_GRASPS)]
+    for arm, Ts in chain(product([first], Ts_object_ee), product(others, some)):
         # Nodes that no arm and no grasp before has reached.
         left = np.flatnonzero(near & ~reached)
         if not len(left):

@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 
 from aomgen.core.camera import Camera, CameraPath
 from aomgen.core.episode import Episode
-from aomgen.core.plan import EpisodePlan, VerifiedEpisode
+from aomgen.core.plan import VerifiedEpisode
 from aomgen.core.values import Array
-from aomgen.episodes.render import CameraFrames, ImageParams, Trajectory
+from aomgen.episodes.render import CameraFrames, ImageParams
 from aomgen.io.episode_folder import ImageKind, commit_episode
 from aomgen.io.video import encode_video
 from aomgen.robots.robot import RobotModel
@@ -29,7 +29,7 @@ def episode_of(
     paths: Mapping[str, CameraPath] | None = None,
 ) -> Episode:
     """The episode that a verified plan becomes; its actions are the plan one frame ahead, `paths` cameras that move."""
-    plan, paths = verified.plan, paths or {}
+    plan, reached, paths = verified.plan, verified.reached, paths or {}
     moving = {name: path.at(0) for name, path in paths.items()}
     asset = plan.fitted.asset
     settings = tuple(outcome.setting for outcome in verified.verdict.outcomes)
@@ -42,13 +42,14 @@ def episode_of(
         asset_usd=usd.as_posix(),
         joint_names=robot.joint_names,
         fps=round(plan.fps),
-        joints=verified.joints,
-        gripper=verified.gripper,
+        times_s=reached.times_s,
+        joints=reached.joints,
+        gripper=reached.gripper,
+        thetas=reached.thetas,
         action_joints=_ahead(plan.joints),
         action_gripper=_ahead(plan.gripper),
-        Ts_world_ee=verified.Ts_world_ee,
+        Ts_world_ee=reached.ee_poses(robot),
         Ts_world_ee_action=_ahead(plan.Ts_world_ee),
-        thetas=verified.thetas,
         phases=plan.phases,
         contacts=verified.contacts,
         joint=asset.joint.moved(plan.T_world_object),
@@ -63,16 +64,6 @@ def episode_of(
 def _ahead(samples: Array) -> Array:
     """What comes one sample later (T, ...); the last stays."""
     return np.concatenate([samples[1:], samples[-1:]])
-
-
-def trajectory_of(episode: Episode | EpisodePlan) -> Trajectory:
-    """What moves in the images of an episode, or of a plan."""
-    return Trajectory(
-        joints=episode.joints,
-        gripper=episode.gripper,
-        thetas=episode.thetas,
-        T_world_object=episode.T_world_object,
-    )
 
 
 def store_episode(

@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 
 from aomgen.conventions import BACKGROUND
 from aomgen.core.camera import Camera, CameraPath
-from aomgen.core.values import Array, Matrix4, freeze_arrays
+from aomgen.core.trajectory import SceneTrajectory
+from aomgen.core.values import Array
 from aomgen.episodes.fixed_views import FixedViews, soft_shades
 from aomgen.episodes.moving_view import MovingView
 from aomgen.episodes.shading import Shade, States
@@ -45,25 +46,6 @@ class ImageParams:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Trajectory:
-    """What moves in the images, T frames.
-
-    Attributes:
-        joints: Of the arm, [rad].
-        gripper: 0..1.
-        thetas: Joint value of the object, [rad] or [m].
-        T_world_object: Object pose.
-    """
-
-    joints: Annotated[Array, "T _"]
-    gripper: Annotated[Array, "T"]
-    thetas: Annotated[Array, "T"]
-    T_world_object: Matrix4
-
-    __post_init__ = freeze_arrays
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
 class CameraFrames:
     """What a camera shows in an episode.
 
@@ -81,7 +63,7 @@ class CameraFrames:
 def render_episode(
     twin: Twin,
     robot: RobotModel,
-    trajectory: Trajectory,
+    trajectory: SceneTrajectory,
     layers: Mapping[str, StaticLayer],
     T_world_plane: Array | None = None,
     threads: int | None = None,
@@ -122,7 +104,7 @@ def render_episode(
     return drawn
 
 
-def states_of(twin: Twin, robot: RobotModel, trajectory: Trajectory) -> States:
+def states_of(twin: Twin, robot: RobotModel, trajectory: SceneTrajectory) -> States:
     """Where the twin's bodies are in a trajectory."""
     moved = (trajectory.joints, trajectory.gripper, trajectory.thetas)
     Ts = trajectory_body_poses(twin, robot, *moved, trajectory.T_world_object)

@@ -132,13 +132,9 @@ def _insert_rest(demo: Demonstration, seconds: float) -> tuple[Demonstration, in
     """Insert a rest at the start of a demonstration; returns also its number of samples."""
     step = float(demo.times_s[1] - demo.times_s[0])
     rows = int(np.ceil(seconds / step))
-    first = {
-        name: np.concatenate([np.repeat(values[:1], rows, axis=0), values])
-        for name in ("joints", "gripper", "Ts_world_ee", "thetas")
-        for values in [getattr(demo, name)]
-    }
+    extended = demo[np.maximum(np.arange(-rows, len(demo)), 0)]
     times = np.concatenate([demo.times_s[0] - step * np.arange(rows, 0, -1), demo.times_s])
-    return replace(demo, times_s=times, **first), rows
+    return replace(extended, times_s=times), rows
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -7,6 +7,7 @@ from typing import Any, Final
 import numpy as np
 
 from aomgen.core.plan import EpisodePlan, Rejection
+from aomgen.core.trajectory import Trajectory
 from aomgen.core.values import Array
 from aomgen.episodes.factory import EpisodeFactory
 from aomgen.evaluation.actions import Targets, require_shape
@@ -15,7 +16,7 @@ from aomgen.evaluation.views import KINDS, Images, TrialViews, Visuals
 from aomgen.io.images import resize
 from aomgen.results import Results
 from aomgen.simulation.judge import PassRule, judge
-from aomgen.simulation.replay import Reached, Simulation
+from aomgen.simulation.replay import Simulation
 
 # The part has to stay where it shall be for this long, [s].
 HELD_S: Final = 0.5
@@ -77,14 +78,14 @@ class Rollout:
         self._simulation = Simulation(
             self._scene, world.suite.fps, start, self.trial.setting, self.fitted.start_theta
         )
-        self.reached: Reached = self._simulation.reached()
+        self.reached: Trajectory = self._simulation.reached()
         self.frame, self._held = 0, 0
         self.fail_reason: str | None = None
 
     @property
     def opening_share(self) -> float:
         """Way of the object's joint so far over the planned one, signed."""
-        return float((self.reached.theta - self.fitted.start_theta) / self.fitted.travel)
+        return float((self.reached.thetas[0] - self.fitted.start_theta) / self.fitted.travel)
 
     @cached_property
     def _views(self) -> TrialViews:
@@ -95,7 +96,7 @@ class Rollout:
 
     def observation(self, *, pixels: bool = True) -> dict[str, Any]:
         """What the policy sees: "agent_pos" (J + 1,), float32, and "pixels" by camera where they are wanted."""
-        state = np.append(self.reached.joints, self.reached.gripper).astype(np.float32)
+        state = np.append(self.reached.joints[0], self.reached.gripper).astype(np.float32)
         return {"agent_pos": state, **({"pixels": self._pictures()} if pixels else {})}
 
     def _pictures(self) -> Images:

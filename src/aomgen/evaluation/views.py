@@ -1,6 +1,7 @@
 """What cameras see of a trial: the twin's Gaussians, or MuJoCo's meshes before a picture of the scene, as in the paper."""
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any, Final, Literal, Protocol, get_args
 
 import numpy as np
@@ -9,13 +10,13 @@ from numpy.typing import NDArray
 from aomgen.assets.mjcf import VISUAL_GROUP
 from aomgen.core.camera import Camera
 from aomgen.core.plan import FittedAsset, Variation
+from aomgen.core.trajectory import SceneTrajectory, Trajectory
 from aomgen.core.values import Array
 from aomgen.episodes.factory import EpisodeFactory, OpenAsset
 from aomgen.episodes.fixed_views import FixedViews, soft_shades
 from aomgen.episodes.moving_view import MovingView
-from aomgen.episodes.render import Trajectory, states_of
+from aomgen.episodes.render import states_of
 from aomgen.robots.model_renderer import FAR_M
-from aomgen.simulation.replay import Reached
 from aomgen.simulation.scene import build_scene
 from aomgen.synthetic.scene_recording import SceneRenderer
 from aomgen.twin.twin import StaticLayer, static_layer
@@ -28,9 +29,9 @@ Images = dict[str, NDArray[np.uint8]]
 
 
 class TrialViews(Protocol):
-    """Draws states of one trial."""
+    """Draws states of one trial, each a trajectory of one sample."""
 
-    def draw(self, reached: Reached) -> Images:
+    def draw(self, reached: Trajectory) -> Images:
         """Image (H, W, 3) of every camera."""
         ...
 
@@ -53,30 +54,31 @@ class SplatViews:
             self._twin, self._robot, self._T, soft, factory.results.episode_scene.T_world_plane
         )
         demo = factory.results.demonstration
-        first = Reached(demo.joints[0], 0.0, fitted.start_theta, demo.Ts_world_ee[0])
+        first = replace(demo.at(demo.times_s[:1]), gripper=np.zeros(1), thetas=np.full(1, fitted.start_theta))
         Ts = self._states(first).Ts_world_body[0]
         self._views = FixedViews(self._twin, self._robot, Ts, layers, shades, threads=1)
-        paths = self._robot.camera_paths(first.joints[None], [first.gripper])
+        paths = self._robot.camera_paths(first.joints, first.gripper)
         self._carried = {
             name: MovingView(self._twin, self._robot, Ts, paths[name], shades, threads=1) for name in carried
         }
 
-    def draw(self, reached: Reached) -> Images:
+    def draw(self, reached: Trajectory) -> Images:
         """Image (H, W, 3) of every camera."""
         states = self._states(reached)
         drawn = dict(zip(self._cameras, self._views.draw(states, ("rgb8",)), strict=True))
-        paths = self._robot.camera_paths(reached.joints[None], [reached.gripper]) if self._carried else {}
+        paths = self._robot.camera_paths(reached.joints, reached.gripper) if self._carried else {}
         drawn |= {name: view.draw(states, paths[name], ("rgb8",)) for name, view in self._carried.items()}
         return {name: item["rgb8"][0] for name, item in drawn.items()}
 
-    def _states(self, reached: Reached) -> Any:
+    def _states(self, reached: Trajectory) -> Any:
         return states_of(
             self._twin,
             self._robot,
-            Trajectory(
-                joints=reached.joints[None],
-                gripper=np.array([reached.gripper]),
-                thetas=np.array([reached.theta]),
+            SceneTrajectory(
+                times_s=reached.times_s,
+                joints=reached.joints,
+                gripper=reached.gripper,
+                thetas=reached.thetas,
                 T_world_object=self._T,
             ),
         )
@@ -110,12 +112,12 @@ class SimulatorViews:
         self._twin, layers, _ = opened.seen(variation, self._cameras)
         self._walls = {name: self._wall(layer) for name, layer in layers.items()}
 
-    def draw(self, reached: Reached) -> Images:
+    def draw(self, reached: Trajectory) -> Images:
         """Image (H, W, 3) of every camera."""
-        qpos = self._scene.qpos(reached.joints[None], reached.gripper, reached.theta)[0]
+        qpos = self._scene.qpos(reached.joints, reached.gripper, reached.thetas)[0]
         cameras, walls = dict(self._cameras), dict(self._walls)
         if self._carried:
-            paths = self._robot.camera_paths(reached.joints[None], [reached.gripper])
+            paths = self._robot.camera_paths(reached.joints, reached.gripper)
             cameras |= {name: paths[name].at(0) for name in self._carried}
             walls |= {name: self._wall(static_layer(self._twin, cameras[name], 1)) for name in self._carried}
         return {name: self._before(walls[name], camera, qpos) for name, camera in cameras.items()}

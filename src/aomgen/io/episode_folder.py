@@ -267,6 +267,7 @@ def _episode(header: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> Episode
     contacts: dict[str, Any] = {name: arrays[f"contact_{name}"] for name in _CONTACT_ARRAYS}
     return Episode(
         **plain,
+        times_s=np.arange(len(plain["thetas"])) / header["fps"],
         joint_names=tuple(header["joint_names"]),
         contacts=ContactLog(**contacts),
         joint=Joint(**header["joint"]),

@@ -185,9 +185,9 @@ def _sweep(
 
 
 def make_collision_test(
-    scene: Scene, gripper: float, theta: float, limits: KinematicLimits
+    scene: Scene, gripper: float, theta: float, limits: KinematicLimits, *, holding: bool = False
 ) -> Callable[[Array], bool]:
-    """Return a test of arm configurations (J,): whether they overlap with nothing, the handle included.
+    """Return a test of arm configurations (J,): whether they overlap with nothing; with the handle only if `holding`.
 
     Overlaps count from `SEARCH_RESERVE_MM` before the limits on.
     """
@@ -197,6 +197,7 @@ def make_collision_test(
         [np.inf, limits.max_penetration_mm, limits.max_self_penetration_mm, limits.max_penetration_mm]
     )
     deepest -= SEARCH_RESERVE_MM
+    deepest[HANDLE] = np.inf if holding else deepest[HANDLE]
 
     def is_free(joints: Array) -> bool:
         qpos[scene.arm.qpos] = joints

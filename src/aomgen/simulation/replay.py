@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from aomgen.core.plan import Rejection
+from aomgen.core.trajectory import Trajectory
 from aomgen.core.transforms import transform
 from aomgen.core.values import Array
 from aomgen.core.verdict import Setting
@@ -86,15 +87,6 @@ class SimulatedRun:
     untouched: SimulationState
 
 
-class Reached(NamedTuple):
-    """Arm joints (J,), gripper 0..1, the object's joint, [rad] or [m], and end effector (4, 4) at one tick."""
-
-    joints: Array
-    gripper: float
-    theta: float
-    T_world_ee: Array
-
-
 class Simulation:
     """An arm that tracks one target after the other, without looking ahead; a builder of a `SimulatedRun`.
 
@@ -159,11 +151,15 @@ class Simulation:
         detail = f"the simulation became unstable at {time_s:.2f} s"
         return Rejection(reason="diverged", detail=detail, metrics={"time_s": time_s})
 
-    def reached(self) -> Reached:
-        """Where everything is now."""
+    def reached(self) -> Trajectory:
+        """Where everything is now, as a trajectory of one sample."""
         now = _stack(self._scene, [_read_row(self._scene, self.data)])
-        names = ("joints", "gripper", "thetas", "Ts_world_ee")
-        return Reached(*(now[name][0] for name in names))
+        return Trajectory(
+            times_s=[self._tick / (self._fps * self._ticks)],
+            joints=now["joints"],
+            gripper=now["gripper"],
+            thetas=now["thetas"],
+        )
 
     def run(self) -> SimulatedRun:
         """What has happened so far, the state now included; of a resumed simulation, since then."""

@@ -13,6 +13,7 @@ from aomgen.assets.mjcf import ARMATURE, CONTACT_FRICTION, HOLDING_SOLIMP, holdi
 from aomgen.core.asset import ArticulatedAsset
 from aomgen.core.episode import ContactLog
 from aomgen.core.plan import EpisodePlan, Rejection, VerifiedEpisode
+from aomgen.core.trajectory import Trajectory
 from aomgen.core.values import Array
 from aomgen.core.verdict import Check, Setting, SettingOutcome, Verdict
 from aomgen.simulation.collision_check import KinematicLimits
@@ -152,10 +153,12 @@ def _episode(plan: EpisodePlan, run: SimulatedRun, scene: Scene, verdict: Verdic
     )
     return VerifiedEpisode(
         plan=plan,
-        joints=run.joints[ticks],
-        gripper=run.gripper[ticks],
-        thetas=run.thetas[ticks],
-        Ts_world_ee=run.Ts_world_ee[ticks],
+        reached=Trajectory(
+            times_s=plan.times_s,
+            joints=run.joints[ticks],
+            gripper=run.gripper[ticks],
+            thetas=run.thetas[ticks],
+        ),
         contacts=contacts,
         verdict=verdict,
     )

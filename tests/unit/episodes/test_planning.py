@@ -134,8 +134,8 @@ def test_an_open_drawer_is_closed(
     assert plan.thetas[-1] == 0.0
     made = verify_plan(plan, scene)
     assert isinstance(made, VerifiedEpisode), made
-    assert made.thetas[0] == pytest.approx(fitted.target_theta, abs=1e-3)
-    assert abs(made.thetas[-1]) < 0.01
+    assert made.reached.thetas[0] == pytest.approx(fitted.target_theta, abs=1e-3)
+    assert abs(made.reached.thetas[-1]) < 0.01
     certificate = made.verdict.as_json()
     assert (certificate["start_theta"], certificate["target_theta"]) == (fitted.target_theta, 0.0)
 

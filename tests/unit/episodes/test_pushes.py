@@ -62,8 +62,8 @@ def test_a_pushed_demonstration_is_certified_and_its_actions_are_the_plans(
     made = verify_plan(plan, scene, commanded=commanded)
     assert isinstance(made, VerifiedEpisode), made
     # The arm went where it was told, off the plan that the actions are taken from.
-    assert np.abs(made.joints - commanded).max() < 0.02
-    assert ways_mm(robot, plan, made.joints).max() > 3.0
+    assert np.abs(made.reached.joints - commanded).max() < 0.02
+    assert ways_mm(robot, plan, made.reached.joints).max() > 3.0
     np.testing.assert_array_equal(made.plan.joints, plan.joints)
 
 

@@ -13,9 +13,10 @@ from aomgen.core.plan import (
     Variation,
     VerifiedEpisode,
 )
+from aomgen.core.trajectory import SceneTrajectory
 from aomgen.core.verdict import Check, Hold, Setting, SettingOutcome, Verdict
-from aomgen.episodes.record import episode_of, store_episode, trajectory_of
-from aomgen.episodes.render import ImageParams, Trajectory, render_episode, static_layers
+from aomgen.episodes.record import episode_of, store_episode
+from aomgen.episodes.render import ImageParams, render_episode, static_layers
 from aomgen.errors import CorruptArtifactError, MalformedFileError, StorageError
 from aomgen.io.episode_folder import commit_episode, list_committed, read_episode, read_images
 from aomgen.io.video import encode_video, read_video
@@ -66,6 +67,7 @@ def verified(toy_scene, turn: float) -> VerifiedEpisode:
         fitted=fitted,
         T_world_object=toy_scene.twin.T_world_object,
         fps=10.0,
+        times_s=np.arange(FRAMES) / 10,
         joints=joints,
         gripper=grip,
         thetas=thetas,
@@ -88,10 +90,7 @@ def verified(toy_scene, turn: float) -> VerifiedEpisode:
     )
     return VerifiedEpisode(
         plan=plan,
-        joints=joints,
-        gripper=grip,
-        thetas=thetas,
-        Ts_world_ee=poses,
+        reached=plan.at(plan.times_s),
         contacts=no_contacts(),
         verdict=verdict,
     )
@@ -107,14 +106,12 @@ def commit(
 ) -> list[Path]:
     folders, robot = [], toy_scene.robot
     for index, made in enumerate(episodes):
-        paths = robot.camera_paths(made.joints, made.gripper) if images.robot_cameras else {}
+        paths = robot.camera_paths(made.reached.joints, made.reached.gripper) if images.robot_cameras else {}
         usd = Path("../asset.usda")
         episode = episode_of(made, index, usd, robot, "open the microwave", cameras, ZEROS_RAD, paths)
         shown = changed(twin, made.plan.variation.light, made.plan.variation.material)
         layers = static_layers(shown, cameras)
-        drawn = render_episode(
-            shown, robot, trajectory_of(episode), layers, np.eye(4), paths=paths, params=images
-        )
+        drawn = render_episode(shown, robot, episode, layers, np.eye(4), paths=paths, params=images)
         folders.append(store_episode(folder, episode, drawn, images))
     return folders
 
@@ -135,7 +132,7 @@ def committed(toy_scene, twin, cameras, tmp_path_factory) -> list[Path]:
 def test_an_episode_comes_back_as_it_was(toy_scene, committed):
     item = read_episode(committed[1])
     assert (item.episode.index, item.episode.fps, len(item.episode)) == (1, 10, FRAMES)
-    np.testing.assert_array_equal(item.episode.joints, verified(toy_scene, 0.4).joints)
+    np.testing.assert_array_equal(item.episode.joints, verified(toy_scene, 0.4).reached.joints)
     np.testing.assert_array_equal(item.episode.action_joints[:-1], verified(toy_scene, 0.4).plan.joints[1:])
     np.testing.assert_array_equal(item.episode.action_joints[-1], verified(toy_scene, 0.4).plan.joints[-1])
     assert item.episode.asset_usd == "../asset.usda"
@@ -160,7 +157,7 @@ def test_the_video_shows_what_the_twin_draws(toy_scene, twin, cameras, committed
 
 
 def test_shadow_only_darkens_the_static_picture(toy_scene, twin, cameras):
-    trajectory = trajectory_of(verified(toy_scene, 0.1).plan)
+    trajectory = verified(toy_scene, 0.1).plan
     layers = static_layers(twin, cameras)
     bright = render_frames(twin, toy_scene.robot, trajectory, layers)["front"].astype(int)
     dark = render_frames(twin, toy_scene.robot, trajectory, layers, np.eye(4))["front"].astype(int)
@@ -170,7 +167,7 @@ def test_shadow_only_darkens_the_static_picture(toy_scene, twin, cameras):
 
 def test_a_lamp_throws_the_shadow_of_the_whole_object_to_its_other_side(toy_scene, twin, cameras):
     """Light that a lamp sends is missing behind the body too, not only behind its door."""
-    trajectory = trajectory_of(verified(toy_scene, 0.1).plan)
+    trajectory = verified(toy_scene, 0.1).plan
     T = trajectory.T_world_object
     x_side = {}
     for sign in (1.0, -1.0):
@@ -230,7 +227,7 @@ def test_an_episode_in_half_the_light_is_stored_so(toy_scene, twin, cameras, com
 
 
 def test_depth_and_labels_are_what_the_twin_shows(toy_scene, twin, cameras):
-    layers, trajectory = static_layers(twin, cameras), trajectory_of(verified(toy_scene, 0.3).plan)
+    layers, trajectory = static_layers(twin, cameras), verified(toy_scene, 0.3).plan
     params = ImageParams(depth=True, labels=True)
     drawn = render_episode(twin, toy_scene.robot, trajectory, layers, params=params)["front"]
     state = TwinState(
@@ -248,7 +245,7 @@ def test_depth_and_labels_are_what_the_twin_shows(toy_scene, twin, cameras):
 
 
 def test_a_moving_camera_that_stands_still_sees_what_a_fixed_one_sees(toy_scene, twin, cameras):
-    plane, trajectory = np.eye(4), trajectory_of(verified(toy_scene, 0.3).plan)
+    plane, trajectory = np.eye(4), verified(toy_scene, 0.3).plan
     camera = cameras["front"]
     path = CameraPath(camera=camera, Ts_world_cam=np.tile(camera.T_world_cam, (FRAMES, 1, 1)))
     lamp = DirectionalLight(direction=(0.0, 0.6, 0.8), T_world_plane=plane, shade=np.full(3, 0.6))
@@ -265,7 +262,7 @@ def test_a_moving_camera_that_stands_still_sees_what_a_fixed_one_sees(toy_scene,
 
 def test_what_stands_still_changes_no_picture(toy_scene, twin, cameras):
     """Against the posed twin, all of it drawn anew for each frame."""
-    trajectory = trajectory_of(verified(toy_scene, 0.3).plan)
+    trajectory = verified(toy_scene, 0.3).plan
     drawn = render_frames(twin, toy_scene.robot, trajectory, static_layers(twin, cameras))
     alone = render_frames(twin, toy_scene.robot, trajectory, static_layers(twin, cameras), threads=1)
     for name, camera in cameras.items():
@@ -322,7 +319,8 @@ def test_the_arm_throws_its_shadow_in_episodes_as_in_the_twin(toy_scene):
     plain, lit = toy_scene.twin, replace(toy_scene.twin, directional_light=lamp)
     rest = plain.scan_state
     states = [replace(rest, joints=rest.joints + share) for share in (0.0, 0.2)]
-    trajectory = Trajectory(
+    trajectory = SceneTrajectory(
+        times_s=[0.0, 0.1],
         joints=np.stack([state.joints for state in states]),
         gripper=np.zeros(2),
         thetas=np.zeros(2),

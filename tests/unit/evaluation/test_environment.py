@@ -13,7 +13,8 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 from gymnasium.vector import AsyncVectorEnv, SyncVectorEnv
 
-from aomgen.episodes.render import Trajectory, render_episode
+from aomgen.core.trajectory import SceneTrajectory
+from aomgen.episodes.render import render_episode
 from aomgen.errors import BackendError, ConfigError, MissingFileError
 from aomgen.evaluation.environment import ENV_ID, OpenEnv
 from aomgen.evaluation.rollout import World
@@ -100,10 +101,11 @@ def test_a_camera_on_the_hand_shows_what_it_shows_in_an_episode(world: World, to
     seen, reached = both.observation()["pixels"], both.reached
     variation = both.trial.variation
     twin, layers, soft = world.factory.asset(0).seen(variation, world.factory.place.cameras)
-    state = Trajectory(
-        joints=reached.joints[None],
-        gripper=np.array([reached.gripper]),
-        thetas=np.array([reached.theta]),
+    state = SceneTrajectory(
+        times_s=reached.times_s,
+        joints=reached.joints,
+        gripper=reached.gripper,
+        thetas=reached.thetas,
         T_world_object=both.T_world_object,
     )
     paths = robot.camera_paths(state.joints, state.gripper)

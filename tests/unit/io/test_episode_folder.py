@@ -26,7 +26,7 @@ def episode() -> Episode:
     row = np.linspace(0, 1, FRAMES)
     return Episode(
         index=3, seed=1, instruction="open it", robot="ur5e_2f85", asset="box", asset_usd="a.usda",
-        joint_names=("a", "b"), fps=10, joints=np.stack([row, row], 1), gripper=row,
+        joint_names=("a", "b"), fps=10, times_s=np.arange(FRAMES) / 10, joints=np.stack([row, row], 1), gripper=row,
         action_joints=np.stack([row, row], 1), action_gripper=row, Ts_world_ee=Ts, Ts_world_ee_action=Ts,
         thetas=row, phases=np.zeros(FRAMES, np.int64), contacts=no_contacts(),
         joint=Joint(type="revolute", axis=(0, 0, 1), origin=(0, 0, 0), lower=0, upper=1),

@@ -44,7 +44,7 @@ def test_what_is_honest_passes(drawer: Episode, microwave: Episode, index: int) 
         variation = replace(plan.variation, index=2 * index + 1)
         result = verify_plan(replace(plan, variation=variation), scene)
         assert isinstance(result, VerifiedEpisode), result
-        assert result.thetas[0] == pytest.approx(plan.fitted.start_theta, abs=1e-3)
+        assert result.reached.thetas[0] == pytest.approx(plan.fitted.start_theta, abs=1e-3)
         finals = [outcome.final_theta for outcome in result.verdict.outcomes]
         assert max(finals) < 0.02 * plan.fitted.start_theta
         assert result.verdict.as_json()["start_theta"] == plan.fitted.start_theta

@@ -82,8 +82,8 @@ def test_honest_pull_passes_in_all_settings(passed: VerifiedEpisode, plan: Episo
     assert verdict.margin > 0.05
     assert verdict.margins["contact_share"] > 0.15
     assert all(margin > 0 for margin in verdict.margins.values())
-    assert len(passed.thetas) == len(plan.thetas)
-    assert abs(passed.thetas[-1] - TRAVEL) < 0.01
+    assert len(passed.reached.thetas) == len(plan.thetas)
+    assert abs(passed.reached.thetas[-1] - TRAVEL) < 0.01
     assert set(passed.contacts.fingers) == {0, 1}
     assert np.all(passed.contacts.forces > 0)
     # The pads press on the bar from both sides, so the normals of the two fingers oppose.
@@ -144,6 +144,7 @@ def approaching(plan: EpisodePlan, robot: RobotModel) -> EpisodePlan:
     rows = np.concatenate([away + shares * (plan.joints[:1] - away), plan.joints])
     return replace(
         plan,
+        times_s=np.arange(len(rows)) / plan.fps,
         joints=rows,
         gripper=np.concatenate([np.zeros(12), plan.gripper]),
         thetas=np.concatenate([np.zeros(12), plan.thetas]),
