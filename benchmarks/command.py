@@ -16,7 +16,7 @@ from aomgen.core.project import Project
 from aomgen.io.artifact import read_json
 from aomgen.motion.estimates_file import ESTIMATES, describe_estimates
 from aomgen.motion.stage import motion_evidence
-from aomgen.pipeline.rendering import draw_twin
+from aomgen.pipeline.rendering import render_twin
 from aomgen.pipeline.runner import TIMINGS, results_of
 from aomgen.pipeline.stages import STAGES
 from aomgen.results import Results
@@ -75,7 +75,8 @@ def _score(results: Results, estimates: dict[str, Any], truth: Truth, twin: Twin
     }
 
     def render(camera: Camera, state: TwinState) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
-        return draw_twin(twin, robot, camera, state)
+        image, _, labels = render_twin(twin, robot, camera, state)
+        return image, labels
 
     masks = truth.folder / "masks"
     scan_masks = TrueMasks(folder=masks / "scan", lens=structure.scan_lens)

@@ -14,7 +14,7 @@ from aomgen.cli.bench_generated import generated_app
 from aomgen.cli.dataset_commands import RunFolder, audit, export
 from aomgen.cli.evaluate_commands import evaluate_app
 from aomgen.cli.robot_draft import robot_app
-from aomgen.cli.run import find_project, report_bug, run_project, sample_capture, stop_at_signals
+from aomgen.cli.run import report_bug, run_project, sample_capture, stop_at_signals
 from aomgen.errors import AomgenError, ConfigError, InputError
 
 app = typer.Typer(
@@ -180,6 +180,7 @@ def run(
     does not exist is answered with those that do. They are kept in the run's project.toml.
     """
     from aomgen.io.schema import merge, parse_setting
+    from aomgen.pipeline.stages import find_project
 
     found = find_project(project)
     params = found.params
@@ -202,6 +203,7 @@ def status(
 ) -> None:
     """List the stages of a run, what is done, and what has come of the episodes asked for."""
     from aomgen.cli.run import status_lines
+    from aomgen.pipeline.stages import find_project
 
     project = find_project(out)
     shown: list[str] = []
@@ -234,17 +236,19 @@ def render(
     """Draw the twin of a finished run from any camera, in any state."""
     from aomgen.io.artifact import read_json
     from aomgen.io.images import write_image
-    from aomgen.pipeline.rendering import draw_twin, find_camera, open_twin, parse_camera, parse_state
+    from aomgen.pipeline.rendering import find_camera, open_twin, parse_camera, parse_state, render_twin
+    from aomgen.pipeline.runner import results_of
+    from aomgen.pipeline.stages import STAGES, find_project
 
     project = find_project(out)
     twin, robot = open_twin(project.out)
     if camera.endswith(".json"):
         view = parse_camera(read_json(Path(camera)), Path(camera))
     else:
-        view = find_camera(project, camera)
+        view = find_camera(results_of(project, STAGES), camera)
     where = parse_state(read_json(state) if state else {}, twin, robot, state or Path("state"))
-    picture, parts = draw_twin(twin, robot, view, where)
-    write_image(image, picture)
+    image_srgb, _, parts = render_twin(twin, robot, view, where)
+    write_image(image, image_srgb)
     if labels:
         write_image(labels, parts)
 
@@ -252,6 +256,7 @@ def render(
 @app.command()
 def report(out: RunFolder) -> None:
     """Write report.html again from what a run has made."""
+    from aomgen.pipeline.stages import find_project
     from aomgen.report.page import write_report
 
     print(write_report(find_project(out).out))

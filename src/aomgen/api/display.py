@@ -2,13 +2,16 @@
 
 import threading
 import time
+import warnings
 from abc import ABC, abstractmethod
+from collections.abc import Callable
 from typing import Any, Self
 
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
 from rich.text import Text
 
+from aomgen.core.progress import silent
 from aomgen.pipeline.figures import read_figures
 from aomgen.pipeline.runner import Stage
 from aomgen.pipeline.stages import STAGES
@@ -164,3 +167,30 @@ def finished_line(stage: Stage, seconds: float, figures: dict[str, Any]) -> Text
         line.append("; " if number else ": ")
         line.append(reading.sentence, style=COLORS[reading.verdict])
     return line
+
+
+class CallbackDisplay:
+    """Passes the progress of stages to a function, or to nobody.
+
+    Args:
+        callback: Receives the share of the running stage that is done, 0..1, and a text.
+    """
+
+    def __init__(self, callback: Callable[[float, str], None] | None = None) -> None:
+        self._callback, self._title = callback or silent, ""
+
+    def begin(self, stage: Stage, *, fresh: bool) -> None:
+        """Note which stage starts."""
+        self._title = stage.title
+
+    def progress(self, share: float, text: str) -> None:
+        """Pass on how far the stage is."""
+        self._callback(share, f"{self._title}: {text}" if text else self._title)
+
+    def end(self, stage: Stage, seconds: float, figures: dict[str, Any]) -> None:
+        """Report that the stage is done."""
+        self._callback(1.0, stage.title)
+
+    def warn(self, stage: Stage, sentence: str) -> None:
+        """Turn a warning about the input into a Python warning."""
+        warnings.warn(f"{stage.name}: {sentence}", UserWarning, stacklevel=2)

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 from rich.console import Console
 
-from aomgen.cli.display import PlainDisplay, TerminalDisplay, finished_line
+from aomgen.api.display import PlainDisplay, TerminalDisplay, finished_line
 from aomgen.pipeline.stages import STAGES
 
 STRUCTURE = STAGES[0]
