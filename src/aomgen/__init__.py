@@ -11,6 +11,8 @@ The names in `__all__` are public and keep their meaning within a minor version;
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
+from aomgen.version import __version__ as __version__
+
 if TYPE_CHECKING:
     from aomgen.api.asset import Asset as Asset
     from aomgen.api.asset import fit_asset as fit_asset
@@ -51,7 +53,7 @@ if TYPE_CHECKING:
     from aomgen.simulation.scene import Scene as Scene
     from aomgen.twin.twin import TwinState as State
 
-__version__ = "0.1.0"
+
 _HOMES = {
     "AomgenError": "errors:AomgenError",
     "Asset": "api.asset:Asset",

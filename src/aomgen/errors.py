@@ -6,8 +6,8 @@ Errors that a program may want to handle carry the values of that sentence as at
 """
 
 import difflib
-from collections.abc import Iterable
-from typing import Any, Self
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
 
 
 def suggest(word: str, known: Iterable[str]) -> str:
@@ -36,17 +36,20 @@ class AomgenError(Exception):
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Errors of worker processes arrive as they were raised, with all their attributes."""
-        return _restore, (type(self), self.args, self.__dict__)
-
-    @classmethod
-    def _restored(cls, args: tuple[Any, ...], values: dict[str, Any]) -> Self:
-        error = cls.__new__(cls, *args)
-        error.__dict__.update(values)
-        return error
+        return restore_error, (type(self).__name__, self.args, self.__dict__)
 
 
-def _restore(kind: type[AomgenError], args: tuple[Any, ...], values: dict[str, Any]) -> AomgenError:
-    return kind._restored(args, values)
+def restore_error(kind: str, args: Sequence[Any], values: Mapping[str, Any]) -> AomgenError:
+    """Build an error of another process again.
+
+    Args:
+        kind: Name of its class.
+        args, values: Its `args` and `__dict__`.
+    """
+    found: type[AomgenError] = globals()[kind]
+    error = found.__new__(found, *args)
+    error.__dict__.update(values)
+    return error
 
 
 class ConfigError(AomgenError):

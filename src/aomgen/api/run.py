@@ -11,7 +11,6 @@ from typing import Any, TypeVar
 
 from pydantic import ValidationError
 
-from aomgen import __version__
 from aomgen.api.arguments import require_known_keys, require_name
 from aomgen.api.capture import Capture
 from aomgen.api.display import CallbackDisplay, display
@@ -34,6 +33,7 @@ from aomgen.report.motion_section import write_refusal
 from aomgen.report.page import write_report
 from aomgen.results import Results
 from aomgen.robots.robot import RobotModel
+from aomgen.version import __version__
 
 # True shows bars in a terminal and lines elsewhere; a function receives the share done and a text.
 ProgressOption = bool | Callable[[float, str], None]

@@ -7,7 +7,6 @@ from typing import Annotated
 
 import typer
 
-from aomgen import __version__
 from aomgen.cli.asset_commands import assets_app
 from aomgen.cli.bench import bench_app
 from aomgen.cli.bench_generated import generated_app
@@ -16,6 +15,7 @@ from aomgen.cli.evaluate_commands import evaluate_app
 from aomgen.cli.robot_draft import robot_app
 from aomgen.cli.run import report_bug, run_project, sample_capture, stop_at_signals
 from aomgen.errors import AomgenError, ConfigError, InputError
+from aomgen.version import __version__
 
 app = typer.Typer(
     add_completion=False,

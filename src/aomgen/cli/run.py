@@ -14,8 +14,8 @@ from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING, Any
 
-from aomgen import __version__
 from aomgen.errors import EstimationError
+from aomgen.version import __version__
 
 if TYPE_CHECKING:
     from aomgen.core.project import Project

@@ -178,15 +178,8 @@ class EpisodeFactory:
 
     def build_scene(self, fitted: FittedAsset) -> Scene:
         """Build the scene in which an asset is planned and verified."""
-        results, place = self.results, self.place
-        return episode_scene(
-            results.robot,
-            fitted,
-            results.demonstration,
-            place.support,
-            place.obstacles,
-            bolted=self.params.bolted,
-        )
+        robot, demo, place = self.results.robot, self.results.demonstration, self.place
+        return episode_scene(robot, fitted, demo, place.support, place.obstacles, bolted=self.params.bolted)
 
     def _usual_grasp(self, category: str) -> GraspChoice:
         """Of all objects of a category; that of the stage where it has chosen."""

@@ -3,7 +3,6 @@
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from aomgen import __version__
 from aomgen.assets.choice import asset_file, is_made, make_asset, open_assets, suggest_category
 from aomgen.capture.capture_check import check_capture
 from aomgen.core.asset import ArticulatedAsset
@@ -19,6 +18,7 @@ from aomgen.pipeline.manifest import MANIFEST, text_digest
 from aomgen.pipeline.requirements import EVERYTHING, require_environment, require_room
 from aomgen.pipeline.runner import STARTED, Stage, stage_states
 from aomgen.robots.robot import RobotModel
+from aomgen.version import __version__
 
 # Beside the results: what was checked last, so that a finished run is looked through at once.
 CHECKED_FILE = "checked.json"

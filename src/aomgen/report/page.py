@@ -5,7 +5,6 @@ from pathlib import Path
 
 import numpy as np
 
-from aomgen import __version__
 from aomgen.errors import MissingFileError
 from aomgen.io.artifact import read_json
 from aomgen.io.atomic import write_text
@@ -36,6 +35,7 @@ from aomgen.report.html import (
 )
 from aomgen.report.motion_section import motion_section
 from aomgen.results import Results
+from aomgen.version import __version__
 
 CONTACT_SHEET = "episodes.jpg"
 SHEET_FRAMES, SHEET_EPISODES = 5, 12

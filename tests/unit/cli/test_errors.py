@@ -7,12 +7,12 @@ from unittest.mock import patch
 
 import pytest
 
-from aomgen import __version__
 from aomgen.assets.choice import make_asset
 from aomgen.assets.usd_write import write_usd
 from aomgen.core.project import Project
 from aomgen.pipeline.project_file import write_project
 from aomgen.pipeline.stages import PROJECT_FILE, find_project
+from aomgen.version import __version__
 from command_line import aomgen, one_sentence, started
 
 

@@ -1,4 +1,4 @@
-"""Make an articulated object, check it, write it as USD and read it back: python examples/03_make_asset.py FILE.usda
+"""Make an articulated object, check it, write it as USD and read it back: python examples/02_make_asset.py FILE.usda
 
 The file carries meshes, colliders, masses, the joint with its limits, and the friction that verification assumes, so
 that other simulators can load it.
@@ -9,10 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from aomgen.assets.asset_check import check_asset
-from aomgen.assets.choice import make_asset
-from aomgen.assets.usd_read import read_usd
-from aomgen.assets.usd_write import write_usd
+import aomgen as ag
 
 
 def main() -> None:
@@ -24,17 +21,18 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=1)
     options = parser.parse_args()
 
-    made = make_asset(options.category, options.seed)
-    problems = check_asset(made)
-    assert problems == [], problems
-    write_usd(made, options.file)
+    made = ag.Asset.make(options.category, options.seed)
+    for finding in made.check():
+        print(f"{finding.name:10} {finding.problem or finding.warning or finding.state}")
+        assert not finding.problem
+    made.save(options.file)
 
-    read = read_usd(options.file)
+    read = ag.Asset.load(options.file)
     joint = read.joint
     print(f"{read.name}: {joint.type} about {np.round(joint.axis, 3)} through {np.round(joint.origin, 3)} m")
     assert joint.type == made.joint.type
     assert np.allclose(joint.axis, made.joint.axis, atol=1e-5)
-    assert np.isclose(read.moving.mass, made.moving.mass, rtol=1e-4)
+    assert np.isclose(read.model.moving.mass, made.model.moving.mass, rtol=1e-4)
 
 
 if __name__ == "__main__":
