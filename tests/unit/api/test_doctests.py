@@ -2,6 +2,7 @@
 
 import doctest
 import inspect
+import re
 from pathlib import Path
 
 import numpy as np
@@ -78,3 +79,8 @@ def test_docstrings_of_public_names_are_sentences() -> None:
     for name in ag.__all__[1:]:
         first = (inspect.getdoc(getattr(ag, name)) or "").splitlines()[0]
         assert first.endswith("."), name
+
+
+def test_the_reference_lists_every_public_name() -> None:
+    text = (Path(__file__).parents[3] / "docs" / "api.md").read_text("utf-8")
+    assert [name for name in ag.__all__[1:] if not re.search(rf"`{name}\b|\b{name}`", text)] == []
