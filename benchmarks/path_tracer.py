@@ -20,7 +20,7 @@ from aomgen.errors import BackendError
 from aomgen.io.atomic import write_bytes, write_json
 from aomgen.io.images import encode_png, read_image
 from aomgen.simulation.scene import Scene
-from aomgen.synthetic.scene_recording import SceneRenderer
+from aomgen.simulation.scene_renderer import SceneRenderer
 
 # A Python that has the package bpy.
 INTERPRETER: Final = Path(__file__).parents[1] / ".venv-blender" / "bin" / "python"

@@ -6,6 +6,7 @@ from the twin.
 """
 
 import argparse
+import sys
 from itertools import count
 from pathlib import Path
 
@@ -29,7 +30,10 @@ from aomgen.robots.loading import load_robot
 from aomgen.robots.robot import RobotModel
 from aomgen.simulation.scene import build_scene
 from aomgen.simulation.verify import verify_plan
-from aomgen.synthetic.demonstration_search import Performance, find_demonstration
+
+# Where `synthetic` lies, which is no part of the installed package.
+sys.path.insert(0, str(Path(__file__).parents[1]))
+from synthetic.demonstration_search import Performance, find_demonstration
 
 FPS = 10
 

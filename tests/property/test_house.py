@@ -112,7 +112,7 @@ def test_each_option_is_set_somewhere():
         for field in node.body
         if isinstance(field, ast.AnnAssign) and isinstance(field.target, ast.Name)
     ]
-    roots = ("src", "tests", "benchmarks")
+    roots = ("src", "tests", "benchmarks", "synthetic")
     trees = [
         ast.parse(path.read_text("utf-8")) for root in roots for path in (REPOSITORY / root).rglob("*.py")
     ]

@@ -3,9 +3,17 @@
 import ast
 from pathlib import Path
 
+import pytest
+
 import aomgen
 
 ROOT = Path(aomgen.__file__).parent
+REPOSITORY = Path(__file__).parents[2]
+# Packages beside the product, and the folders whose code may import each: the product and its tests import neither.
+LABORATORY = {
+    "synthetic": ("synthetic", "benchmarks", "examples", "tests/unit/synthetic", "tests/unit/benchmarks"),
+    "benchmarks": ("benchmarks", "tests/unit/synthetic", "tests/unit/benchmarks"),
+}
 STAGES = {
     "capture",
     "structure",
@@ -27,7 +35,6 @@ LAYERS = [
     {"robots"},
     {"simulation", "segmentation"},
     {"twin"},
-    {"synthetic"},
     {"capture"},
     {"results", "executors"},
     {"saved_units"},
@@ -69,6 +76,30 @@ def test_imports_go_down():
     assert wrong == []
 
 
+def _roots(path: Path) -> set[str]:
+    """First names of all modules that a file imports."""
+    names = set()
+    for node in ast.walk(ast.parse(path.read_text("utf-8"))):
+        if isinstance(node, ast.ImportFrom) and node.level == 0:
+            names.add((node.module or "").split(".")[0])
+        elif isinstance(node, ast.Import):
+            names |= {alias.name.split(".")[0] for alias in node.names}
+    return names
+
+
+@pytest.mark.parametrize("package", LABORATORY)
+def test_product_and_its_tests_do_not_import_the_laboratory(package):
+    allowed = [REPOSITORY / folder for folder in LABORATORY[package]]
+    files = [
+        path
+        for folder in ("src", "benchmarks", "synthetic", "examples", "plugins", "recipes", "tests")
+        for path in (REPOSITORY / folder).rglob("*.py")
+        if not any(path.is_relative_to(folder) for folder in allowed)
+    ]
+    assert len(files) > 300
+    assert [str(path.relative_to(REPOSITORY)) for path in files if package in _roots(path)] == []
+
+
 def test_heavy_libraries_stay_out_of_the_light_path():
     """Workers and the command line start without torch and pycolmap."""
     for folder in (
@@ -83,12 +114,4 @@ def test_heavy_libraries_stay_out_of_the_light_path():
         "datasets",
     ):
         for path in (ROOT / folder).rglob("*.py"):
-            roots = {
-                alias.name.split(".")[0]
-                for node in ast.walk(ast.parse(path.read_text("utf-8")))
-                if isinstance(node, (ast.Import, ast.ImportFrom))
-                for alias in (
-                    node.names if isinstance(node, ast.Import) else [ast.alias(name=node.module or "")]
-                )
-            }
-            assert not roots & {"torch", "pycolmap"}, path
+            assert not _roots(path) & {"torch", "pycolmap"}, path

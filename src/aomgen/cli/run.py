@@ -14,9 +14,12 @@ from contextlib import contextmanager
 from datetime import datetime
 from pathlib import Path
 from types import TracebackType
+from typing import Any, Final
+
+import typer
 
 from aomgen import __version__
-from aomgen.errors import ConfigError, EstimationError, MissingFileError
+from aomgen.errors import AomgenError, ConfigError, EstimationError, InputError, MissingFileError
 
 # Name of the bundled recording, in `aomgen.samples`.
 SAMPLE = "microwave-a"
@@ -25,6 +28,40 @@ INTERRUPTED = "interrupted; run the same command again to continue\n"
 LEAVE_BAR = "\r\x1b[2K\x1b[?25h"
 # What BSD's sysexits.h calls an internal software error.
 EXIT_BUG = 70
+# Settings of every command line of the repository.
+COMMAND_LINE: Final[dict[str, Any]] = {
+    "add_completion": False,
+    "no_args_is_help": True,
+    "pretty_exceptions_enable": False,
+    "rich_markup_mode": None,
+    "context_settings": {"help_option_names": ["-h", "--help"]},
+}
+
+
+def run_command(app: typer.Typer) -> None:
+    """Run the command that `sys.argv` names; an `AomgenError` becomes one sentence and its exit code.
+
+    Raises:
+        SystemExit: Always, with the command's exit code.
+    """
+    sys.excepthook = report_bug
+    with stop_at_signals():
+        try:
+            # Not `app()`, which sets an excepthook of its own.
+            typer.main.get_command(app)()
+        except AomgenError as error:
+            print(f"error: {error}", file=sys.stderr)
+            sys.exit(error.exit_code)
+        except PermissionError as error:
+            print(f"error: {error.filename}: {error.strerror}; change who may use it", file=sys.stderr)
+            sys.exit(InputError.exit_code)
+
+
+def describe_command() -> str:
+    """The command that runs, as a user would type it."""
+    script = Path(sys.argv[0])
+    program = ["python", "-m", script.parent.name] if script.name == "__main__.py" else ["aomgen"]
+    return shlex.join([*program, *sys.argv[1:]])
 
 
 def run_project(project, *, until: str = "", **machine):
@@ -53,7 +90,7 @@ def run_project(project, *, until: str = "", **machine):
             print(f"evidence {page}", file=sys.stderr)
         raise
     if changed:
-        command = shlex.join(["aomgen", *sys.argv[1:]])
+        command = describe_command()
         now = datetime.now().astimezone().isoformat(timespec="seconds")
         save_record(project.out, RunRecord(command=command, version=__version__, finished=now))
     if not until:

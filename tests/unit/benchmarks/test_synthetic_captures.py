@@ -1,8 +1,8 @@
 """Median and worst over captures, where refusals count as failures."""
 
 import pytest
-
 from aomgen.cli.bench import bench_accuracy
+
 from aomgen.errors import AlignmentError, ConfigError
 from benchmarks import synthetic_captures
 from benchmarks.bars import BARS, Bar

@@ -119,13 +119,6 @@ def test_fit_pose(tmp_path: Path) -> None:
     assert float(last.split("position ")[1].split("%")[0]) < 0.4
 
 
-@pytest.mark.slow
-def test_make_capture(tmp_path: Path) -> None:
-    said = run("01_make_capture.py", tmp_path / "capture", "--scan-views", 12, "--size", 160, 120)
-    assert "12 scan images" in said
-    assert (tmp_path / "capture" / "truth" / "truth.json").is_file()
-
-
 def test_recover_joint() -> None:
     assert "revolute: axis" in run("02_recover_joint.py")
 
