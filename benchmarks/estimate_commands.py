@@ -72,18 +72,36 @@ def scores(
     capture: Annotated[
         list[Path] | None, typer.Option(help="A capture with truth/; may be repeated.")
     ] = None,
-    seed: Annotated[int, typer.Option(help="First seed of captures and worlds that are made.")] = 9000,
-    against: Annotated[Path | None, typer.Option(help="A former scores.json: print what differs.")] = None,
+    part: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="Only this part: captures, synthetic, motion, intervals, replace, generate, replay or "
+            "splatting; may be repeated."
+        ),
+    ] = None,
+    seed: Annotated[
+        int | None, typer.Option(help="First seed of captures and worlds that are made; 31000.")
+    ] = None,
+    against: Annotated[Path | None, typer.Option(help="A former scores.json to be compared with.")] = None,
 ) -> None:
-    """Run all benches (hours) and gather their figures in FOLDER/scores.json, to compare before and after."""
+    """Run all benchmarks that a change is held against (hours); gather their figures in FOLDER/scores.json.
+
+    With --against, a verdict for each figure: images within 0.2 dB, errors, times and rates within 5 %, success
+    rates within the 95 % interval (Wilson's) of those before. The exit code is 1 if one is worse or missing.
+    """
     from aomgen.io.artifact import read_json
-    from benchmarks.scores import differences, run_scores
+    from benchmarks.score_tolerances import as_rows, judge
+    from benchmarks.scores import PARTS, UNUSED_SEED, part_of, run_scores
     from benchmarks.table import as_table
 
+    parts = part or PARTS
     before = None if against is None else read_json(against)
-    figures = run_scores(folder, capture or [], seed, print)
+    figures = run_scores(folder, capture or [], parts, UNUSED_SEED if seed is None else seed, print)
     if before is not None:
-        print(as_table(differences(before, figures)))
+        judged = judge({name: before[name] for name in before if part_of(name) in parts}, figures)
+        print(as_table(as_rows(judged)))
+        if not all(row.passes for row in judged):
+            raise typer.Exit(1)
 
 
 @estimate_app.command("alignment")

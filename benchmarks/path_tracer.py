@@ -33,6 +33,11 @@ PLAIN_ROUGHNESS: Final = 0.5
 SHININESS: Final = 0.6
 
 
+def blender_python() -> Path:
+    """The Python that has Blender, which may not be installed."""
+    return Path(os.environ.get("AOMGEN_BLENDER_PYTHON", INTERPRETER))
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RoomLight:
     """Light and camera of a room.
@@ -132,7 +137,7 @@ class PathTracedRenderer(SceneRenderer):
         )
 
     def _start(self) -> subprocess.Popen[str]:
-        interpreter = Path(os.environ.get("AOMGEN_BLENDER_PYTHON", INTERPRETER))
+        interpreter = blender_python()
         if not interpreter.is_file():
             raise BackendError("Blender", f"{interpreter} does not exist", "make blender-env")
         self._described.write(self.folder)
