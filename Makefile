@@ -38,7 +38,7 @@ format: $(VENV)/dev.stamp
 # Every figure, hours of it, resumable: make scores CAPTURES="folder folder" SCORES=out/scores BEFORE=scores.json
 SCORES ?= out/scores
 scores: $(VENV)/dev.stamp weights
-	$(BIN)/aomgen bench scores $(SCORES) $(CAPTURES:%=--capture %) $(BEFORE:%=--against %)
+	$(BIN)/python -m benchmarks scores $(SCORES) $(CAPTURES:%=--capture %) $(BEFORE:%=--against %)
 
 # A wheel in dist/, as it is released.
 build: $(VENV)/pip.stamp
@@ -49,15 +49,15 @@ install: $(VENV)/demo.stamp weights
 # The real LeRobot with our plug-ins, in an environment of its own: `. .venv-policy/bin/activate; lerobot-train ...`
 policy-env: .venv-policy/installed.stamp weights
 
-# Blender for the path-traced rooms of `aomgen bench replace FOLDER`.
+# Blender for the path-traced rooms of `python -m benchmarks replace FOLDER`.
 blender-env: .venv-blender/installed.stamp
 
-# Tables gpu.* of `aomgen bench policy`: LeRobot's own ACT and diffusion policy. Stopped at any time, the same command
+# Tables gpu.* of `python -m benchmarks policy`: LeRobot's own ACT and diffusion policy. Stopped at any time, the same command
 # continues; its runs and datasets may come from elsewhere.
 POLICIES ?= out-policy
 policy-gpu: policy-env
 	@if .venv-policy/bin/python -c 'import sys, torch; sys.exit(not torch.cuda.is_available())'; then \
-	  .venv-policy/bin/aomgen bench policy $(POLICIES) --cells gpu; \
+	  .venv-policy/bin/python -m benchmarks policy $(POLICIES) --cells gpu; \
 	else echo "skipped: PyTorch sees no GPU in .venv-policy"; fi
 
 # The libraries that people train with read a finished run's episodes in every format, each in an environment of its own.
@@ -74,7 +74,7 @@ api-test: $(VENV)/dev.stamp
 ROBOTS := build/robots
 robots-test: $(VENV)/dev.stamp
 	$(BIN)/pip download -q --no-deps -d $(ROBOTS) gymnasium-robotics==1.4.2 gym-xarm==0.1.1
-	$(BIN)/python tests/robots_check.py $(ROBOTS) $(CAPTURE)
+	$(BIN)/python tests/robots_check.py $(ROBOTS)
 
 # Other makers' microwaves, cabinets, drawers and windows, likewise.
 MODELS := build/models

@@ -16,7 +16,7 @@ from aomgen.core.values import Array
 from aomgen.io.atomic import staged_folder, write_bytes, write_text
 from aomgen.io.images import encode_jpeg, encode_png, read_image, read_labels
 from aomgen.io.video import encode_video, read_video
-from aomgen.synthetic.world import joints_csv
+from synthetic.world import joints_csv
 
 # What a lab states, and what is true: focal length by a share, and a lens that nobody mentions.
 FOCAL_SHARE, K1 = 0.01, -0.03

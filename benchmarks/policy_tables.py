@@ -1,4 +1,4 @@
-"""Tables of `aomgen bench policy`: which policies learn from what, and where each is tried."""
+"""Tables of `python -m benchmarks policy`: which policies learn from what, and where each is tried."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass

@@ -246,11 +246,20 @@ def bring_up_to_date(
         raise
     if changed:
         now = datetime.now().astimezone().isoformat(timespec="seconds")
-        command = shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]])
-        save_record(project.out, RunRecord(command=command, version=__version__, finished=now))
+        save_record(project.out, RunRecord(command=_describe_command(), version=__version__, finished=now))
     if not until and (changed or not (project.out / REPORT_FILE).exists()):
         write_report(project.out)
     return changed
+
+
+def _describe_command() -> str:
+    """Return the command or script that runs, as a user would type it."""
+    script = Path(sys.argv[0])
+    if script.name == "__main__.py":
+        program = ["python", "-m", script.parent.name]
+    else:
+        program = ["python", str(script)] if script.suffix == ".py" else [script.name]
+    return shlex.join([*program, *sys.argv[1:]])
 
 
 def _open_display(progress: ProgressOption) -> AbstractContextManager[Display]:

@@ -12,9 +12,11 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from types import TracebackType
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
-from aomgen.errors import EstimationError
+import typer
+
+from aomgen.errors import AomgenError, EstimationError, InputError
 from aomgen.version import __version__
 
 if TYPE_CHECKING:
@@ -27,6 +29,33 @@ INTERRUPTED = "interrupted; run the same command again to continue\n"
 LEAVE_BAR = "\r\x1b[2K\x1b[?25h"
 # What BSD's sysexits.h calls an internal software error.
 EXIT_BUG = 70
+# Settings of every command line of the repository.
+COMMAND_LINE: Final[dict[str, Any]] = {
+    "add_completion": False,
+    "no_args_is_help": True,
+    "pretty_exceptions_enable": False,
+    "rich_markup_mode": None,
+    "context_settings": {"help_option_names": ["-h", "--help"]},
+}
+
+
+def run_command(app: typer.Typer) -> None:
+    """Run the command that `sys.argv` names; an `AomgenError` becomes one sentence and its exit code.
+
+    Raises:
+        SystemExit: Always, with the command's exit code.
+    """
+    sys.excepthook = report_bug
+    with stop_at_signals():
+        try:
+            # Not `app()`, which sets an excepthook of its own.
+            typer.main.get_command(app)()
+        except AomgenError as error:
+            print(f"error: {error}", file=sys.stderr)
+            sys.exit(error.exit_code)
+        except PermissionError as error:
+            print(f"error: {error.filename}: {error.strerror}; change who may use it", file=sys.stderr)
+            sys.exit(InputError.exit_code)
 
 
 def run_project(project: "Project", *, until: str = "", **machine: Any) -> None:

@@ -147,7 +147,7 @@ def test_what_may_not_be_read_is_named(tmp_path):
 
 def test_every_command_has_help_and_the_program_its_version(tmp_path):
     assert aomgen("--version", folder=tmp_path).stdout == f"{__version__}\n"
-    for words in ((), ("render",), ("assets",), ("assets", "make"), ("bench", "accuracy")):
+    for words in ((), ("render",), ("assets",), ("assets", "make")):
         result = aomgen(*words, "-h", folder=tmp_path)
         assert result.returncode == 0
         assert result.stdout.startswith("Usage: ")
@@ -172,10 +172,6 @@ def test_an_asset_without_a_joint(tmp_path):
             stage.RemovePrim(prim.GetPath())
     stage.Save()
     one_sentence(started("check", "box.usda", folder=tmp_path), 3, "box.usda", "joint")
-
-
-def test_no_ground_truth_no_score(sample, tmp_path):
-    one_sentence(aomgen("bench", "accuracy", sample, folder=tmp_path), 3, "cannot be scored")
 
 
 def test_a_robot_is_drafted_once_and_for_a_person_to_read(write_urdf, tmp_path):

@@ -20,7 +20,7 @@ from aomgen.episodes.planning import open_task, plan_episode, working_grasps
 from aomgen.episodes.retarget import DemonstratedMotion
 from aomgen.robots.robot import RobotModel
 from aomgen.simulation.scene import build_scene
-from benchmarks.toy_drawer import SUPPORT
+from toy_drawer import SUPPORT
 
 HERE = Variation(seed=0, index=0, x=0.0, y=0.0, yaw=0.0)
 

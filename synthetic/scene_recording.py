@@ -6,19 +6,18 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from aomgen.assets.mjcf import VISUAL_GROUP
-from aomgen.conventions import BACKGROUND, MOVING, ROBOT, STATIC
+from aomgen.conventions import MOVING
 from aomgen.core.camera import Camera, look_at
 from aomgen.core.progress import Progress, silent
 from aomgen.core.recording import JointLog
 from aomgen.core.transforms import apply, invert
 from aomgen.core.values import Array
-from aomgen.robots.model_renderer import ModelRenderer
 from aomgen.robots.robot import RobotModel
 from aomgen.simulation.scene import Scene
-from aomgen.synthetic.commanded_trajectory import CONTROL_STEP_S
-from aomgen.synthetic.demonstration_search import Performance, SimulatedDemonstration
-from aomgen.synthetic.layout import SceneLayout, build_world
+from aomgen.simulation.scene_renderer import SceneRenderer
+from synthetic.commanded_trajectory import CONTROL_STEP_S
+from synthetic.demonstration_search import Performance, SimulatedDemonstration
+from synthetic.layout import SceneLayout, build_world
 
 # Rows of the joint log, [1/s]; a common rate of robot loggers.
 LOG_RATE_HZ = 100
@@ -95,7 +94,7 @@ def record(
     conditions: Conditions,
     rng: np.random.Generator,
     *,
-    renderer: Callable[[Scene, tuple[int, int]], "SceneRenderer"],
+    renderer: Callable[[Scene, tuple[int, int]], SceneRenderer],
     progress: Progress = silent,
 ) -> Recording:
     """Record a performance: stills of the scene at rest, then the video, as a renderer draws them."""
@@ -191,36 +190,6 @@ def _in_room(layout: SceneLayout, conditions: Conditions, eye_room: Array, targe
     return Camera(
         fx=focal, fy=focal, cx=width / 2, cy=height / 2, width=width, height=height, T_world_cam=T_world_cam
     )
-
-
-class SceneRenderer(ModelRenderer):
-    """Draws one compiled scene and its part labels."""
-
-    def __init__(self, scene: Scene, size: tuple[int, int]) -> None:
-        """Create a context for pictures up to `size` (width, height), [px].
-
-        Raises:
-            BackendError: No OpenGL driver works.
-        """
-        super().__init__(scene.model, size, VISUAL_GROUP)
-        model, names = scene.model, scene.names
-        label_of_body = np.full(model.nbody, BACKGROUND, np.uint8)
-        label_of_body[[model.body(name).id for name in scene.robot.body_names]] = ROBOT
-        label_of_body[model.body(names.static_body).id] = STATIC
-        label_of_body[model.body(names.moving_body).id] = MOVING
-        self._geom_labels = label_of_body[model.geom_bodyid]
-
-    def draw(self, camera: Camera, qpos: Array) -> NDArray[np.uint8]:
-        """Picture (H, W, 3) of a state qpos (nq,), with light and shadows."""
-        return self._render(camera, qpos, ids=False)[0]
-
-    def labels(self, camera: Camera, qpos: Array) -> NDArray[np.uint8]:
-        """Part labels (H, W): 0 background, 1 robot, 2 static, 3 moving; no anti-aliasing."""
-        return self.draw_values(camera, qpos, self._geom_labels, nothing=BACKGROUND)[0]
-
-    def depths(self, camera: Camera, qpos: Array) -> NDArray[np.float64]:
-        """Depth along the optical axis (H, W), [m]; FAR_M where nothing is."""
-        return self.draw_values(camera, qpos, self._geom_labels, nothing=BACKGROUND)[1]
 
 
 def choose_camera(

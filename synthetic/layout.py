@@ -13,7 +13,7 @@ from aomgen.core.values import Array, Matrix4, freeze_arrays
 from aomgen.robots.robot import RobotModel
 from aomgen.robots.silhouette import add_robot_visuals
 from aomgen.simulation.scene import Scene, describe_scene
-from aomgen.synthetic.room import FRONT_M, Room, add_room
+from synthetic.room import FRONT_M, Room, add_room
 
 # How finely the robot is drawn, [m]: less than a pixel in these pictures.
 ROBOT_CELL_M = 0.0025

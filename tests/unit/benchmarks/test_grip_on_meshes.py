@@ -11,9 +11,9 @@ from aomgen.core.transforms import similarity
 from aomgen.replacement.correspondence import recorded_contact
 from aomgen.replacement.fitting import FitParams, fit_asset
 from aomgen.robots.loading import load_robot
-from aomgen.synthetic.world import DEFAULT_ROBOT
 from benchmarks.grip_on_meshes import MAX_GAP_MM, grip_on_meshes
 from recordings import recording
+from synthetic.world import DEFAULT_ROBOT
 
 # The bar's mesh against its colliders, and whether the pads that close on these still hold what is seen.
 THICKNESSES = [(1.0, True), (0.3, False), (2.2, False)]

@@ -11,8 +11,8 @@ from aomgen.episodes.grasp_choice import GRASPS_FOLDER
 from aomgen.episodes.ledger import OBJECTS_FOLDER, REJECTED_FOLDER
 from aomgen.io.atomic import STAGING_PREFIX
 from aomgen.pipeline.runner import TIMINGS
-from benchmarks.fault_run import in_child, make_here, open_here, told_file
-from benchmarks.toy_run import FOLDERS
+from fault_run import in_child, make_here, open_here, told_file
+from toy_run import FOLDERS
 
 BEFORE, AFTER = "before", "after"
 # Beside the results: how long it took, and the lock.

@@ -11,7 +11,7 @@ from aomgen.core.asset import ArticulatedAsset
 from aomgen.core.transforms import apply, matrix_from_rotvec, transform
 from aomgen.core.values import Array, Matrix4, Vector3, freeze_arrays
 from aomgen.robots.robot import RobotModel
-from aomgen.synthetic.style import DemonstrationStyle
+from synthetic.style import DemonstrationStyle
 
 # A hooking or pushing bar lies this far behind the finger tips, [m]: half a finger pad.
 BAR_BEHIND_TIP_M: Final = 0.010

@@ -7,7 +7,7 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from aomgen.core.values import Array, freeze_arrays
-from aomgen.synthetic.style import DemonstrationStyle, compute_progress
+from synthetic.style import DemonstrationStyle, compute_progress
 
 # Step of control and physics, [s]: 500 Hz, as a UR5e is driven.
 CONTROL_STEP_S = 0.002

@@ -10,11 +10,11 @@ from aomgen.core.transforms import matrix_from_rotvec, rotvec_from_matrix
 from aomgen.core.values import Array
 from aomgen.robots.robot import RobotModel
 from aomgen.simulation.scene import Scene
-from aomgen.synthetic.commanded_trajectory import CommandedTrajectory, PhasePaths, time_phases
-from aomgen.synthetic.grasp import DemonstratedGrasp, compute_grasp_poses, draw_grasp_style
-from aomgen.synthetic.grasp_selection import choose_grasp, draw_usual_style
-from aomgen.synthetic.layout import SceneLayout
-from aomgen.synthetic.style import DemonstrationStyle
+from synthetic.commanded_trajectory import CommandedTrajectory, PhasePaths, time_phases
+from synthetic.grasp import DemonstratedGrasp, compute_grasp_poses, draw_grasp_style
+from synthetic.grasp_selection import choose_grasp, draw_usual_style
+from synthetic.layout import SceneLayout
+from synthetic.style import DemonstrationStyle
 
 # The hand approaches on a straight line of this length, [m]: longer than fingers are. Gestures in the air stay
 # the second length before the handle.

@@ -4,6 +4,7 @@ import os
 import signal
 import sys
 from collections.abc import Callable
+from concurrent.futures import Executor, ProcessPoolExecutor
 from contextlib import suppress
 from dataclasses import replace
 from functools import cache, partial
@@ -21,7 +22,7 @@ from aomgen.executors import Done, Work
 from aomgen.io.atomic import scratch_folder
 from aomgen.pipeline.runner import Stage, run_stages
 from aomgen.pipeline.stages import STAGES
-from benchmarks.toy_run import ToyResults, elsewhere, toy_results
+from toy_run import ToyResults, elsewhere, toy_results
 
 # Draws of the toy; those that are small do not open far enough, so some attempts are rejected.
 PARAMS: Final = {
@@ -123,6 +124,13 @@ def open_here(scratch: Path) -> EpisodeFactory:
         factory = EpisodeFactory(small_run(scratch), folder)
         factory.make(Unit(asset=0, index=0))
     return factory
+
+
+def start_workers() -> Executor:
+    """Two processes that share nothing, as OpenGL requires."""
+    # Read by the processes as they start: a second thread of the linear algebra only waits.
+    os.environ.update(OMP_NUM_THREADS="1", OPENBLAS_NUM_THREADS="1")
+    return ProcessPoolExecutor(2, mp_context=get_context("spawn"))
 
 
 def told_file(out: Path) -> Path:

@@ -1,4 +1,4 @@
-"""`aomgen bench accuracy`: run a capture up to its twin, then score what it wrote and drew."""
+"""`python -m benchmarks accuracy`: run a capture up to its twin, then score what it wrote and drew."""
 
 import tempfile
 from collections.abc import Callable

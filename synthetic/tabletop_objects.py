@@ -19,7 +19,7 @@ from aomgen.assets.procedural.shapes import (
 )
 from aomgen.assets.procedural.textures import plastic, speckled
 from aomgen.core.mesh import Mesh
-from aomgen.synthetic import printed_textures
+from synthetic import printed_textures
 
 # Low and high sizes along x, y and z, [m].
 SIZES: Final = {

@@ -14,7 +14,7 @@ from aomgen.core.transforms import apply, invert, matrix_from_rotvec, transform
 from aomgen.core.values import Array
 from aomgen.robots.robot import RobotModel
 from aomgen.simulation.collision_check import holding_gripper
-from aomgen.synthetic.grasp import (
+from synthetic.grasp import (
     BAR_BEHIND_TIP_M,
     DemonstratedGrasp,
     GraspStyle,
@@ -22,7 +22,7 @@ from aomgen.synthetic.grasp import (
     gripper_axes,
     measure_closed_tips,
 )
-from aomgen.synthetic.style import DemonstrationStyle, GraspType
+from synthetic.style import DemonstrationStyle, GraspType
 
 # A push beside the bar begins this far before it touches, [m].
 PUSH_SLACK_M: Final = 0.008

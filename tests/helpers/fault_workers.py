@@ -23,9 +23,9 @@ from aomgen.executors import Done
 from aomgen.io.artifact import read_json
 from aomgen.io.atomic import STAGING_PREFIX, write_json
 from aomgen.io.episode_folder import list_committed, read_episode
-from benchmarks.fault_run import INPUTS, PARAMS, in_child
-from benchmarks.fault_trees import read_tree
-from benchmarks.toy_run import FOLDERS, ToyResults, elsewhere, toy_run
+from fault_run import INPUTS, PARAMS, in_child
+from fault_trees import read_tree
+from toy_run import FOLDERS, ToyResults, elsewhere, toy_run
 
 ASSETS, WORKERS = 2, 2
 # A unit takes about a second: a worker dies at any moment of it, [s].
@@ -139,10 +139,10 @@ def _on_ray(results: ToyResults, scratch: Path) -> None:
 
 @contextmanager
 def _cluster() -> Iterator[Any]:
-    """A cluster with its first node, whose workers find this repository."""
+    """A cluster with its first node, whose workers find this folder's modules."""
     from ray.cluster_utils import Cluster
 
-    os.environ["PYTHONPATH"] = str(Path(__file__).parents[1])
+    os.environ["PYTHONPATH"] = str(Path(__file__).parent)
     cluster = Cluster(initialize_head=True, head_node_args={**NODE, "include_dashboard": False})
     try:
         yield cluster

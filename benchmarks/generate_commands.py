@@ -1,4 +1,4 @@
-"""`aomgen bench` of what is generated: assets, episodes, their replay, policies, and what faults leave of a run."""
+"""Commands that measure what is generated: assets, episodes, their replay, policies, and runs after faults."""
 
 import sys
 import tempfile
@@ -8,14 +8,14 @@ from typing import Annotated
 
 import typer
 
-from aomgen.cli.bench import JsonFile, show
 from aomgen.cli.run import run_project, sample_capture
+from benchmarks.estimate_commands import JsonFile, show
 
-generated_app = typer.Typer()
+generate_app = typer.Typer()
 
 
-@generated_app.command("replay-exported")
-def bench_replay_exported(
+@generate_app.command("replay-exported")
+def replay_exported(
     outs: Annotated[list[Path], typer.Argument(help="Folders of finished runs.")],
     json_file: JsonFile = None,
 ) -> None:
@@ -28,8 +28,8 @@ def bench_replay_exported(
     show(run_replay(outs), json_file)
 
 
-@generated_app.command("generate")
-def bench_generate(
+@generate_app.command("generate")
+def generate(
     out: Annotated[Path, typer.Option(help="Run folder; its twin and fitted assets are kept.")] = Path(
         "out-bench"
     ),
@@ -51,8 +51,8 @@ def bench_generate(
     show(run_generate(out, sample_capture(), episodes, run_project, tell, **machine), json_file)
 
 
-@generated_app.command("environment")
-def bench_environment(
+@generate_app.command("environment")
+def environment(
     run: Annotated[Path, typer.Argument(help="Folder of a run that has committed episodes.")],
     trials: Annotated[int, typer.Option(min=1, help="Of each action space.")] = 100,
     workers: Annotated[int, typer.Option(min=1, help="Processes.")] = 2,
@@ -69,8 +69,8 @@ def bench_environment(
         show(run_environment(run, folder, trials, workers, partial(print, file=sys.stderr)), json_file)
 
 
-@generated_app.command("policy")
-def bench_policy(
+@generate_app.command("policy")
+def policy(
     out: Annotated[
         Path, typer.Argument(help="Keeps runs, datasets, trainings and rollouts; continued when it exists.")
     ],
@@ -117,8 +117,8 @@ def bench_policy(
     show(PolicyBench(data=data, trainer=trainer).figures(tables), json_file)
 
 
-@generated_app.command("replay")
-def bench_replay(
+@generate_app.command("replay")
+def replay(
     attempts: Annotated[int, typer.Option(help="Plans of each category; a tenth of it beyond.")] = 200,
     seed: Annotated[int, typer.Option(help="Of the first motion world and of all draws.")] = 7000,
     json_file: JsonFile = None,
@@ -135,8 +135,8 @@ def bench_replay(
         show(run_replay_bench(folder, attempts, seed, partial(print, flush=True)), json_file)
 
 
-@generated_app.command("replace")
-def bench_replace(
+@generate_app.command("replace")
+def replace(
     out: Annotated[
         Path | None, typer.Argument(help="Also path-traced rooms; keeps them and what is made of them.")
     ] = None,
@@ -170,8 +170,8 @@ def bench_replace(
     show(figures, json_file)
 
 
-@generated_app.command("faults")
-def bench_faults(
+@generate_app.command("faults")
+def faults(
     kills: Annotated[int, typer.Option(min=1, help="Points at which a run is killed.")] = 200,
     json_file: JsonFile = None,
 ) -> None:
@@ -179,8 +179,16 @@ def bench_faults(
 
     Episodes are real but small. Figures are told by `docs/dataset.md`.
     """
-    from benchmarks.faults import run_faults
+    from faults import run_faults
 
     with tempfile.TemporaryDirectory() as scratch:
         figures = run_faults(Path(scratch), kills, partial(print, file=sys.stderr, flush=True))
     show(figures, json_file)
+
+
+@generate_app.command("style-pictures")
+def style_pictures(file: Annotated[Path, typer.Argument(help="JPEG to write.")]) -> None:
+    """Render all styles of made assets into one image, a category a row."""
+    from benchmarks.style_pictures import draw_styles
+
+    draw_styles(file)

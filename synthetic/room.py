@@ -14,8 +14,8 @@ from aomgen.core.mesh import Mesh
 from aomgen.core.transforms import quat_from_matrix
 from aomgen.core.values import Matrix4, freeze_arrays
 from aomgen.simulation.scene import TABLE
-from aomgen.synthetic import printed_textures
-from aomgen.synthetic.tabletop_objects import (
+from synthetic import printed_textures
+from synthetic.tabletop_objects import (
     TabletopObject,
     draw_object_on_table,
     make_mat_mesh,

@@ -27,10 +27,11 @@ from aomgen.io.video import encode_video
 from aomgen.robots.description import robot_references
 from aomgen.robots.loading import copy_robot_files, load_robot
 from aomgen.simulation.scene import Scene
-from aomgen.synthetic.demonstration_search import find_demonstration
-from aomgen.synthetic.grasp_selection import list_grasp_types
-from aomgen.synthetic.scene_recording import Conditions, Recording, SceneRenderer, record
-from aomgen.synthetic.style import MOVED, DemonstrationStyle, GraspType, draw_style
+from aomgen.simulation.scene_renderer import SceneRenderer
+from synthetic.demonstration_search import find_demonstration
+from synthetic.grasp_selection import list_grasp_types
+from synthetic.scene_recording import Conditions, Recording, record
+from synthetic.style import MOVED, DemonstrationStyle, GraspType, draw_style
 
 DEFAULT_ROBOT = "ur5e_2f85"
 # A robot file may name meshes in folders beside its own, as packages do.

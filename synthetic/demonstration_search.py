@@ -15,11 +15,11 @@ from aomgen.robots.robot import RobotModel
 from aomgen.simulation.replay import Commands, stand, track
 from aomgen.simulation.scene import Scene
 from aomgen.simulation.touches import Touches, find_touches, read_contacts
-from aomgen.synthetic.commanded_trajectory import CONTROL_STEP_S, CommandedTrajectory
-from aomgen.synthetic.demonstration_planning import plan
-from aomgen.synthetic.grasp_selection import list_grasp_types
-from aomgen.synthetic.layout import SceneLayout, build_world, draw_layout
-from aomgen.synthetic.style import MOVED, DemonstrationStyle
+from synthetic.commanded_trajectory import CONTROL_STEP_S, CommandedTrajectory
+from synthetic.demonstration_planning import plan
+from synthetic.grasp_selection import list_grasp_types
+from synthetic.layout import SceneLayout, build_world, draw_layout
+from synthetic.style import MOVED, DemonstrationStyle
 
 # Layouts that are tried before a seed is given up.
 MAX_TRIES = 80

@@ -1,7 +1,6 @@
-"""`aomgen bench`: every number in README and docs comes from here; below, benches of the engine and the twin."""
+"""Commands that measure estimates and the twin."""
 
 import json
-import sys
 from pathlib import Path
 from typing import Annotated
 
@@ -11,28 +10,11 @@ from aomgen.cli.run import run_project
 from aomgen.errors import ConfigError
 
 JsonFile = Annotated[Path | None, typer.Option("--json", help="Write the figures here.")]
-bench_app = typer.Typer(no_args_is_help=True, help="Measure: every number in the README comes from here.")
+estimate_app = typer.Typer()
 
 
-@bench_app.callback()
-def find_benchmarks() -> None:
-    """Make the repository's `benchmarks` folder importable; it is no part of the installed package.
-
-    Raises:
-        ConfigError: This is no checkout of the repository.
-    """
-    root = Path(__file__).parents[3]
-    if not (root / "benchmarks" / "__init__.py").is_file():
-        raise ConfigError(
-            "aomgen bench",
-            "has no benchmarks to run: they are not part of the installed package",
-            "clone the repository, run `make` there, and use that checkout's `aomgen bench`",
-        )
-    sys.path.insert(0, str(root))
-
-
-@bench_app.command("accuracy")
-def bench_accuracy(
+@estimate_app.command("accuracy")
+def accuracy(
     capture: Annotated[Path | None, typer.Argument(help="A capture with truth/.")] = None,
     synthetic: Annotated[int, typer.Option(help="Instead: make and score so many synthetic captures.")] = 0,
     synthetic_motion: Annotated[
@@ -62,15 +44,15 @@ def bench_accuracy(
     if category is not None and synthetic == 0:
         raise ConfigError("--category", "holds for --synthetic N alone", "add --synthetic or leave it out")
     if synthetic_motion:
-        _bench_motion(synthetic_motion, seed, out, json_file)
+        _measure_motion(synthetic_motion, seed, out, json_file)
         return
     from benchmarks.alignment_methods import methods_table
-    from benchmarks.command import run_accuracy
+    from benchmarks.capture_accuracy import run_accuracy
     from benchmarks.motion_methods import motion_methods_table
     from benchmarks.synthetic_captures import FIRST_SEED, accuracy_table, run_synthetic, synthetic_table
 
     if (capture is None) == (synthetic == 0):
-        raise ConfigError("bench accuracy", "wants a capture or --synthetic N", "give one of the two")
+        raise ConfigError("accuracy", "wants a capture or --synthetic N", "give one of the two")
     if capture is None:
         first = FIRST_SEED if seed is None else seed
         results = run_synthetic(synthetic, out, run_project, first, category=category, harsh=harsh)
@@ -84,41 +66,46 @@ def bench_accuracy(
         print(f"\n{methods_table(results)}\n\n{motion_methods_table(results)}")
 
 
-@bench_app.command("scores")
-def bench_scores(
+@estimate_app.command("scores")
+def scores(
     folder: Annotated[Path, typer.Argument(help="Runs and figures; what is there is kept.")],
     capture: Annotated[
         list[Path] | None, typer.Option(help="A capture with truth/; may be repeated.")
     ] = None,
-    seed: Annotated[int, typer.Option(help="First seed of captures and worlds that are made.")] = 9000,
-    against: Annotated[Path | None, typer.Option(help="A former scores.json: print what differs.")] = None,
+    part: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="Only this part: captures, synthetic, motion, intervals, replace, generate, replay or "
+            "splatting; may be repeated."
+        ),
+    ] = None,
+    seed: Annotated[
+        int | None, typer.Option(help="First seed of captures and worlds that are made; 31000.")
+    ] = None,
+    against: Annotated[Path | None, typer.Option(help="A former scores.json to be compared with.")] = None,
 ) -> None:
-    """Run all benches (hours) and gather their figures in FOLDER/scores.json, to compare before and after."""
+    """Run all benchmarks that a change is held against (hours); gather their figures in FOLDER/scores.json.
+
+    With --against, a verdict for each figure: images within 0.2 dB, errors, times and rates within 5 %, success
+    rates within the 95 % interval (Wilson's) of those before. The exit code is 1 if one is worse or missing.
+    """
     from aomgen.io.artifact import read_json
-    from benchmarks.scores import differences, run_scores
+    from benchmarks.score_tolerances import as_rows, judge
+    from benchmarks.scores import PARTS, UNUSED_SEED, part_of, run_scores
     from benchmarks.table import as_table
 
+    parts = part or PARTS
     before = None if against is None else read_json(against)
-    figures = run_scores(folder, capture or [], seed, print)
+    figures = run_scores(folder, capture or [], parts, UNUSED_SEED if seed is None else seed, print)
     if before is not None:
-        print(as_table(differences(before, figures)))
+        judged = judge({name: before[name] for name in before if part_of(name) in parts}, figures)
+        print(as_table(as_rows(judged)))
+        if not all(row.passes for row in judged):
+            raise typer.Exit(1)
 
 
-@bench_app.command("training")
-def bench_training(
-    capture: Annotated[Path, typer.Argument(help="A capture; truth/ is not needed.")],
-    json_file: JsonFile = None,
-    out: Annotated[Path | None, typer.Option(help="Run folder; kept, and continued when it exists.")] = None,
-    iterations: Annotated[int, typer.Option(help="Training steps; 0 for the project's own number.")] = 0,
-) -> None:
-    """Train a capture's scene and print PSNR of the held-out views over the seconds of training."""
-    from benchmarks.training import run_training
-
-    show(run_training(capture, out, run_project, iterations=iterations), json_file)
-
-
-@bench_app.command("alignment")
-def bench_alignment(
+@estimate_app.command("alignment")
+def alignment(
     paths: Annotated[list[Path], typer.Argument(help="Captures with truth/, or finished runs of such.")],
     starts: Annotated[int, typer.Option(help="Good and bad starts, over all paths; some 10 s each.")] = 200,
     seed: Annotated[int, typer.Option(help="Same seed, same starts.")] = 0,
@@ -136,11 +123,11 @@ def bench_alignment(
 
     figures = run_alignment_bench(paths, starts, seed, run_project, tell)
     show({name: value for name, value in figures.items() if name != "rows"}, None)
-    _write(figures, json_file)
+    write(figures, json_file)
 
 
-@bench_app.command("intervals")
-def bench_intervals(
+@estimate_app.command("intervals")
+def intervals(
     worlds: Annotated[int, typer.Option(help="Hidden joints; half a second each.")] = 200,
     seed: Annotated[int, typer.Option(help="First seed.")] = 5000,
     json_file: JsonFile = None,
@@ -154,25 +141,10 @@ def bench_intervals(
 
     figures = interval_figures([measure_world(seed + number) for number in range(worlds)])
     print(as_table(figures))
-    _write({"intervals": figures}, json_file)
+    write({"intervals": figures}, json_file)
 
 
-@bench_app.command("splatting")
-def bench_splatting(
-    json_file: JsonFile = None,
-) -> None:
-    """Time the rasterizer, forward and backward, on a table-top scene, and compare it with float64."""
-    from benchmarks.splatting import Effort, default_cases, measure
-    from benchmarks.table import as_table
-
-    figures = measure(default_cases(), Effort())
-    for name, rows in figures.items():
-        shown = as_table(rows) if isinstance(rows, list) else json.dumps(rows, indent=1)
-        print(f"\n{name}\n{shown}")
-    _write(figures, json_file)
-
-
-def _bench_motion(count: int, seed: int | None, out: Path | None, json_file: Path | None) -> None:
+def _measure_motion(count: int, seed: int | None, out: Path | None, json_file: Path | None) -> None:
     from benchmarks.motion_accuracy import FIRST_SEED, cases, run_motion
     from benchmarks.motion_table import fractions_of, motion_table, summaries_of, told, unsolvable_of
     from benchmarks.table import as_table
@@ -189,15 +161,17 @@ def _bench_motion(count: int, seed: int | None, out: Path | None, json_file: Pat
     print(f"\n{motion_table(summaries)}\n\n{as_table(unsolvable)}\n\n{as_table(fractions)}")
     rows = [outcome.row() for outcome in outcomes]
     figures = {"summaries": summaries, "unsolvable": unsolvable, "fractions": fractions, "worlds": rows}
-    _write(figures, json_file)
+    write(figures, json_file)
 
 
 def show(figures: dict, json_file: Path | None) -> None:
+    """Print figures as JSON, and write them where a file is given."""
     print(json.dumps(figures, indent=1))
-    _write(figures, json_file)
+    write(figures, json_file)
 
 
-def _write(figures: dict, json_file: Path | None) -> None:
+def write(figures: dict, json_file: Path | None) -> None:
+    """Write figures where a file is given."""
     from aomgen.io.atomic import write_json
 
     if json_file:

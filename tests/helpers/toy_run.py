@@ -15,12 +15,14 @@ from aomgen.core.camera import Camera, look_at
 from aomgen.core.demonstration import Demonstration, EpisodeScene, SupportPlane
 from aomgen.core.gaussians import gaussians_of
 from aomgen.core.light import hemisphere_light
+from aomgen.core.progress import silent
 from aomgen.core.project import Project
 from aomgen.core.transforms import transform
 from aomgen.episodes.grasp_choice import GRASPS_FOLDER, WorkingGrasps, choose_grasp
 from aomgen.episodes.grasps import grasps
 from aomgen.episodes.ik import ik_solver
 from aomgen.episodes.retarget import DemonstratedMotion
+from aomgen.episodes.stage import run as make_episodes
 from aomgen.io.artifact import save_artifact
 from aomgen.results import ASSET_USD, FITTED, Results
 from aomgen.robots.loading import load_robot
@@ -29,7 +31,7 @@ from aomgen.saved_units import unit_name
 from aomgen.splatting.surfels import surfels_of
 from aomgen.twin.binding import with_object
 from aomgen.twin.twin import Twin, TwinState, body_list
-from benchmarks.toy_drawer import SUPPORT, fitted_drawer, opening
+from toy_drawer import SUPPORT, fitted_drawer, opening
 
 SURFELS = 300
 # How the drawer is held.
@@ -132,6 +134,13 @@ def toy_run(
         save_artifact(home, "twin", twin)
         save_artifact(chosen, unit_name(number), working)
     save_artifact(chosen, fitted.asset.category, choose_grasp(working.draws))
+    return results
+
+
+def toy_episode(out: Path) -> ToyResults:
+    """A toy run with one committed episode."""
+    results = toy_run(out, poses=1)
+    make_episodes(results, results.folders["episodes"], silent)
     return results
 
 
