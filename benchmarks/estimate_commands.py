@@ -80,7 +80,7 @@ def scores(
         ),
     ] = None,
     seed: Annotated[
-        int | None, typer.Option(help="First seed of captures and worlds that are made; 31000.")
+        int | None, typer.Option(help="First seed of captures and worlds that are made; 77000.")
     ] = None,
     against: Annotated[Path | None, typer.Option(help="A former scores.json to be compared with.")] = None,
 ) -> None:
