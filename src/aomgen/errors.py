@@ -9,12 +9,18 @@ import difflib
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
+# Names that a sentence lists; more of them hide what it says.
+MAX_LISTED = 20
+
 
 def suggest(word: str, known: Iterable[str]) -> str:
     """Return a question that names the closest known word, or else the list of all known words."""
     words = list(known)
     near = difflib.get_close_matches(word, words, 1)
-    return f"did you mean '{near[0]}'?" if near else f"known: {', '.join(words)}"
+    if near:
+        return f"did you mean '{near[0]}'?"
+    more = f" and {len(words) - MAX_LISTED} more" if len(words) > MAX_LISTED else ""
+    return f"known: {', '.join(words[:MAX_LISTED])}{more}"
 
 
 class AomgenError(Exception):

@@ -62,13 +62,15 @@ def render_twin(
 
 
 def list_cameras(results: Results) -> dict[str, Camera]:
-    """Cameras of a run by name, world frame: of scan images, of the episodes and of the demonstration.
+    """Return the cameras of a run by name, world frame: of the demonstration, of the episodes, of scan images.
 
     A name that demonstration and episodes share means the demonstration's camera, at the video's size.
     """
-    fixed = {name: item.camera for name, item in results.alignment.cameras.items()}
+    cameras = {name: item.camera for name, item in results.alignment.cameras.items()}
     made = results.episode_scene.cameras if results.folders["replacement"].is_dir() else {}
-    return results.scan_cameras | dict(made) | fixed
+    for others in (made, results.scan_cameras):
+        cameras |= {name: camera for name, camera in others.items() if name not in cameras}
+    return cameras
 
 
 def find_camera(results: Results, name: str) -> Camera:

@@ -141,7 +141,7 @@ def test_results_do_not_go_where_a_file_is(tmp_path):
 
 def test_what_may_not_be_read_is_named(tmp_path):
     refusal = PermissionError(13, "Permission denied", "scan/0001.jpg")
-    with patch("aomgen.cli.app.find_project", side_effect=refusal):
+    with patch("aomgen.pipeline.stages.find_project", side_effect=refusal):
         one_sentence(aomgen("status", "out", folder=tmp_path), 3, "scan/0001.jpg: Permission denied")
 
 
