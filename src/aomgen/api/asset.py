@@ -138,8 +138,8 @@ def fit_asset(asset: Asset, run: Run) -> FittedAsset:
     Example:
         >>> run = ag.Run.open("out")
         >>> fit = ag.fit_asset(ag.Asset.make("microwave", seed=4), run)
-        >>> fit.mode, fit.residual_mm < 50
-        ('trajectory', True)
+        >>> fit.mode, fit.scale
+        ('trajectory', 1.0)
     """
     run.require_stage("replacement")
     found = fit_to_recording(run.results, require_usable(asset.model))

@@ -24,9 +24,8 @@ from aomgen.episodes.ledger import unit_of
 from aomgen.episodes.variations import Ranges
 from aomgen.errors import ConfigError
 from aomgen.io.episode_folder import CommittedEpisode, list_committed, read_episode
-from aomgen.io.schema import merge
 from aomgen.pipeline.runner import results_of
-from aomgen.pipeline.stages import PROJECT_FILE, STAGES, find_project
+from aomgen.pipeline.stages import PROJECT_FILE, STAGES, check_params, find_project
 from aomgen.simulation.scene import Scene
 from aomgen.simulation.verify import verify_plan
 
@@ -90,8 +89,11 @@ def generate(
     if seed is not None:
         changes["seed"] = require_count("seed", seed, 0)
     if ranges is not None:
-        changes["params"] = merge(run.project.params, {"episodes": {"ranges": _differences(ranges)}})
+        episodes = run.project.params.get("episodes", {})
+        stated = {**episodes, "ranges": _differences(ranges, Ranges())}
+        changes["params"] = {**run.project.params, "episodes": stated}
     project = change_project(run.project, changes)
+    check_params(project)
     home = run.folder / GENERATED_FOLDER / _request_name(project) if out is None else Path(out).resolve()
     earlier = find_project(home).poses if (home / PROJECT_FILE).is_file() else n
     # Fewer episodes than an earlier call made would delete the others.
@@ -107,14 +109,14 @@ def _request_name(project: Project) -> str:
     return hashlib.sha256(json.dumps(choices, sort_keys=True).encode()).hexdigest()[:12]
 
 
-def _differences(params: Any) -> dict[str, Any]:
-    """Fields of a dataclass that are not at their defaults, nested as its dataclasses are."""
-    default, changed = type(params)(), {}
+def _differences(params: Any, usual: Any) -> dict[str, Any]:
+    """Return the fields in which two dataclasses differ, as a project file states them."""
+    changed = {}
     for item in fields(params):
-        value, usual = getattr(params, item.name), getattr(default, item.name)
-        if value != usual:
-            nested = is_dataclass(value) and type(value) is type(usual)
-            changed[item.name] = _differences(value) if nested and item.name != "free" else value
+        value, default = getattr(params, item.name), getattr(usual, item.name)
+        if value != default:
+            nested = is_dataclass(value)
+            changed[item.name] = _differences(value, default) if nested else json.loads(json.dumps(value))
     return changed
 
 

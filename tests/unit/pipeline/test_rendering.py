@@ -105,11 +105,11 @@ def test_cameras_of_video_episodes_and_scan_have_names(results: Any) -> None:
 
 
 def test_an_unknown_camera_lists_the_known_ones(results: Any) -> None:
-    with pytest.raises(UnknownNameError, match=r"'back' .*known: front, side, 0001.jpg, 0000.jpg"):
+    with pytest.raises(UnknownNameError, match=r"'back' .*known: front, side, 0001\.jpg, 0000\.jpg"):
         run_cameras.find_camera(results, "back")
 
 
 def test_before_the_replacement_there_are_the_recording_s_cameras(results: Any) -> None:
     results.folders["replacement"].rmdir()
-    with pytest.raises(UnknownNameError, match="known: front, 0001.jpg"):
+    with pytest.raises(UnknownNameError, match=r"known: front, 0001\.jpg"):
         run_cameras.find_camera(results, "side")
