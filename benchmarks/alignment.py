@@ -1,4 +1,4 @@
-"""`aomgen bench alignment`: good and bad starts, how many are answered, and how well.
+"""`python -m benchmarks alignment`: good and bad starts, how many are answered, and how well.
 
 Solvable starts must be answered within `TOLERANCE_M` at the end effector, unsolvable ones refused;
 nothing may be answered wrongly.

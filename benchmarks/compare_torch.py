@@ -1,25 +1,18 @@
-"""The engine against a tile rasterizer in plain torch, timed in turn on one thread.
+"""The engine against a tile rasterizer in plain torch, timed in turn on one thread."""
 
-    python -m benchmarks.compare_torch --gaussians 100000 --size 640x480 --rounds 5
-
-Times are processor time, so that other programs on the machine disturb them little.
-"""
-
-import argparse
 import time
 from collections.abc import Callable
 
 import numpy as np
 import torch
-from torch_tiles import render
 
 from aomgen.core.camera import Camera
 from aomgen.core.gaussians import Gaussians
 from aomgen.splatting import native
 from benchmarks.agreement import draw
 from benchmarks.projection import parameters_of
-from benchmarks.scenes import table_camera, table_top
 from benchmarks.timing import forward_pass, interleaved_ms, torch_threads, training_pass
+from benchmarks.torch_tiles import render
 
 
 def compare(gaussians: Gaussians, camera: Camera, rounds: int, tile_px: int) -> dict[str, float]:
@@ -71,23 +64,3 @@ def _torch_passes(
         render(leaves, camera, degree, tile_px=tile_px)[:3].backward(grad_rgb)
 
     return forward, training
-
-
-def main() -> None:
-    parser = argparse.ArgumentParser(description="The engine against a tile rasterizer in plain torch.")
-    parser.add_argument("--gaussians", type=int, default=20_000)
-    parser.add_argument("--size", default="320x240", help="width x height, for example 640x480")
-    parser.add_argument("--rounds", type=int, default=5)
-    parser.add_argument("--tile", type=int, default=16, help="side of torch's tiles [px]")
-    arguments = parser.parse_args()
-    width, height = map(int, arguments.size.split("x"))
-    print(f"{arguments.gaussians} Gaussians, SH 3, {width}x{height}, one thread, {arguments.rounds} rounds")
-    figures = compare(
-        table_top(arguments.gaussians, 3), table_camera(width, height), arguments.rounds, arguments.tile
-    )
-    for name, value in figures.items():
-        print(f"{name:36s} {value:12.4g}")
-
-
-if __name__ == "__main__":
-    main()

@@ -1,4 +1,4 @@
-"""`aomgen bench environment`: does the twin in closed loop judge rightly, show what episodes show, and how fast."""
+"""`python -m benchmarks environment`: does the twin in closed loop judge rightly, show what episodes show, and how fast."""
 
 import time
 import warnings

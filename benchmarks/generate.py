@@ -1,4 +1,4 @@
-"""`aomgen bench generate`: how many verified, rendered and exported demonstrations a minute this machine makes."""
+"""`python -m benchmarks generate`: how many verified, rendered and exported demonstrations a minute this machine makes."""
 
 import os
 import threading

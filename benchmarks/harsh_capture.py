@@ -11,12 +11,12 @@ from scipy.ndimage import correlate
 
 from aomgen.capture.read import read_capture
 from aomgen.core.lens import Lens, resample_labels, resampler
-from aomgen.core.recording import Capture, JointLog
+from aomgen.core.recording import JointLog, Recording
 from aomgen.core.values import Array
 from aomgen.io.atomic import staged_folder, write_bytes, write_text
 from aomgen.io.images import encode_jpeg, encode_png, read_image, read_labels
 from aomgen.io.video import encode_video, read_video
-from aomgen.synthetic.world import joints_csv
+from synthetic.world import joints_csv
 
 # What a lab states, and what is true: focal length by a share, and a lens that nobody mentions.
 FOCAL_SHARE, K1 = 0.01, -0.03
@@ -70,7 +70,7 @@ def degrade_capture(source: Path, target: Path, rng: np.random.Generator) -> Non
             _copy_truth(source / "truth", folder / "truth", source_pixels)
 
 
-def _lens(capture: Capture) -> Lens:
+def _lens(capture: Recording) -> Lens:
     stated, (width, height) = capture.scan_intrinsics, capture.scan_size
     if stated is None:
         raise ValueError("the clean capture states no intrinsics")
@@ -103,7 +103,7 @@ def _recolored(image: Image8, rng: np.random.Generator) -> Image8:
     return np.clip(np.round(image * gain), 0, 255).astype(np.uint8)
 
 
-def _worse_log(capture: Capture, rng: np.random.Generator) -> JointLog:
+def _worse_log(capture: Recording, rng: np.random.Generator) -> JointLog:
     log = capture.joint_log
     zeros = JOINT_ZERO_RAD * rng.choice([-1.0, 1.0], log.joints.shape[1])
     # Stamps stay in order.

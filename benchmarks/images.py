@@ -12,7 +12,7 @@ from scipy.ndimage import binary_dilation
 from aomgen.conventions import MOVING, ROBOT, STATIC
 from aomgen.core.camera import Camera
 from aomgen.core.lens import Lens, undistort_labels
-from aomgen.core.recording import Capture
+from aomgen.core.recording import Recording
 from aomgen.io.images import read_image, read_labels
 from aomgen.io.video import Video
 from aomgen.splatting.metrics import psnr, ssim
@@ -57,7 +57,7 @@ def is_heldout(index: int) -> bool:
 
 
 def score_scan(
-    capture: Capture,
+    capture: Recording,
     cameras: dict[str, Camera],
     scan_state: TwinState,
     masks: TrueMasks,

@@ -1,4 +1,4 @@
-"""`aomgen bench accuracy --synthetic-motion N`: AOMotion on cheap worlds that nobody looked at."""
+"""`python -m benchmarks accuracy --synthetic-motion N`: AOMotion on cheap worlds that nobody looked at."""
 
 import tempfile
 import time

@@ -14,9 +14,9 @@ from aomgen.core.progress import silent
 from aomgen.core.transforms import quat_from_matrix
 from aomgen.core.values import Array
 from aomgen.robots.model_renderer import FAR_M
+from aomgen.simulation.scene_renderer import SceneRenderer
 from aomgen.splatting.optimizer import RATES
 from aomgen.splatting.training import TrainingParams, train
-from aomgen.synthetic.scene_recording import SceneRenderer
 from benchmarks.motion_upstream import SolidStatistics, Upstream
 
 # Distance between neighboring Gaussians by label, [m]; with these the counts are those of finished runs:

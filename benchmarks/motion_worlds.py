@@ -23,14 +23,19 @@ from aomgen.io.video import encode_video, read_video
 from aomgen.motion.inputs import MotionInput as MotionInput
 from aomgen.robots.loading import load_robot
 from aomgen.robots.robot import RobotModel
+from aomgen.simulation.scene_renderer import SceneRenderer
 from aomgen.splatting.rasterizer import render
-from aomgen.synthetic.demonstration_search import Performance, find_demonstration
-from aomgen.synthetic.grasp_selection import list_grasp_types
-from aomgen.synthetic.layout import build_world
-from aomgen.synthetic.scene_recording import (
+from benchmarks.motion_scan import Surface, learned, raw_gaussians, seen_surface
+from benchmarks.motion_upstream import Upstream, draw_misplacement, mislabelled
+from benchmarks.other_objects import make_object
+from benchmarks.synthetic_captures import draw_conditions
+from benchmarks.truth import Truth, read_truth
+from synthetic.demonstration_search import Performance, find_demonstration
+from synthetic.grasp_selection import list_grasp_types
+from synthetic.layout import build_world
+from synthetic.scene_recording import (
     Conditions,
     RecordedVideo,
-    SceneRenderer,
     choose_camera,
     demo_candidates,
     draw_schedule,
@@ -38,13 +43,8 @@ from aomgen.synthetic.scene_recording import (
     render_frames,
     scan_cameras,
 )
-from aomgen.synthetic.style import DemonstrationStyle, draw_style
-from aomgen.synthetic.world import DEFAULT_ROBOT, find_moved_range
-from benchmarks.motion_scan import Surface, learned, raw_gaussians, seen_surface
-from benchmarks.motion_upstream import Upstream, draw_misplacement, mislabelled
-from benchmarks.other_objects import make_object
-from benchmarks.synthetic_captures import draw_conditions
-from benchmarks.truth import Truth, read_truth
+from synthetic.style import DemonstrationStyle, draw_style
+from synthetic.world import DEFAULT_ROBOT, find_moved_range
 
 Kind = Literal["open", "closing", "hook", "push", "nothing", "touch", "locked", "cut", "short"]
 # Kinds of which no joint can be told, and the errors that say why.

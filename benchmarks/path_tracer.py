@@ -20,7 +20,7 @@ from aomgen.errors import BackendError
 from aomgen.io.atomic import write_bytes, write_json
 from aomgen.io.images import encode_png, read_image
 from aomgen.simulation.scene import Scene
-from aomgen.synthetic.scene_recording import SceneRenderer
+from aomgen.simulation.scene_renderer import SceneRenderer
 
 # A Python that has the package bpy.
 INTERPRETER: Final = Path(__file__).parents[1] / ".venv-blender" / "bin" / "python"
@@ -31,6 +31,11 @@ SAMPLES: Final = 24
 PLAIN_ROUGHNESS: Final = 0.5
 # Where MuJoCo has no roughness its shininess s stands for a roughness of 1 - s / this.
 SHININESS: Final = 0.6
+
+
+def blender_python() -> Path:
+    """The Python that has Blender, which may not be installed."""
+    return Path(os.environ.get("AOMGEN_BLENDER_PYTHON", INTERPRETER))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -132,7 +137,7 @@ class PathTracedRenderer(SceneRenderer):
         )
 
     def _start(self) -> subprocess.Popen[str]:
-        interpreter = Path(os.environ.get("AOMGEN_BLENDER_PYTHON", INTERPRETER))
+        interpreter = blender_python()
         if not interpreter.is_file():
             raise BackendError("Blender", f"{interpreter} does not exist", "make blender-env")
         self._described.write(self.folder)

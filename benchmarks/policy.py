@@ -1,4 +1,4 @@
-"""`aomgen bench policy`: demonstrations from one recording, policies that LeRobot trains on them, how often they open.
+"""`python -m benchmarks policy`: demonstrations from one recording, policies that LeRobot trains on them, how often they open.
 
 Every table consists of cells: who is tried, and where. A cell's rollouts are made once and kept; figures are counted
 from them, so that they can be printed again without training anything.

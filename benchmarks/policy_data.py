@@ -19,8 +19,8 @@ from aomgen.evaluation.suite import open_results, open_suite, write_suite
 from aomgen.io.episode_folder import list_committed
 from aomgen.pipeline.runner import LOCK_FILE, results_of
 from aomgen.pipeline.stages import PROJECT_FILE, STAGES
-from aomgen.synthetic.world import make_capture
 from benchmarks.policy_visuals import redraw
+from synthetic.world import make_capture
 
 Tell = Callable[[str], None]
 # What demonstrations show: pictures of the twin or of the simulator, or the object's pose instead.

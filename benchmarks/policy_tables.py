@@ -1,13 +1,12 @@
-"""Tables of `aomgen bench policy`: which policies learn from what, and where each is tried."""
+"""Tables of `python -m benchmarks policy`: which policies learn from what, and where each is tried."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Final, Literal
 
-from aomgen.errors import ConfigError
+from aomgen.errors import UnknownNameError
 from aomgen.evaluation.policies import NEAREST, ORACLE
 from aomgen.evaluation.views import VISUALS, Visuals
-from aomgen.io.schema import suggest
 from benchmarks.policy_data import FULL, MANY, UNSEEN, Sight, Trials
 
 SEEDS: Final = (0, 1, 2)
@@ -176,7 +175,7 @@ def chosen_tables(names: list[str]) -> list[str]:
     tables = [*TABLES, VIDEO]
     for name in names:
         if not any(table.startswith(name) for table in tables):
-            raise ConfigError("--cells", f"'{name}' is unknown", suggest(name, tables))
+            raise UnknownNameError("--cells", name, tables)
     if not names:
         return [table for table in tables if not table.startswith(NOT_BY_DEFAULT)]
     return [table for table in tables if table.startswith(tuple(names))]

@@ -1,4 +1,4 @@
-"""Trains policies with LeRobot's own command on the datasets of `aomgen bench policy`, each once."""
+"""Trains policies with LeRobot's own command on the datasets of `python -m benchmarks policy`, each once."""
 
 import json
 import os
@@ -55,7 +55,7 @@ class Trainer:
             raise BackendError(
                 "lerobot-train",
                 "is not beside this python",
-                "make policy-env; .venv-policy/bin/aomgen bench policy ...",
+                "make policy-env; .venv-policy/bin/python -m benchmarks policy ...",
             )
 
     def home(self, training: Training) -> Path:

@@ -21,7 +21,7 @@ from aomgen.motion.inputs import MotionInput
 from aomgen.replacement.correspondence import RecordedContact, recorded_contact
 from aomgen.replacement.fitting import FitParams, fit_asset
 from aomgen.results import ASSET_USD, resample_demonstration
-from aomgen.simulation.verify import PassRule
+from aomgen.simulation.judge import PassRule
 from aomgen.twin.binding import object_frame
 from aomgen.twin.support import find_support
 from benchmarks.motion_worlds import motion_world

@@ -18,10 +18,10 @@ from aomgen.episodes.render import render_episode, static_layers
 from aomgen.io.artifact import load_artifact
 from aomgen.replacement.stage import BACKGROUND_FOLDER
 from aomgen.results import Results
-from aomgen.synthetic.layout import build_world
-from aomgen.synthetic.scene_recording import SceneRenderer
+from aomgen.simulation.scene_renderer import SceneRenderer
 from aomgen.twin.twin import Twin
 from benchmarks.replace_rooms import CONDITIONS, RoomTruth
+from synthetic.layout import build_world
 
 # Places in the walk, as shares of its length: left, front and right, low and high.
 VIEWS: Final = (0.08, 0.22, 0.4, 0.6, 0.75, 0.95)

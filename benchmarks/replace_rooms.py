@@ -16,11 +16,11 @@ from aomgen.io.artifact import read_json
 from aomgen.robots.loading import load_robot
 from aomgen.robots.robot import RobotModel
 from aomgen.simulation.scene import Scene
-from aomgen.synthetic.demonstration_search import find_demonstration
-from aomgen.synthetic.layout import SceneLayout, build_world
-from aomgen.synthetic.scene_recording import Conditions
-from aomgen.synthetic.world import DEFAULT_ROBOT, capture_rng, draw_object, make_capture
 from benchmarks.path_tracer import PathTracedRenderer, RoomLight
+from synthetic.demonstration_search import find_demonstration
+from synthetic.layout import SceneLayout, build_world
+from synthetic.scene_recording import Conditions
+from synthetic.world import DEFAULT_ROBOT, capture_rng, draw_object, make_capture
 
 CONDITIONS: Final = Conditions(scan_views=48)
 

@@ -16,8 +16,7 @@ from aomgen.core.light import hemisphere_light
 from aomgen.core.project import Project
 from aomgen.core.transforms import apply, invert
 from aomgen.core.values import Array
-from aomgen.errors import ConfigError
-from aomgen.io.schema import suggest
+from aomgen.errors import UnknownNameError
 from aomgen.pipeline.runner import results_of
 from aomgen.pipeline.stages import STAGES
 from aomgen.splatting.metrics import psnr, ssim
@@ -194,7 +193,7 @@ def run_rooms(
     rows = []
     for name in names:
         if name not in ROOMS:
-            raise ConfigError("--room", f"'{name}' is unknown", suggest(name, ROOMS))
+            raise UnknownNameError("--room", name, ROOMS)
     for name in names:
         truth = RoomTruth(room=ROOMS[name], folder=folder / name)
         truth.record(lambda share, text, name=name: tell(f"{name} {share:4.0%} {text}"))

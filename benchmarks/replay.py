@@ -1,4 +1,4 @@
-"""`aomgen bench replay`: how many generated demonstrations open the object again (the paper's Table 1)."""
+"""`python -m benchmarks replay`: how many generated demonstrations open the object again (the paper's Table 1)."""
 
 from collections import Counter
 from dataclasses import asdict, dataclass, field, replace
@@ -25,7 +25,6 @@ from aomgen.robots.robot import RobotModel
 from aomgen.simulation.collision_check import episode_scene
 from aomgen.simulation.scene import Scene
 from aomgen.simulation.verify import verify_plan
-from aomgen.synthetic.world import DEFAULT_ROBOT
 from benchmarks.exported import (
     CONTACT_SHARE,
     EARLY_SHARE,
@@ -38,6 +37,7 @@ from benchmarks.exported import (
 from benchmarks.foreign_scene import foreign_scene
 from benchmarks.reachability import can_hold
 from benchmarks.recovered import Recovered, recover
+from synthetic.world import DEFAULT_ROBOT
 
 # A replayed joint value this near to the stored one is the same, [deg] and [mm].
 NEAR: Final = {"deg": 3.0, "mm": 5.0}

@@ -1,4 +1,4 @@
-"""`aomgen bench replay-exported`: do exported actions open the exported object in somebody else's scene?"""
+"""`python -m benchmarks replay-exported`: do exported actions open the exported object in somebody else's scene?"""
 
 from collections.abc import Iterator, Sequence
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""Draws of `aomgen bench replay` on two processes, until there are enough attempts."""
+"""Draws of `python -m benchmarks replay` on two processes, until there are enough attempts."""
 
 import os
 from collections import deque

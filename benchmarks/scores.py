@@ -1,88 +1,109 @@
-"""All scores in one file, to be compared before and after a change: accuracy, alignment, intervals, speed.
+"""All benchmarks that a change is held against, run as commands, and their figures in one file.
 
-Each part runs as a command of its own and leaves one JSON in the folder; a second call runs what is missing.
+Each part leaves one JSON in the folder; a second call runs what is missing.
 """
 
 import json
 import subprocess
 import sys
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
-from aomgen.errors import ConfigError
+from aomgen.errors import ConfigError, suggest
 from aomgen.io.atomic import write_json
+from benchmarks.path_tracer import blender_python
+from benchmarks.replace_rooms import ROOMS
 
 SCORES_FILE = "scores.json"
-# Enough worlds and starts that one odd case does not move a median.
-SYNTHETIC, MOTION_WORLDS, JOINT_WORLDS, ALIGNMENT_STARTS = 5, 50, 200, 60
-# Kept beside the figures, no scores: every single world, timings of single rows.
-ROWS = {"worlds", "rows", "captures"}
-# Figures that differ less than this share are the same.
-SAME_SHARE = 0.02
+# First seed of captures and worlds: no constant was chosen on it or its successors.
+UNUSED_SEED: Final = 77_000
+# One synthetic capture of each category; worlds, episodes and attempts so that one odd case moves no median.
+SYNTHETIC, MOTION_WORLDS, JOINT_WORLDS, EPISODES, ATTEMPTS, ROOM_COUNT = 5, 30, 200, 60, 50, 3
+PARTS: Final = ("captures", "synthetic", "motion", "intervals", "replace", "generate", "replay", "splatting")
+# Lists and tables beside the figures: every single world, capture, asset or room.
+DETAILS: Final = {"worlds", "rows", "captures", "rooms", "categories", "assets"}
 
 
 def run_scores(
-    folder: Path, captures: list[Path], seed: int, tell: Callable[[str], None]
+    folder: Path, captures: Sequence[Path], parts: Sequence[str], seed: int, tell: Callable[[str], None]
 ) -> dict[str, float]:
     """Run every part that is missing in the folder, and write all figures to `scores.json`.
 
     Args:
         folder: Runs, and one JSON a part.
-        captures: With ground truth.
-        seed: First seed of made captures and worlds; one that no constant was chosen on.
-        tell: Hears which part runs.
+        captures: With ground truth; the part `captures` runs each of them.
+        parts: Of `PARTS`.
+        seed: First seed of made captures and worlds.
+        tell: Called with a line about each part.
 
     Returns:
         Figures by dotted name.
 
     Raises:
-        ConfigError: A part failed; its output has been shown.
+        ConfigError: A part is unknown or failed; the output of one that failed has been shown.
     """
+    for part in parts:
+        if part not in PARTS:
+            raise ConfigError("--part", f"{part!r} is unknown", suggest(part, PARTS))
+    folder = folder.resolve()
     folder.mkdir(parents=True, exist_ok=True)
-    parts = _parts(folder, captures, seed)
-    for name, arguments in parts.items():
+    if "replace" in parts and not blender_python().is_file():
+        tell("replace: without path-traced rooms, as Blender is not installed (`make blender-env`)")
+    commands = _commands(folder, captures, seed)
+    chosen = {name: commands[name] for name in commands if part_of(name) in parts}
+    for name, arguments in chosen.items():
         result = folder / f"{name}.json"
         if result.is_file():
             tell(f"{name}: kept")
             continue
-        tell(f"{name}: aomgen {' '.join(arguments)}")
-        started = time.monotonic()
-        done = subprocess.run([str(Path(sys.executable).with_name("aomgen")), *arguments], check=False)
+        arguments = [*arguments, "--json", str(result)]
+        tell(f"{name}: python -m benchmarks {' '.join(arguments)}")
+        done = subprocess.run(
+            [sys.executable, "-m", "benchmarks", *arguments], cwd=Path(__file__).parents[1], check=False
+        )
         if done.returncode != 0:
-            raise ConfigError(
-                f"part '{name}' of the scores",
-                f"ended with exit code {done.returncode}",
-                "see above, and rerun",
-            )
-        if name == "demo":
-            write_json(result, {"seconds": time.monotonic() - started})
+            problem = f"ended with exit code {done.returncode}"
+            raise ConfigError(f"part '{name}' of the scores", problem, "see above, and rerun")
     figures = {
         figure: value
-        for name in parts
+        for name in chosen
         for figure, value in flatten(name, json.loads((folder / f"{name}.json").read_text("utf-8")))
     }
     write_json(folder / SCORES_FILE, figures)
     return figures
 
 
-def _parts(folder: Path, captures: list[Path], seed: int) -> dict[str, list[str]]:
-    """Arguments of each part's command, by name."""
+def part_of(name: str) -> str:
+    """Part of a command or a figure."""
+    first = name.split(".")[0]
+    return first if first in PARTS else "captures"
 
-    def accuracy(name: str, *arguments: str) -> list[str]:
-        return [*["bench", "accuracy"], *arguments, "--out", str(folder / name)]
 
-    parts = {path.name: accuracy(path.name, str(path)) for path in captures}
-    parts["synthetic"] = accuracy("synthetic", "--synthetic", str(SYNTHETIC), "--seed", str(seed))
-    parts["motion"] = accuracy("motion", "--synthetic-motion", str(MOTION_WORLDS), "--seed", str(seed))
-    parts["intervals"] = ["bench", "intervals", "--worlds", str(JOINT_WORLDS), "--seed", str(seed)]
-    if captures:
-        starts = ["--starts", str(ALIGNMENT_STARTS), "--seed", str(seed)]
-        parts["alignment"] = ["bench", "alignment", *(str(path) for path in captures), *starts]
-    parts["splatting"] = ["bench", "splatting"]
-    written = {name: [*part, "--json", str(folder / f"{name}.json")] for name, part in parts.items()}
-    return written | {"demo": ["demo", str(folder / "demo")]}
+def _commands(folder: Path, captures: Sequence[Path], seed: int) -> dict[str, list[str]]:
+    """Arguments of each part's command, by name; a capture's name is `capture-` and its folder's."""
+    seeded = ["--seed", str(seed)]
+
+    def out(name: str) -> list[str]:
+        return ["--out", str(folder / name)]
+
+    commands = {}
+    for path in captures:
+        name = f"capture-{path.resolve().name}"
+        commands[name] = ["accuracy", str(path.resolve()), *out(name)]
+    synthetic = ["accuracy", "--synthetic", str(SYNTHETIC), *seeded, *out("synthetic")]
+    motion = ["accuracy", "--synthetic-motion", str(MOTION_WORLDS), *seeded, *out("motion")]
+    rooms = [word for room in list(ROOMS)[:ROOM_COUNT] for word in ("--room", room)]
+    traced = [str(folder / "replace"), *rooms] if blender_python().is_file() else []
+    return commands | {
+        "synthetic": synthetic,
+        "motion": motion,
+        "intervals": ["intervals", "--worlds", str(JOINT_WORLDS), *seeded],
+        "replace": ["replace", *traced, *seeded],
+        "generate": ["generate", "--episodes", str(EPISODES), *out("generate")],
+        "replay": ["replay", "--attempts", str(ATTEMPTS), *seeded, *out("replay")],
+        "splatting": ["splatting"],
+    }
 
 
 def flatten(name: str, value: Any) -> Iterator[tuple[str, float]]:
@@ -91,18 +112,8 @@ def flatten(name: str, value: Any) -> Iterator[tuple[str, float]]:
         yield name, float(value)
     elif isinstance(value, dict):
         for key, item in value.items():
-            if key not in ROWS:
+            if key not in DETAILS or isinstance(item, int | float):
                 yield from flatten(f"{name}.{key}", item)
     elif isinstance(value, list):
         for number, item in enumerate(value):
             yield from flatten(f"{name}.{number}", item)
-
-
-def differences(before: dict[str, float], after: dict[str, float]) -> list[dict[str, Any]]:
-    """Rows of all figures that differ by more than 2 %, or that only one side has."""
-    rows = []
-    for name in sorted(before.keys() | after.keys()):
-        old, new = before.get(name), after.get(name)
-        if old is None or new is None or abs(new - old) > SAME_SHARE * max(abs(old), abs(new)):
-            rows.append({"figure": name, "before": old, "after": new})
-    return rows

@@ -59,7 +59,3 @@ def draw_asset(asset: ArticulatedAsset) -> NDArray[np.uint8]:
         renderer.scene.flags[mujoco.mjtRndFlag.mjRND_CULL_FACE] = False
         renderer.update_scene(data, camera, options)
         return renderer.render()
-
-
-if __name__ == "__main__":
-    draw_styles(Path("docs/styles.jpg"))

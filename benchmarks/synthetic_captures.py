@@ -1,4 +1,4 @@
-"""`aomgen bench accuracy --synthetic N`: captures that nobody looked at, end to end, in one table."""
+"""`python -m benchmarks accuracy --synthetic N`: captures that nobody looked at, end to end, in one table."""
 
 import json
 import tempfile
@@ -12,12 +12,12 @@ from aomgen.assets.choice import MAKERS
 from aomgen.errors import ConfigError, EstimationError
 from aomgen.io.artifact import read_json
 from aomgen.io.atomic import write_json
-from aomgen.synthetic.scene_recording import Conditions
-from aomgen.synthetic.world import make_capture
 from benchmarks.bars import BARS
-from benchmarks.command import run_accuracy
+from benchmarks.capture_accuracy import run_accuracy
 from benchmarks.harsh_capture import degrade_capture
 from benchmarks.table import as_table
+from synthetic.scene_recording import Conditions
+from synthetic.world import make_capture
 
 # Seeds below are for looking at while working on the methods; a score wants unseen ones.
 FIRST_SEED: Final = 1000

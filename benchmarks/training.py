@@ -1,4 +1,4 @@
-"""`aomgen bench training`: how well held-out views are reproduced, over the seconds of training."""
+"""`python -m benchmarks training`: how well held-out views are reproduced, over the seconds of training."""
 
 import tempfile
 import time

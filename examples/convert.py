@@ -8,10 +8,9 @@ import argparse
 from pathlib import Path
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
-from aomgen.core.gaussians import Gaussians
-from aomgen.core.transforms import matrix_from_rotvec, transform
-from aomgen.io import gaussian_files, usd
+from aomgen.splatting import Gaussians, read_gaussians, write_gaussians
 
 # Rotations (axis times angle, in quarter turns) that bring an axis to z.
 QUARTER_TURNS = {
@@ -36,11 +35,8 @@ def main() -> None:
     parser.add_argument("--meters-per-unit", type=float, default=1.0, help="written into USD files")
     options = parser.parse_args()
 
-    gaussians = upright(gaussian_files.read_gaussians(options.source), options.up)
-    if options.target.suffix in (".usda", ".usdc"):
-        usd.write_gaussians(options.target, gaussians, meters_per_unit=options.meters_per_unit)
-    else:
-        gaussian_files.write_gaussians(options.target, gaussians)
+    gaussians = upright(read_gaussians(options.source), options.up)
+    write_gaussians(options.target, gaussians, meters_per_unit=options.meters_per_unit)
     size_mb = options.target.stat().st_size / 1e6
     print(f"{options.target}: {len(gaussians)} Gaussians, SH degree {gaussians.sh_degree}, {size_mb:.1f} MB")
 
@@ -49,8 +45,9 @@ def upright(gaussians: Gaussians, up: str) -> Gaussians:
     """Turned so that `up` becomes z; harmonics turn along."""
     if up == "z":
         return gaussians
-    rotvec = np.pi / 2 * np.array(QUARTER_TURNS[up], float)
-    return gaussians.transformed(transform(matrix_from_rotvec(rotvec), np.zeros(3)))
+    T = np.eye(4)
+    T[:3, :3] = Rotation.from_rotvec(np.pi / 2 * np.array(QUARTER_TURNS[up])).as_matrix()
+    return gaussians.transformed(T)
 
 
 if __name__ == "__main__":

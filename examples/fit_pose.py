@@ -10,12 +10,10 @@ from pathlib import Path
 
 import numpy as np
 import torch
+from scipy.spatial.transform import Rotation
 from torch import Tensor
 
-from aomgen.core.transforms import invert, matrix_from_rotvec, rotvec_from_matrix, transform
-from aomgen.io.gaussian_files import read_gaussians
-from aomgen.splatting.differentiable import CpuRasterizer, GaussianTensors, RasterOptions
-from aomgen.splatting.framing import content, framing_camera
+from aomgen.splatting import CpuRasterizer, GaussianTensors, RasterOptions, framing_camera, read_gaussians
 
 RATES = ((60, 1e-2), (60, 3e-3), (60, 1e-3))  # (steps, learning rate)
 
@@ -31,8 +29,7 @@ def main() -> None:
 
     gaussians = read_gaussians(options.file)
     camera = framing_camera(gaussians, tuple(options.size))
-    center, _ = content(gaussians)
-    distance = float(np.linalg.norm(camera.center - center))
+    distance = float(np.linalg.norm(camera.center - np.median(gaussians.means, axis=0)))
     scene = GaussianTensors(
         means=torch.tensor(gaussians.means),
         quats=torch.tensor(gaussians.quats),
@@ -43,8 +40,12 @@ def main() -> None:
     torch.set_num_threads(1)  # the rasterizer has its own threads
     draw, how = CpuRasterizer(), RasterOptions(sh_degree=gaussians.sh_degree)
     target = draw(scene, camera, how).rgb
-    turn = matrix_from_rotvec(np.radians(options.off_deg) * np.array([0.6, -0.64, 0.48]))
-    start = transform(turn, 0.03 * distance * np.array([1, -1, 1])) @ camera.T_cam_world
+    shift = np.eye(4)
+    shift[:3, :3] = Rotation.from_rotvec(
+        options.off_deg * np.array([0.6, -0.64, 0.48]), degrees=True
+    ).as_matrix()
+    shift[:3, 3] = 0.03 * distance * np.array([1, -1, 1])
+    start = shift @ camera.T_cam_world
     T_start = torch.tensor(start, dtype=torch.float32)
     twist = torch.zeros(6, requires_grad=True)  # [rad], and shares of the distance
     optimizer = torch.optim.Adam([twist])
@@ -57,9 +58,9 @@ def main() -> None:
             loss.backward()
             optimizer.step()
         found = motion(twist.detach(), distance).double().numpy() @ start
-        off = found @ invert(camera.T_cam_world)
-        off_deg = np.degrees(np.linalg.norm(rotvec_from_matrix(off[:3, :3])))
-        moved = np.linalg.norm(invert(found)[:3, 3] - camera.center) / distance
+        off = found @ camera.T_world_cam
+        off_deg = np.degrees(Rotation.from_matrix(off[:3, :3]).magnitude())
+        moved = np.linalg.norm(np.linalg.inv(found)[:3, 3] - camera.center) / distance
         print(
             f"picture error {loss.item():.5f}, rotation {off_deg:.3f} deg, position {moved:.3%} of the distance"
         )

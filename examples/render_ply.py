@@ -9,11 +9,9 @@ import time
 from pathlib import Path
 
 import numpy as np
+from PIL import Image
 
-from aomgen.io.gaussian_files import read_gaussians
-from aomgen.io.images import write_image
-from aomgen.splatting.framing import framing_camera
-from aomgen.splatting.rasterizer import render
+from aomgen.splatting import framing_camera, read_gaussians, render
 
 AXES = {
     f"{sign}{name}": (1 - 2 * (sign == "-")) * np.eye(3)[i]
@@ -44,15 +42,16 @@ def main() -> None:
             gaussians, tuple(options.size), up=AXES[options.up], angles_deg=angles, zoom=options.zoom
         )
 
+    options.out.mkdir(parents=True, exist_ok=True)
     start = time.perf_counter()
     drawn = render(gaussians, camera_at(0), background=(1, 1, 1))
     elapsed_ms = 1e3 * (time.perf_counter() - start)
     print(f"{len(gaussians)} Gaussians of SH degree {gaussians.sh_degree}, drawn in {elapsed_ms:.1f} ms")
-    write_image(options.out / "rgb.png", as_bytes(drawn.rgb))
-    write_image(options.out / "depth.png", as_bytes(brightness(drawn.depth)))
+    save(options.out / "rgb.png", drawn.rgb)
+    save(options.out / "depth.png", brightness(drawn.depth))
     for index in range(options.orbit):
         drawn = render(gaussians, camera_at(360 * index / options.orbit), background=(1, 1, 1))
-        write_image(options.out / f"orbit_{index:03d}.png", as_bytes(drawn.rgb))
+        save(options.out / f"orbit_{index:03d}.png", drawn.rgb)
 
 
 def brightness(depth: np.ndarray) -> np.ndarray:
@@ -64,8 +63,9 @@ def brightness(depth: np.ndarray) -> np.ndarray:
     return np.where(depth > 0, 1 - 0.9 * np.clip((depth - near) / max(far - near, 1e-9), 0, 1), 0)
 
 
-def as_bytes(image: np.ndarray) -> np.ndarray:
-    return np.round(255 * np.clip(image, 0, 1)).astype(np.uint8)
+def save(path: Path, image: np.ndarray) -> None:
+    """Write an image (H, W, 3) or (H, W) of values 0..1."""
+    Image.fromarray(np.round(255 * np.clip(image, 0, 1)).astype(np.uint8)).save(path)
 
 
 if __name__ == "__main__":

@@ -5,7 +5,7 @@
 #   .venv-lerobot-v21   lerobot 0.3.3, which reads format v2.1; torch and the rest are those of .venv-policy
 #   .venv-tfds          TensorFlow Datasets, as OpenVLA reads with
 #   .venv-robomimic     robomimic; torch and h5py are those of .venv
-#   .venv-blender       Blender as a Python package, run as a program of its own: traces the rooms of `aomgen bench replace`
+#   .venv-blender       Blender as a Python package, run as a program of its own: traces the rooms of `python -m benchmarks replace`
 set -eu
 cd "$(dirname "$0")/.."
 python="${PYTHON:-python3}"

@@ -2,8 +2,8 @@
 
 Each is loaded as guessed and as its description in `examples/robots` says. Run as
 `python tests/robots_check.py FOLDER`, where FOLDER holds the wheels of gymnasium-robotics and gym-xarm;
-`make robots-test` fetches them. With a second argument, a synthetic capture recorded with the Panda is
-written there, for `aomgen bench accuracy`.
+`make robots-test` fetches them. `python -m synthetic CAPTURE --robot FOLDER/.../robot_alone.xml` then records a
+capture with the Panda.
 """
 
 import shutil
@@ -18,7 +18,6 @@ from aomgen.core.transforms import apply, invert
 from aomgen.robots.description import FILE_NAME
 from aomgen.robots.loading import load_robot
 from aomgen.robots.robot import RobotModel
-from aomgen.synthetic.world import make_capture
 
 PANDA = """<mujoco model="panda">
   <include file="franka_assets/assets.xml"/>
@@ -80,8 +79,6 @@ def main() -> None:
         check(name, load_robot(path))
         shutil.copy(DESCRIPTIONS / f"{name}.toml", described)
         check(name, load_robot(path))
-    if len(sys.argv) > 2:
-        make_capture(Path(sys.argv[2]), category="microwave", seed=1, robot_file=files["panda"])
     sys.stdout.write(f"{', '.join(files)}: arm, fingers, pads and servos as their makers have them\n")
 
 

@@ -2,7 +2,25 @@
 
 A sentence says where, what (value against limit) and what to do:
 `demo/joints.csv, row 12: 'elbow_joint' is nan; re-export the log`.
+Errors that a program may want to handle carry the values of that sentence as attributes.
 """
+
+import difflib
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
+
+# Names that a sentence lists; more of them hide what it says.
+MAX_LISTED = 20
+
+
+def suggest(word: str, known: Iterable[str]) -> str:
+    """Return a question that names the closest known word, or else the list of all known words."""
+    words = list(known)
+    near = difflib.get_close_matches(word, words, 1)
+    if near:
+        return f"did you mean '{near[0]}'?"
+    more = f" and {len(words) - MAX_LISTED} more" if len(words) > MAX_LISTED else ""
+    return f"known: {', '.join(words[:MAX_LISTED])}{more}"
 
 
 class AomgenError(Exception):
@@ -22,15 +40,76 @@ class AomgenError(Exception):
         self.remedy = remedy
         super().__init__(f"{where}: {problem}" + (f"; {remedy}" if remedy else ""))
 
-    def __reduce__(self) -> tuple[type["AomgenError"], tuple[str, str, str]]:
-        """Errors of worker processes arrive as they were raised."""
-        return type(self), (self.where, self.problem, self.remedy)
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Errors of worker processes arrive as they were raised, with all their attributes."""
+        return restore_error, (type(self).__name__, self.args, self.__dict__)
+
+
+def restore_error(kind: str, args: Sequence[Any], values: Mapping[str, Any]) -> AomgenError:
+    """Build an error of another process again.
+
+    Args:
+        kind: Name of its class.
+        args, values: Its `args` and `__dict__`.
+    """
+    found: type[AomgenError] = globals()[kind]
+    error = found.__new__(found, *args)
+    error.__dict__.update(values)
+    return error
 
 
 class ConfigError(AomgenError):
     """An option or a project setting is wrong."""
 
     exit_code = 2
+
+
+class UnknownNameError(ConfigError):
+    """A name is not one of those that are known.
+
+    Args:
+        where: Option or argument that holds the name.
+        name: The unknown name.
+        known: All names that are accepted there.
+    """
+
+    def __init__(self, where: object, name: str, known: Iterable[str]) -> None:
+        self.name, self.known = name, tuple(known)
+        super().__init__(where, f"'{name}' is unknown", suggest(name, self.known))
+
+
+class ShapeError(ConfigError, ValueError):
+    """An array has another shape than is wanted.
+
+    Args:
+        where: Name of the argument.
+        shape: Shape of the array that was given.
+        wanted: Description of the accepted shape, for example "(N, 4, 4)".
+    """
+
+    def __init__(self, where: object, shape: tuple[int, ...], wanted: str) -> None:
+        self.shape, self.wanted = tuple(shape), wanted
+        super().__init__(where, f"has shape {self.shape}", f"want {wanted}")
+
+
+class PoseError(ConfigError):
+    """A matrix is not a rotation with a translation.
+
+    Args:
+        where: Name of the argument.
+        index: Number of the first such matrix.
+        determinant: Determinant of its upper left 3 x 3 block; 1 for a rotation.
+        deviation: Largest difference between R R^T and the identity.
+    """
+
+    def __init__(self, where: object, index: int, determinant: float, deviation: float) -> None:
+        self.index, self.determinant, self.deviation = index, determinant, deviation
+        super().__init__(
+            where,
+            f"matrix {index} is not a rigid pose (determinant {determinant:.4f}, R R^T differs from the identity by "
+            f"{deviation:.2g})",
+            "give a rotation matrix, a translation [m], and 0, 0, 0, 1 in the last row",
+        )
 
 
 class InputError(AomgenError):
@@ -76,12 +155,17 @@ class AssetError(InputError):
 
 
 class SeveralJointsError(AssetError):
-    """A file has several joints, and none is named."""
+    """A file has several joints, and none is named.
 
-    @property
-    def joints(self) -> list[str]:
-        """Their names, as the sentence lists them."""
-        return self.problem.partition(": ")[2].split(", ")
+    Args:
+        where: The file.
+        joints: Names of its joints.
+        remedy: How one of them is named.
+    """
+
+    def __init__(self, where: object, joints: Iterable[str], remedy: str) -> None:
+        self.joints = list(joints)
+        super().__init__(where, f"has {len(self.joints)} joints: {', '.join(self.joints)}", remedy)
 
 
 class BackendError(AomgenError):
@@ -140,6 +224,25 @@ class StorageError(AomgenError):
 
 class CorruptArtifactError(StorageError):
     """A stored result does not match its digest."""
+
+
+class OutdatedRunError(StorageError):
+    """A result was made by another version of AOMGen.
+
+    Args:
+        run: Folder of the run.
+        stage: Name of the stage that made the result.
+        made: Version of the stage that made it.
+        current: Version of the stage in this installation.
+    """
+
+    def __init__(self, run: object, stage: str, made: int, current: int) -> None:
+        self.run, self.stage, self.made, self.current = str(run), stage, made, current
+        super().__init__(
+            run,
+            f"holds a result of version {made} of stage '{stage}', and this is version {current}",
+            f"bring it up to date with `aomgen run {run}`",
+        )
 
 
 class LockedError(StorageError):

@@ -19,6 +19,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from multiprocessing.connection import Connection, wait
 from multiprocessing.process import BaseProcess
+from types import ModuleType
 from typing import Any, Final, Protocol, Self
 
 from aomgen.errors import BackendError
@@ -71,7 +72,7 @@ class _Worker:
         context = multiprocessing.get_context("spawn")
         self.connection, theirs = context.Pipe()
         self.process: BaseProcess = context.Process(target=_serve, args=(opener, theirs), daemon=True)
-        with _environment(ONE_THREAD):
+        with _environment(ONE_THREAD), _without_script():
             self.process.start()
         theirs.close()
         self.unit: Any = None
@@ -283,6 +284,21 @@ def _end_with_parent() -> None:
     if parent is not None:
         wait([parent.sentinel])
         os._exit(1)
+
+
+@contextmanager
+def _without_script() -> Iterator[None]:
+    """Hide the caller's script from processes that are started in the block.
+
+    A spawned process runs the script of its parent again, which would begin the same work in a script without
+    `if __name__ == "__main__"`. Workers need nothing of it: openers are pickled by the names of modules.
+    """
+    script = sys.modules["__main__"]
+    sys.modules["__main__"] = ModuleType("__main__")
+    try:
+        yield
+    finally:
+        sys.modules["__main__"] = script
 
 
 @contextmanager

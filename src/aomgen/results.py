@@ -20,7 +20,7 @@ from aomgen.core.motion import MotionEstimate
 from aomgen.core.parts import Parts
 from aomgen.core.plan import FittedAsset
 from aomgen.core.project import Project
-from aomgen.core.recording import Capture, JointLog
+from aomgen.core.recording import JointLog, Recording
 from aomgen.core.structure import Structure
 from aomgen.io.artifact import load_artifact
 from aomgen.io.ply import read_gaussians
@@ -63,7 +63,7 @@ class Results:
     # The capture.
 
     @cached_property
-    def recorded(self) -> Capture:
+    def recorded(self) -> Recording:
         """The capture as it was recorded."""
         return read_capture(self.project.capture)
 
@@ -90,7 +90,7 @@ class Results:
         return load_artifact(self.folders["structure"], "structure", Structure)
 
     @cached_property
-    def pinhole_capture(self) -> Capture:
+    def pinhole_capture(self) -> Recording:
         """The capture as stills and videos of pinhole cameras; an ordinary capture stays as it is."""
         found, folder = self.structure, self.folders["structure"]
         cameras = tuple(
@@ -131,7 +131,7 @@ class Results:
         return load_artifact(self.folders["alignment"], "alignment", Alignment)
 
     @cached_property
-    def capture(self) -> Capture:
+    def capture(self) -> Recording:
         """The capture as stages after alignment see it: joints of log and scan are the robot's own."""
         capture, zeros_rad = self.pinhole_capture, self.alignment.joint_zeros_rad
         log, robot = capture.joint_log, capture.robot
@@ -141,7 +141,7 @@ class Results:
             robot=replace(robot, scan_joints=robot.scan_joints + zeros_rad),
         )
 
-    def configuration_in(self, capture: Capture) -> RobotConfiguration:
+    def configuration_in(self, capture: Recording) -> RobotConfiguration:
         """The robot as it stood during the scan of a capture."""
         return RobotConfiguration(
             robot=self.robot, joints=capture.robot.scan_joints, gripper=capture.robot.scan_gripper

@@ -1,6 +1,6 @@
 """What is done to a run that makes episodes costs nothing that was told to be done, and changes no byte.
 
-A few of the points of `aomgen bench faults`, which prints the figures of all.
+A few of the points of `python -m benchmarks faults`, which prints the figures of all.
 """
 
 import importlib.util
@@ -14,10 +14,10 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks.fault_trees import AFTER, read_tree
-from benchmarks.fault_workers import ray_deaths, worker_deaths
-from benchmarks.faults import disk_full, kills, prepare
-from benchmarks.replay_runs import start_workers
+from fault_run import start_workers
+from fault_trees import AFTER, read_tree
+from fault_workers import ray_deaths, worker_deaths
+from faults import disk_full, kills, prepare
 
 pytestmark = pytest.mark.slow
 
@@ -47,9 +47,11 @@ def test_neither_folder_locale_nor_time_zone_change_a_byte_and_none_is_told(runs
     for name, value in (("LC_ALL", "de_DE.UTF-8"), ("TZ", "Asia/Tokyo")):
         monkeypatch.setenv(name, value)
     out = scratch / "mein Ördner 日本"
-    command = "import sys; from pathlib import Path; from benchmarks.fault_run import make_here; "
+    command = "import sys; from pathlib import Path; from fault_run import make_here; "
     command += f"make_here(Path({str(out)!r}), {AFTER!r}, 0)"
-    subprocess.run([sys.executable, "-c", command], cwd=Path(__file__).parents[2], check=True, timeout=300)
+    subprocess.run(
+        [sys.executable, "-c", command], cwd=Path(__file__).parents[1] / "helpers", check=True, timeout=300
+    )
     made = read_tree(out)
     assert made == read_tree(scratch / AFTER)
     texts = {name: data.decode() for name, data in made.items() if name.endswith((".json", ".usda"))}

@@ -12,7 +12,7 @@ from aomgen.capture.capture_check import check_capture
 from aomgen.capture.joint_log import read_joint_log
 from aomgen.capture.log_table import SEPARATORS
 from aomgen.capture.read import read_capture
-from aomgen.core.recording import Capture, JointLog
+from aomgen.core.recording import JointLog, Recording
 from aomgen.errors import AomgenError
 from aomgen.io.images import read_image
 from aomgen.io.video import read_video
@@ -50,7 +50,7 @@ def test_a_dialect_is_accepted_or_named(sound, tmp_path, name):
     assert_same(read_capture(sound), capture, dialect)
 
 
-def assert_same(sound: Capture, capture: Capture, dialect) -> None:
+def assert_same(sound: Recording, capture: Recording, dialect) -> None:
     if dialect.log:
         assert_same_log(sound.joint_log, capture.joint_log)
     if dialect.video:

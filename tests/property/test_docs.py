@@ -12,7 +12,7 @@ NAMED = re.compile(r"`([\w./-]+\.py)`")
 
 def exists(name: str, document: Path) -> bool:
     """A path from the repository, the package, or the end of one: `panel.py`, `parts/panel.py`."""
-    roots = (PACKAGE, REPOSITORY / "benchmarks", REPOSITORY / "tests", REPOSITORY / "examples")
+    roots = (PACKAGE, *(REPOSITORY / name for name in ("benchmarks", "synthetic", "tests", "examples")))
     found = any(
         path.as_posix().endswith("/" + name) for root in roots for path in root.rglob(Path(name).name)
     )

@@ -23,7 +23,6 @@ from aomgen.robots.robot import RobotModel
 from aomgen.splatting.surfels import Surfels, surfels_of
 from aomgen.twin.binding import bind
 from aomgen.twin.twin import Twin, TwinState
-from benchmarks.other_objects import make_object
 from broken_captures import write_small
 from diffuse_shading import shaded_srgb
 from small_robot import urdf_text
@@ -86,7 +85,7 @@ def robot_gaussians(robot: RobotModel, Ts: np.ndarray, light: Light, rng) -> tup
 @pytest.fixture(scope="session")
 def made() -> Callable[[str, int], ArticulatedAsset]:
     """Makes the asset of a category and seed, once; everything in it is frozen."""
-    return cache(make_object)
+    return cache(make_asset)
 
 
 @pytest.fixture(scope="session")

@@ -14,8 +14,7 @@ from aomgen.assets.procedural.lidded import make_laptop, make_toolbox
 from aomgen.assets.procedural.microwave import make_microwave
 from aomgen.assets.usd_read import SUFFIXES, read_usd
 from aomgen.core.asset import ArticulatedAsset
-from aomgen.errors import AssetError, ConfigError
-from aomgen.io.schema import suggest
+from aomgen.errors import AssetError, ConfigError, suggest
 
 Maker = Callable[[np.random.Generator], ArticulatedAsset]
 StyledMaker = Callable[[np.random.Generator, Mapping[str, Any]], ArticulatedAsset]

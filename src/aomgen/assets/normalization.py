@@ -40,12 +40,11 @@ def choose_joint(joints: Mapping[str, T], name: str, path: Path) -> T:
     found = [item for known, item in joints.items() if not name or name in (known, known.rpartition("/")[2])]
     if len(found) == 1:
         return found[0]
-    listed = ", ".join(joints) or "none"
-    if not joints or not name:
-        problem = f"has {len(joints)} revolute or prismatic joints, want 1: {listed}"
-        kind = SeveralJointsError if joints else AssetError
-        raise kind(path, problem, "name the one that opens: FILE#JOINT, or --joint when it is imported")
-    raise AssetError(path, f"has no single joint '{name}'", f"choose one of: {listed}")
+    if not joints:
+        raise AssetError(path, "has no revolute or prismatic joint", "add one, or choose another model")
+    if not name:
+        raise SeveralJointsError(path, joints, "name the one that opens: FILE#JOINT, or --joint in an import")
+    raise AssetError(path, f"has no single joint '{name}'", f"choose one of: {', '.join(joints)}")
 
 
 def finish_link(link: AssetLink, path: Path) -> AssetLink:

@@ -13,10 +13,15 @@ import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 
-import aomgen
 from aomgen import errors
 from aomgen.core.asset import ArticulatedAsset
-from aomgen.errors import AomgenError, LimitExceededError, MalformedFileError, MissingFileError
+from aomgen.errors import (
+    AomgenError,
+    LimitExceededError,
+    MalformedFileError,
+    MissingFileError,
+    restore_error,
+)
 from aomgen.io.artifact import load_artifact, save_artifact
 
 # Largest USD file read, and address space of the child, [bytes]: far above usual assets, and room to read it.
@@ -63,7 +68,7 @@ def read_usd(
 
 
 def _run_child(arguments: list[str], path: Path, timeout_s: float) -> None:
-    package_parent = str(Path(aomgen.__file__).resolve().parent.parent)
+    package_parent = str(Path(errors.__file__).resolve().parent.parent)
     search = os.pathsep.join(filter(None, [package_parent, os.environ.get("PYTHONPATH", "")]))
     command = [sys.executable, "-m", "aomgen.assets.usd_read", *arguments]
     env = {**os.environ, "PYTHONPATH": search}
@@ -84,9 +89,8 @@ def _error_of(message: str, path: Path) -> AomgenError:
     """The error that the child put on the last line of its standard error."""
     try:
         values = json.loads(message.strip().splitlines()[-1])
-        kind = getattr(errors, values["error"])
-        return kind(values["where"], values["problem"], values["remedy"])
-    except (ValueError, IndexError, KeyError, AttributeError):
+        return restore_error(values["error"], values["args"], values["values"])
+    except (ValueError, IndexError, KeyError):
         return MalformedFileError(path, "cannot be parsed as USD", "open and export the asset again")
 
 
@@ -103,8 +107,8 @@ def parse_as_child(arguments: list[str]) -> int:
         asset = parse_usd(Path(arguments[0]), arguments[2], **json.loads(arguments[3]))
         save_artifact(Path(arguments[1]), ARTIFACT, asset)
     except AomgenError as error:
-        answer = {"error": type(error).__name__, "where": error.where, "problem": error.problem}
-        sys.stderr.write(json.dumps({**answer, "remedy": error.remedy}) + "\n")
+        answer = {"error": type(error).__name__, "args": error.args, "values": vars(error)}
+        sys.stderr.write(json.dumps(answer) + "\n")
         return REFUSED
     return 0
 

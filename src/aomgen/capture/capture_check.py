@@ -10,7 +10,7 @@ from aomgen.capture.joint_log import check_log
 from aomgen.capture.label_images import check_masks, read_demo_masks
 from aomgen.capture.prompts import prompt_warnings
 from aomgen.capture.scan_images import check_scan
-from aomgen.core.recording import Capture, JointLog
+from aomgen.core.recording import JointLog, Recording
 from aomgen.core.values import Array
 from aomgen.errors import UnitsError
 from aomgen.io.video import probe_video
@@ -41,7 +41,7 @@ class CheckedCapture:
     frames: dict[str, int]
     warnings: tuple[str, ...]
 
-    def summary(self, capture: Capture) -> str:
+    def summary(self, capture: Recording) -> str:
         """Lines about robot, scan, videos and log."""
         fingers = "two fingers" if self.robot.pads else "no fingers: it can be followed, but not verified"
         scan = f"video of {self.scan_count} frames" if capture.scan_video else f"{self.scan_count} images"
@@ -67,7 +67,7 @@ class CheckedCapture:
         return f"grip   {low:.2f} to {high:.2f} (0 open, 1 closed){fingers}"
 
 
-def check_capture(capture: Capture) -> CheckedCapture:
+def check_capture(capture: Recording) -> CheckedCapture:
     """Check everything that can be known of a capture before work starts.
 
     Raises:
@@ -97,7 +97,7 @@ def check_capture(capture: Capture) -> CheckedCapture:
     )
 
 
-def _guessed_robot(capture: Capture) -> list[str]:
+def _guessed_robot(capture: Recording) -> list[str]:
     """A warning where no robot.toml says what the parts of the capture's robot are for."""
     file = capture.robot.model_file
     if file is None or find_description(file) is not None:
@@ -109,7 +109,7 @@ def _guessed_robot(capture: Capture) -> list[str]:
     ]
 
 
-def check_robot(capture: Capture) -> RobotModel:
+def check_robot(capture: Recording) -> RobotModel:
     """Load the capture's robot and check that it is the log's.
 
     Raises:
@@ -140,14 +140,14 @@ def check_robot(capture: Capture) -> RobotModel:
     return robot
 
 
-def _beyond_limits(capture: Capture, robot: RobotModel) -> Array:
+def _beyond_limits(capture: Recording, robot: RobotModel) -> Array:
     """Distances (J,) by which the joints of the log exceed their limits, [rad] or [m]; negative within them."""
     low, high = robot.joint_limits.T
     joints = capture.joint_log.joints
     return np.maximum(low - joints.min(0), joints.max(0) - high)
 
 
-def _log_beyond_limits(capture: Capture, robot: RobotModel) -> list[str]:
+def _log_beyond_limits(capture: Recording, robot: RobotModel) -> list[str]:
     beyond = _beyond_limits(capture, robot)
     return [
         f"{capture.joint_log_file}: '{name}' passes the limits of {robot.name} by {passed:.2f}"

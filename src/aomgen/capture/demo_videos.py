@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from aomgen.capture.read import check_intrinsics
 from aomgen.core.lens import undistorter
-from aomgen.core.recording import Capture, DemoCamera
+from aomgen.core.recording import DemoCamera, Recording
 from aomgen.core.values import Array
 from aomgen.errors import IncompleteCaptureError, LimitExceededError
 from aomgen.io.images import resize
@@ -30,7 +30,7 @@ FRAMES, WIDTH = 16, 320
 STILL_PX = 1
 
 
-def read_demo_videos(capture: Capture) -> dict[str, Video]:
+def read_demo_videos(capture: Recording) -> dict[str, Video]:
     """Decode the video of every demonstration camera and check it against log and intrinsics.
 
     Returns:
@@ -43,7 +43,7 @@ def read_demo_videos(capture: Capture) -> dict[str, Video]:
     return {camera.name: _read(capture, camera) for camera in capture.cameras}
 
 
-def _read(capture: Capture, camera: DemoCamera) -> Video:
+def _read(capture: Recording, camera: DemoCamera) -> Video:
     _check_memory(camera.video)
     video = read_video(camera.video)
     count, height, width = video.frames_srgb.shape[:3]

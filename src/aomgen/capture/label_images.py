@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from aomgen.conventions import MOVING, PART_LABELS, STATIC
 from aomgen.core.lens import undistort_labels
-from aomgen.core.recording import Capture, DemoCamera, frame_name
+from aomgen.core.recording import DemoCamera, Recording, frame_name
 from aomgen.errors import IncompleteCaptureError, MalformedFileError, MissingFileError
 from aomgen.io.images import read_labels
 
@@ -15,13 +15,13 @@ from aomgen.io.images import read_labels
 FOLDER = Path("demo") / "masks"
 
 
-def demo_mask_files(capture: Capture, camera: DemoCamera) -> list[Path]:
+def demo_mask_files(capture: Recording, camera: DemoCamera) -> list[Path]:
     """`demo/masks/<camera>/*.png`, one a frame in the order of names; none when nobody made any."""
     return sorted((capture.folder / FOLDER / camera.name).glob("*.png"))
 
 
 def read_demo_masks(
-    capture: Capture, camera: DemoCamera, shape: tuple[int, int, int]
+    capture: Recording, camera: DemoCamera, shape: tuple[int, int, int]
 ) -> NDArray[np.uint8] | None:
     """Labels (T, H, W) of every frame as `read_demo_videos` gives them, undistorted; None without any.
 
@@ -51,7 +51,7 @@ def read_demo_masks(
     return labels
 
 
-def check_masks(capture: Capture) -> list[str]:
+def check_masks(capture: Recording) -> list[str]:
     """Read every label image of the scan; warnings.
 
     Raises:
@@ -74,7 +74,7 @@ def check_masks(capture: Capture) -> list[str]:
     ]
 
 
-def _check_names(capture: Capture, folder: Path, files: list[Path]) -> None:
+def _check_names(capture: Recording, folder: Path, files: list[Path]) -> None:
     stems = {path.stem for path in capture.scan_images}
     names = f"{min(stems)}.png" if stems else Path(frame_name(0)).name
     known = [path for path in files if path.stem in stems or capture.scan_video is not None]
@@ -86,7 +86,7 @@ def _check_names(capture: Capture, folder: Path, files: list[Path]) -> None:
         )
 
 
-def _check_labels(capture: Capture, folder: Path, files: list[Path]) -> None:
+def _check_labels(capture: Recording, folder: Path, files: list[Path]) -> None:
     found: set[int] = set()
     for path in files:
         labels = read_labels(path)

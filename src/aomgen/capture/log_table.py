@@ -17,8 +17,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
-from aomgen.errors import LimitExceededError, MalformedFileError, MissingFileError
-from aomgen.io.schema import suggest
+from aomgen.errors import LimitExceededError, MalformedFileError, MissingFileError, suggest
 
 # Half an hour at 1 kHz, far above any demonstration.
 MAX_ROWS: Final = 2_000_000

@@ -15,7 +15,7 @@ from aomgen.capture.joint_log import REST_S, read_joint_log
 from aomgen.capture.prompts import read_prompts
 from aomgen.capture.scan_images import common_size, find_images
 from aomgen.core.lens import Lens
-from aomgen.core.recording import Capture, DemoCamera, Intrinsics, JointLog, RobotChoice, frame_name
+from aomgen.core.recording import DemoCamera, Intrinsics, JointLog, Recording, RobotChoice, frame_name
 from aomgen.core.values import Array
 from aomgen.errors import (
     CalibrationError,
@@ -38,7 +38,7 @@ MAX_PRINCIPAL_SHIFT = 0.2
 MIN_TURNED_SHARE = 0.3
 
 
-def read_capture(folder: Path) -> Capture:
+def read_capture(folder: Path) -> Recording:
     """Read and check one capture folder; what has to be decoded is left to `capture_check.check_capture`.
 
     Raises:
@@ -61,7 +61,7 @@ def read_capture(folder: Path) -> Capture:
         check_intrinsics(scan_intrinsics, size, f"{path}: scan.intrinsics")
     # A hidden folder is one that is still being written.
     mask_folders = {item.name: item for item in sorted((folder / "masks").glob("[!.]*")) if item.is_dir()}
-    return Capture(
+    return Recording(
         folder=folder,
         name=manifest.name,
         category=manifest.category,

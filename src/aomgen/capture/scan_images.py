@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from aomgen.core.recording import Capture, frame_name
+from aomgen.core.recording import Recording, frame_name
 from aomgen.errors import CalibrationError, IncompleteCaptureError, MalformedFileError
 from aomgen.io.images import exif_orientation, image_size, open_image, to_eight_bits
 from aomgen.io.video import decode_frames, probe_video
@@ -117,7 +117,7 @@ def _turned(images: Sequence[Path]) -> str:
     return f"; EXIF turns {len(turned)} of {len(images)} images ({_some(turned)})" if turned else ""
 
 
-def check_scan(capture: Capture) -> tuple[int, list[str]]:
+def check_scan(capture: Recording) -> tuple[int, list[str]]:
     """Decode the whole scan.
 
     Returns:

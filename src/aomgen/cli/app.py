@@ -7,26 +7,16 @@ from typing import Annotated
 
 import typer
 
-from aomgen import __version__
 from aomgen.cli.asset_commands import assets_app
-from aomgen.cli.bench import bench_app
-from aomgen.cli.bench_generated import generated_app
 from aomgen.cli.dataset_commands import RunFolder, audit, export
 from aomgen.cli.evaluate_commands import evaluate_app
 from aomgen.cli.robot_draft import robot_app
-from aomgen.cli.run import find_project, report_bug, run_project, sample_capture, stop_at_signals
-from aomgen.errors import AomgenError, ConfigError, InputError
+from aomgen.cli.run import COMMAND_LINE, run_command, run_project, sample_capture
+from aomgen.errors import ConfigError
+from aomgen.version import __version__
 
-app = typer.Typer(
-    add_completion=False,
-    no_args_is_help=True,
-    pretty_exceptions_enable=False,
-    rich_markup_mode=None,
-    context_settings={"help_option_names": ["-h", "--help"]},
-)
+app = typer.Typer(**COMMAND_LINE)
 app.add_typer(assets_app, name="assets")
-bench_app.add_typer(generated_app)
-app.add_typer(bench_app, name="bench")
 app.add_typer(evaluate_app, name="evaluate")
 app.add_typer(robot_app, name="robot")
 app.command()(export)
@@ -34,18 +24,8 @@ app.command()(audit)
 
 
 def main() -> None:
-    """Entry point: runs a command; an `AomgenError` becomes one sentence and its exit code."""
-    sys.excepthook = report_bug
-    with stop_at_signals():
-        try:
-            # Not `app()`, which sets an excepthook of its own.
-            typer.main.get_command(app)()
-        except AomgenError as error:
-            print(f"error: {error}", file=sys.stderr)
-            sys.exit(error.exit_code)
-        except PermissionError as error:
-            print(f"error: {error.filename}: {error.strerror}; change who may use it", file=sys.stderr)
-            sys.exit(InputError.exit_code)
+    """Entry point of `aomgen`."""
+    run_command(app)
 
 
 def _print_version(wanted: bool) -> None:
@@ -180,6 +160,7 @@ def run(
     does not exist is answered with those that do. They are kept in the run's project.toml.
     """
     from aomgen.io.schema import merge, parse_setting
+    from aomgen.pipeline.stages import find_project
 
     found = find_project(project)
     params = found.params
@@ -202,6 +183,7 @@ def status(
 ) -> None:
     """List the stages of a run, what is done, and what has come of the episodes asked for."""
     from aomgen.cli.run import status_lines
+    from aomgen.pipeline.stages import find_project
 
     project = find_project(out)
     shown: list[str] = []
@@ -234,17 +216,19 @@ def render(
     """Draw the twin of a finished run from any camera, in any state."""
     from aomgen.io.artifact import read_json
     from aomgen.io.images import write_image
-    from aomgen.pipeline.rendering import draw_twin, find_camera, open_twin, parse_camera, parse_state
+    from aomgen.pipeline.rendering import find_camera, open_twin, parse_camera, parse_state, render_twin
+    from aomgen.pipeline.runner import results_of
+    from aomgen.pipeline.stages import STAGES, find_project
 
     project = find_project(out)
     twin, robot = open_twin(project.out)
     if camera.endswith(".json"):
         view = parse_camera(read_json(Path(camera)), Path(camera))
     else:
-        view = find_camera(project, camera)
+        view = find_camera(results_of(project, STAGES), camera)
     where = parse_state(read_json(state) if state else {}, twin, robot, state or Path("state"))
-    picture, parts = draw_twin(twin, robot, view, where)
-    write_image(image, picture)
+    image_srgb, _, parts = render_twin(twin, robot, view, where)
+    write_image(image, image_srgb)
     if labels:
         write_image(labels, parts)
 
@@ -252,6 +236,7 @@ def render(
 @app.command()
 def report(out: RunFolder) -> None:
     """Write report.html again from what a run has made."""
+    from aomgen.pipeline.stages import find_project
     from aomgen.report.page import write_report
 
     print(write_report(find_project(out).out))
@@ -268,25 +253,3 @@ def doctor() -> None:
         problems += bool(state)
     if problems:
         sys.exit(4)
-
-
-@app.command()
-def synthetic(
-    folder: Annotated[Path, typer.Argument(help="Capture folder to write; must not exist.")],
-    category: Annotated[
-        str, typer.Option(help="cabinet, drawer, laptop, microwave or toolbox.")
-    ] = "microwave",
-    seed: Annotated[int, typer.Option(min=0, help="Same seed, same capture.")] = 0,
-    robot: Annotated[Path | None, typer.Option(help="URDF or MJCF of another arm with a gripper.")] = None,
-    closing: Annotated[bool, typer.Option("--closing", help="The part is scanned open and closed.")] = False,
-    touch: Annotated[str, typer.Option(help="How the part is moved: pinch, hook or push.")] = "pinch",
-) -> None:
-    """Make a capture with ground truth in a virtual world: simulated physics, rendered pictures."""
-    from aomgen.core.progress import silent
-    from aomgen.synthetic.world import draw_capture_style, make_capture
-
-    if folder.exists():
-        raise ConfigError(folder, "exists already", "choose another folder")
-    style = draw_capture_style(category, seed, "closing" if closing else "opening", touch)
-    make_capture(folder, category=category, seed=seed, robot_file=robot, style=style, progress=silent)
-    print(folder)

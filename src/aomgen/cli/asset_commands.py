@@ -102,9 +102,8 @@ def _fit_to(run: Path | None) -> "Callable[[ArticulatedAsset], Finding] | None":
     """Function that reports whether an asset fits a run; None without a run."""
     if run is None:
         return None
-    from aomgen.cli.run import find_project
     from aomgen.pipeline.runner import results_of
-    from aomgen.pipeline.stages import STAGES
+    from aomgen.pipeline.stages import STAGES, find_project
     from aomgen.replacement.stage import examine_fit
 
     results = results_of(find_project(run), STAGES)

@@ -5,7 +5,6 @@ from typing import Annotated
 
 import typer
 
-from aomgen.cli.run import find_project
 from aomgen.errors import CorruptArtifactError, MissingFileError
 
 RunFolder = Annotated[Path, typer.Argument(help="Folder of a run, or its project file.")]
@@ -64,7 +63,7 @@ def audit(
 def _episodes(out: Path) -> list[Path]:
     """Folders of a run's committed episodes."""
     from aomgen.io.episode_folder import list_committed
-    from aomgen.pipeline.stages import STAGES
+    from aomgen.pipeline.stages import STAGES, find_project
 
     project = find_project(out)
     folder = project.out / next(stage.folder for stage in STAGES if stage.name == "episodes")

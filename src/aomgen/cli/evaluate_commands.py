@@ -7,7 +7,7 @@ from typing import Annotated, Any
 
 import typer
 
-from aomgen.errors import ConfigError
+from aomgen.errors import UnknownNameError
 
 DEFAULT_COMMAND = "policy"
 
@@ -85,10 +85,9 @@ def evaluate_policy(
     from aomgen.evaluation.suite import open_suite
     from aomgen.evaluation.views import VISUALS
     from aomgen.io.atomic import write_json
-    from aomgen.io.schema import suggest
 
     if visuals not in VISUALS:
-        raise ConfigError("--visuals", f"'{visuals}' is unknown", suggest(visuals, VISUALS))
+        raise UnknownNameError("--visuals", visuals, VISUALS)
     request = EvaluationRequest(
         policy=policy, action_space=_chosen_actions(actions) if actions else None, visuals=visuals
     )
@@ -115,12 +114,11 @@ def _table(figures: dict[str, Any]) -> str:
 
 def _chosen_actions(name: str):
     from aomgen.datasets.features import ACTION_SPACES
-    from aomgen.io.schema import suggest
 
     for space in ACTION_SPACES:
         if space == name:
             return space
-    raise ConfigError("--actions", f"'{name}' is unknown", suggest(name, ACTION_SPACES))
+    raise UnknownNameError("--actions", name, ACTION_SPACES)
 
 
 def _tell(share: float, text: str) -> None:

@@ -2,7 +2,6 @@
 
 import importlib.resources
 import os
-import shlex
 import shutil
 import signal
 import sys
@@ -11,12 +10,17 @@ import threading
 import traceback
 from collections.abc import Iterator
 from contextlib import contextmanager
-from datetime import datetime
 from pathlib import Path
 from types import TracebackType
+from typing import TYPE_CHECKING, Any, Final
 
-from aomgen import __version__
-from aomgen.errors import ConfigError, EstimationError, MissingFileError
+import typer
+
+from aomgen.errors import AomgenError, EstimationError, InputError
+from aomgen.version import __version__
+
+if TYPE_CHECKING:
+    from aomgen.core.project import Project
 
 # Name of the bundled recording, in `aomgen.samples`.
 SAMPLE = "microwave-a"
@@ -25,42 +29,52 @@ INTERRUPTED = "interrupted; run the same command again to continue\n"
 LEAVE_BAR = "\r\x1b[2K\x1b[?25h"
 # What BSD's sysexits.h calls an internal software error.
 EXIT_BUG = 70
+# Settings of every command line of the repository.
+COMMAND_LINE: Final[dict[str, Any]] = {
+    "add_completion": False,
+    "no_args_is_help": True,
+    "pretty_exceptions_enable": False,
+    "rich_markup_mode": None,
+    "context_settings": {"help_option_names": ["-h", "--help"]},
+}
 
 
-def run_project(project, *, until: str = "", **machine):
-    """Run the pipeline with a display and say where the results are; `machine` as in `run_pipeline`.
+def run_command(app: typer.Typer) -> None:
+    """Run the command that `sys.argv` names; an `AomgenError` becomes one sentence and its exit code.
 
     Raises:
-        ConfigError: The results would go where a file is.
-        AomgenError: Whatever a stage refuses.
+        SystemExit: Always, with the command's exit code.
     """
-    from aomgen.cli.display import display
-    from aomgen.motion.estimates_file import forget_refusal
-    from aomgen.pipeline.manifest import RunRecord, save_record
-    from aomgen.pipeline.stages import REPORT_FILE, run_pipeline
+    sys.excepthook = report_bug
+    with stop_at_signals():
+        try:
+            # Not `app()`, which sets an excepthook of its own.
+            typer.main.get_command(app)()
+        except AomgenError as error:
+            print(f"error: {error}", file=sys.stderr)
+            sys.exit(error.exit_code)
+        except PermissionError as error:
+            print(f"error: {error.filename}: {error.strerror}; change who may use it", file=sys.stderr)
+            sys.exit(InputError.exit_code)
 
-    if project.out.exists() and not project.out.is_dir():
-        raise ConfigError(project.out, "is a file, and results need a folder", "choose another name")
-    forget_refusal(project.out)
+
+def run_project(project: "Project", *, until: str = "", **machine: Any) -> None:
+    """Run the pipeline with a display and print where the results are; `machine` as in `Results`.
+
+    Raises:
+        AomgenError: See `bring_up_to_date`.
+    """
+    from aomgen.api.run import bring_up_to_date
+    from aomgen.motion.estimates_file import REFUSED_FILE
+
     try:
-        with display() as shown:
-            changed = run_pipeline(project, shown, until=until, **machine)
-    except EstimationError as error:
-        from aomgen.report.motion_section import write_refusal
-
-        page = write_refusal(project.out, str(error))
-        if page is not None:
+        bring_up_to_date(project, until=until, **machine)
+    except EstimationError:
+        page = project.out / REFUSED_FILE
+        if page.is_file():
             print(f"evidence {page}", file=sys.stderr)
         raise
-    if changed:
-        command = shlex.join(["aomgen", *sys.argv[1:]])
-        now = datetime.now().astimezone().isoformat(timespec="seconds")
-        save_record(project.out, RunRecord(command=command, version=__version__, finished=now))
     if not until:
-        if changed or not (project.out / REPORT_FILE).exists():
-            from aomgen.report.page import write_report
-
-            write_report(project.out)
         print(f"dataset  {project.out / 'dataset'}")
         print(f"report   {project.out / 'report.html'}")
 
@@ -70,7 +84,7 @@ def sample_capture() -> Path:
     return (Path(str(importlib.resources.files("aomgen.samples"))) / SAMPLE).resolve()
 
 
-def status_lines(project) -> tuple[list[str], bool]:
+def status_lines(project: "Project") -> tuple[list[str], bool]:
     """What `aomgen status` says of a run, and whether something is still to be made."""
     from aomgen.episodes.ledger import read_accounts
     from aomgen.pipeline.manifest import read_manifest
@@ -91,29 +105,6 @@ def status_lines(project) -> tuple[list[str], bool]:
                 + (f" ({account.why})" if account.why else "")
             )
     return lines, left
-
-
-def find_project(path: Path):
-    """The project that a path means: a project file, or the folder of a run, wherever that has been moved.
-
-    Raises:
-        MissingFileError: There is nothing of both.
-        ConfigError: The project file is not valid.
-    """
-    from aomgen.pipeline.project_file import read_project
-    from aomgen.pipeline.stages import PROJECT_FILE, STAGES
-
-    remedy = "give the folder of a run, or a project file"
-    if not path.exists():
-        raise MissingFileError(path, "is missing", remedy)
-    if not path.is_dir():
-        return read_project(path)
-    file = path / PROJECT_FILE
-    if not file.is_file():
-        raise MissingFileError(path, f"holds no {PROJECT_FILE}", remedy)
-    project = read_project(file)
-    has_results = any((path / stage.folder).is_dir() for stage in STAGES)
-    return project.model_copy(update={"out": path.resolve()}) if has_results else project
 
 
 @contextmanager

@@ -8,6 +8,7 @@ from numpy.typing import ArrayLike
 
 from aomgen.core.transforms import apply, invert, similarity_parts
 from aomgen.core.values import Array, Matrix4, freeze_arrays
+from aomgen.errors import ConfigError
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -19,6 +20,13 @@ class Camera:
         width, height: Image size, [px].
         T_world_cam: Pose (4, 4). "world" is the frame of whatever is drawn: before alignment
             it is the `recon` frame, and the variable that holds the camera says so.
+
+    Example:
+        >>> pose = ag.look_at(eye=(1, 0, 1), target=(0, 0, 0))
+        >>> camera = ag.Camera(fx=300, fy=300, cx=160, cy=120, width=320, height=240, T_world_cam=pose)
+        >>> pixels, depths = camera.project(np.zeros((1, 3)))
+        >>> pixels.round(3).tolist(), depths.round(3).tolist()
+        ([[160.0, 120.0]], [1.414])
     """
 
     fx: float
@@ -117,11 +125,29 @@ class CameraPath:
 
 
 def look_at(eye: ArrayLike, target: ArrayLike, up: ArrayLike = (0.0, 0.0, 1.0)) -> Array:
-    """Pose T_world_cam (4, 4) of a camera at `eye` looking at `target`, OpenCV axes."""
+    """Return the pose T_world_cam (4, 4) of a camera at `eye` that looks at `target`, OpenCV axes.
+
+    Args:
+        eye, target: Points (3,), [m].
+        up: Direction (3,) that points upwards in the image.
+
+    Raises:
+        ConfigError: `eye` and `target` are equal, or `up` is the viewing direction.
+
+    Example:
+        >>> ag.look_at(eye=(1, 0, 0), target=(0, 0, 0))[:3, 2].tolist()
+        [-1.0, 0.0, 0.0]
+    """
     eye, target = np.asarray(eye, np.float64), np.asarray(target, np.float64)
-    forward = (target - eye) / np.linalg.norm(target - eye)
+    distance = float(np.linalg.norm(target - eye))
+    if not distance > 0:
+        raise ConfigError("target", f"is the eye's position {eye.tolist()}", "choose another target")
+    forward = (target - eye) / distance
     right = np.cross(forward, np.asarray(up, np.float64))
-    right /= np.linalg.norm(right)
+    length = float(np.linalg.norm(right))
+    if not length > 0:
+        raise ConfigError("up", "is parallel to the viewing direction", "choose another direction")
+    right /= length
     T = np.eye(4)
     T[:3, :3] = np.stack([right, np.cross(forward, right), forward], 1)
     T[:3, 3] = eye

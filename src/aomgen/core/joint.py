@@ -23,6 +23,11 @@ class Joint:
         axis: Unit direction (3,).
         origin: A point on the axis (3,), [m]; for a prismatic joint any point of the part.
         lower, upper: Range of the joint value, [rad] or [m]; 0 is the closed (scanned) state.
+
+    Example:
+        >>> hinge = ag.Joint(type="revolute", axis=(0, 0, 1), origin=(1, 0, 0), lower=0, upper=1.5)
+        >>> hinge.motion(np.pi / 2)[:3, 3].round(3).tolist()
+        [1.0, -1.0, 0.0]
     """
 
     type: JointType

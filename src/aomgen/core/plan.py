@@ -29,6 +29,11 @@ class Rejection:
     detail: str = ""
     metrics: Mapping[str, float] = field(default_factory=dict)
 
+    @property
+    def passed(self) -> bool:
+        """False, as opposed to `Verdict.passed`."""
+        return False
+
 
 Adaptation = Literal["object", "trajectory"]
 
@@ -143,6 +148,10 @@ class Variation:
         light, material: What is seen otherwise.
         orbits: Of every camera that is moved.
         push_m: Largest way by which the hand is pushed off its plan on the way to the object, [m].
+
+    Example:
+        >>> ag.Variation(seed=0, index=0, x=0.1, y=0.0, yaw=0.5).scale
+        1.0
     """
 
     seed: int

@@ -145,7 +145,7 @@ class DemoCamera:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Capture:
+class Recording:
     """A validated capture, format 1.
 
     Attributes:

@@ -12,6 +12,8 @@ from typing import Annotated, Any, Union, get_args, get_origin
 import numpy as np
 from numpy.typing import NDArray
 
+from aomgen.errors import ShapeError
+
 Array = NDArray[np.float64]
 Vector3 = Annotated[Array, "3"]
 Matrix4 = Annotated[Array, "4 4"]
@@ -34,7 +36,7 @@ def freeze_arrays(value: Any) -> None:
     `__post_init__`.
 
     Raises:
-        ValueError: A shape differs; a programming error, so not an `AomgenError`.
+        ShapeError: A shape differs.
     """
     lengths: dict[str, int] = {}
     for name, dtype, wanted in _declared(type(value)):
@@ -47,7 +49,7 @@ def freeze_arrays(value: Any) -> None:
             object.__setattr__(value, name, array)
             shape = array.shape
         if not _fits(shape, wanted, lengths):
-            raise ValueError(f"{type(value).__name__}.{name} has shape {shape}, want ({' '.join(wanted)})")
+            raise ShapeError(f"{type(value).__name__}.{name}", shape, f"({' '.join(wanted)})")
 
 
 @cache

@@ -28,8 +28,7 @@ from aomgen.datasets.selection import (
     require_replaceable,
 )
 from aomgen.datasets.stored import StoredDataset
-from aomgen.errors import ConfigError, MalformedFileError, MissingFileError
-from aomgen.io.schema import suggest
+from aomgen.errors import ConfigError, MalformedFileError, MissingFileError, UnknownNameError
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -105,7 +104,7 @@ def export_dataset(
         raise ConfigError("--media", f"has no meaning for {kind}", "it is for LeRobot; leave it out")
     for option, word, words in (("--actions", actions, ActionSpace), ("--media", media, Media)):
         if word and word not in get_args(words):
-            raise ConfigError(option, f"'{word}' is unknown", suggest(word, get_args(words)))
+            raise UnknownNameError(option, word, get_args(words))
     default = default_val(len(episode_folders)) if known.needs_val else 0
     choices = Choices(
         actions=actions or known.actions,  # type: ignore[arg-type]
@@ -137,5 +136,5 @@ def find_format(folder: Path) -> DatasetFormat:
 
 def _format(kind: str) -> DatasetFormat:
     if kind not in FORMATS:
-        raise ConfigError("--format", f"'{kind}' is unknown", suggest(kind, FORMATS))
+        raise UnknownNameError("--format", kind, FORMATS)
     return FORMATS[kind]

@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 from aomgen.datasets.features import ACTION_SPACES
 from aomgen.datasets.robomimic import FILE, MASKS, unscale_actions
 from aomgen.datasets.stored import REMEDY, StoredDataset, StoredEpisode
-from aomgen.errors import MalformedFileError, MissingFileError
-from aomgen.io.schema import suggest
+from aomgen.errors import MalformedFileError, MissingFileError, suggest
 
 IMAGE: Final = "_image"
 

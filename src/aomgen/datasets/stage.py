@@ -8,9 +8,8 @@ from aomgen.core.progress import Progress
 from aomgen.datasets.features import ACTION_SPACES, ActionSpace
 from aomgen.datasets.lerobot_v3 import write_lerobot_v3
 from aomgen.datasets.selection import Choices
-from aomgen.errors import ConfigError
+from aomgen.errors import ConfigError, suggest
 from aomgen.io.episode_folder import list_committed
-from aomgen.io.schema import suggest
 from aomgen.results import Results
 
 

@@ -165,11 +165,20 @@ class EpisodeFactory:
     def plan(self, opened: "OpenAsset", variation: Variation) -> EpisodePlan | Rejection:
         """The plan for a variation of an asset."""
         fitted, scene = opened.sized(variation.scale)
-        demo = self.results.demonstration
         with self._timed("plan"):
-            return plan_episode(
-                fitted, demo, variation, scene, self.solver, self.plan_params, opened.usual_grasp
-            )
+            return self.plan_for(fitted, variation, scene, opened.usual_grasp)
+
+    def plan_for(
+        self, fitted: FittedAsset, variation: Variation, scene: Scene, usual: Grasp | None = None
+    ) -> EpisodePlan | Rejection:
+        """Plan a variation of a fitted asset in a scene from `build_scene`."""
+        demo = self.results.demonstration
+        return plan_episode(fitted, demo, variation, scene, self.solver, self.plan_params, usual)
+
+    def build_scene(self, fitted: FittedAsset) -> Scene:
+        """Build the scene in which an asset is planned and verified."""
+        robot, demo, place = self.results.robot, self.results.demonstration, self.place
+        return episode_scene(robot, fitted, demo, place.support, place.obstacles, bolted=self.params.bolted)
 
     def _usual_grasp(self, category: str) -> GraspChoice:
         """Of all objects of a category; that of the stage where it has chosen."""
@@ -301,17 +310,8 @@ class OpenAsset:
         return lru_cache(OPEN_SIZES)(self._sized)
 
     def _sized(self, scale: float) -> tuple[FittedAsset, Scene]:
-        factory, fitted = self.factory, scaled_fit(self.fitted, scale)
-        results, place = factory.results, factory.place
-        scene = episode_scene(
-            results.robot,
-            fitted,
-            results.demonstration,
-            place.support,
-            place.obstacles,
-            bolted=factory.params.bolted,
-        )
-        return fitted, scene
+        fitted = scaled_fit(self.fitted, scale)
+        return fitted, self.factory.build_scene(fitted)
 
     def seen(
         self, variation: Variation, cameras: Mapping[str, Camera]

@@ -66,6 +66,10 @@ class Ranges:
         push_m: Largest way by which the hand is pushed off its plan before it holds, [m]; actions stay the plan's.
         around: Of every camera that the scene has.
         free: Of the cameras that are added, about the object where it stands.
+
+    Example:
+        >>> ag.Ranges(x_m=(0.0, 0.2), scale=(0.8, 1.0)).y_m
+        (-0.05, 0.05)
     """
 
     x_m: Range = (-0.05, 0.30)

@@ -18,7 +18,7 @@ from aomgen.datasets.features import ActionSpace
 from aomgen.datasets.selection import require_smaller
 from aomgen.episodes.factory import EpisodeFactory, GenerationParams
 from aomgen.episodes.variations import draw_independently
-from aomgen.errors import ConfigError, NotEnoughEpisodesError
+from aomgen.errors import ConfigError, NotEnoughEpisodesError, suggest
 from aomgen.evaluation.suite import (
     TRIAL_S,
     Suite,
@@ -33,7 +33,6 @@ from aomgen.evaluation.suite import (
 )
 from aomgen.executors import Processes
 from aomgen.io.atomic import remove_folder
-from aomgen.io.schema import suggest
 from aomgen.results import Results
 from aomgen.saved_units import SavedUnits
 from aomgen.simulation.settings import draw_settings

@@ -12,11 +12,10 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from aomgen.errors import BackendError, ConfigError
+from aomgen.errors import BackendError, ConfigError, UnknownNameError
 from aomgen.evaluation.rollout import Rollout, World
 from aomgen.evaluation.suite import open_suite
 from aomgen.evaluation.views import VISUALS, Visuals
-from aomgen.io.schema import suggest
 
 try:
     import gymnasium
@@ -51,7 +50,7 @@ class OpenEnv(gymnasium.Env[dict[str, Any], NDArray[np.float32]]):
         self, suite: str | Path | World, visuals: Visuals = "splat", render_mode: str | None = "rgb_array"
     ) -> None:
         if visuals not in VISUALS:
-            raise ConfigError("visuals", f"'{visuals}' is unknown", suggest(visuals, VISUALS))
+            raise UnknownNameError("visuals", visuals, VISUALS)
         self._world = suite if isinstance(suite, World) else World(*open_suite(Path(suite)), visuals)
         self.render_mode = render_mode
         chosen = self._world.suite

@@ -10,15 +10,14 @@ from aomgen.core.plan import EpisodePlan
 from aomgen.core.values import Array
 from aomgen.datasets.features import feature_columns
 from aomgen.datasets.lerobot_tables import SOURCE
-from aomgen.errors import ConfigError, MissingFileError
+from aomgen.errors import MissingFileError, UnknownNameError
 from aomgen.evaluation.actions import planned_action
 from aomgen.evaluation.lerobot_policy import WEIGHTS, LerobotPolicy, checkpoint_folder
 from aomgen.evaluation.remote import SCHEMES, RemoteTask, open_remote
 from aomgen.evaluation.rollout import Rollout, World
 from aomgen.evaluation.suite import nearest_pose, open_results, training_poses
+from aomgen.io.artifact import file_digest
 from aomgen.io.episode_folder import read_episode
-from aomgen.io.schema import suggest
-from aomgen.pipeline.manifest import file_digest
 
 ORACLE, NEAREST = "oracle_replay", "nearest_replay"
 LEROBOT: Final = "lerobot:"
@@ -139,7 +138,7 @@ def open_policy(name: str, world: World) -> Policy:
         return OracleReplay(world)
     if kind == NEAREST:
         return NearestReplay(world, Path(argument) if argument else None)
-    raise ConfigError("--policy", f"'{name}' is unknown", suggest(name, POLICIES))
+    raise UnknownNameError("--policy", name, POLICIES)
 
 
 def policy_digest(name: str) -> str:

@@ -14,9 +14,8 @@ import numpy as np
 from aomgen.core.transforms import matrix_from_rotvec, transform
 from aomgen.core.values import Array
 from aomgen.datasets.features import ee_deltas, ee_targets
-from aomgen.errors import ConfigError, PolicyServerError
+from aomgen.errors import ConfigError, PolicyServerError, UnknownNameError
 from aomgen.evaluation.policy_servers import NUMBERS, OpenpiServer, OpenvlaServer
-from aomgen.io.schema import suggest
 
 SCHEMES: Final = ("openpi", "openvla")
 _NAME: Final = re.compile(r"([a-z]+)://([\w.-]+|\[[0-9a-fA-F:.]+\]):([0-9]{1,5})(?:/([\w.+-]+))?")
@@ -93,7 +92,7 @@ def open_remote(name: str, task: RemoteTask) -> RemotePolicy:
         raise ConfigError("--policy", f"'{name}' is no address of a server", "want openpi://HOST:PORT")
     scheme, address, dataset = found[1], f"{found[2]}:{found[3]}", found[4]
     if scheme not in SCHEMES:
-        raise ConfigError("--policy", f"'{scheme}' is unknown", suggest(scheme, SCHEMES))
+        raise UnknownNameError("--policy", scheme, SCHEMES)
     if scheme == "openvla":
         return _open_openvla(address, dataset, task)
     if dataset:

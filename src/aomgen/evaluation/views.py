@@ -18,7 +18,7 @@ from aomgen.episodes.moving_view import MovingView
 from aomgen.episodes.render import states_of
 from aomgen.robots.model_renderer import FAR_M
 from aomgen.simulation.scene import build_scene
-from aomgen.synthetic.scene_recording import SceneRenderer
+from aomgen.simulation.scene_renderer import SceneRenderer
 from aomgen.twin.twin import StaticLayer, static_layer
 
 Visuals = Literal["splat", "simulator"]

@@ -20,7 +20,7 @@ from aomgen.errors import (
     MissingFileError,
     NonFiniteError,
 )
-from aomgen.io import ply
+from aomgen.io import ply, usd
 from aomgen.io.atomic import write_bytes
 from aomgen.io.ply import MAX_GAUSSIANS, check_readable
 
@@ -119,15 +119,23 @@ def read_gaussians(path: Path, *, max_gaussians: int = MAX_GAUSSIANS) -> Gaussia
     return _choose(path, _READERS, "read")(path, max_gaussians=max_gaussians)
 
 
-def write_gaussians(path: Path, gaussians: Gaussians) -> None:
-    """Write a 3DGS `.ply` (exact), or a `.splat` (8 bits, one color).
+def write_gaussians(path: Path, gaussians: Gaussians, *, meters_per_unit: float = 1.0) -> None:
+    """Write a 3DGS `.ply` (exact), a `.splat` (8 bits, one color), or a `.usda` or `.usdc` (exact, z up).
+
+    Args:
+        path: Its suffix chooses the format.
+        gaussians: In any frame.
+        meters_per_unit: Length of their unit, which USD files state, [m].
 
     Raises:
         ConfigError: Another suffix.
         NonFiniteError: A value is NaN or infinite, or a quaternion is zero.
         StorageError: The disk refuses.
     """
-    _choose(path, _WRITERS, "written")(path, gaussians)
+    if path.suffix.lower() in usd.SUFFIXES:
+        usd.write_gaussians(path, gaussians, meters_per_unit=meters_per_unit)
+    else:
+        _choose(path, _WRITERS, "written")(path, gaussians)
 
 
 def _choose(path: Path, known: Mapping[str, F], what: str) -> F:

@@ -3,17 +3,16 @@
 What is wrong is said in the words of whoever wrote it.
 """
 
-import difflib
 import json
 import tomllib
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import fields, is_dataclass, replace
 from pathlib import Path
 from typing import Any, TypeVar, get_args
 
 from pydantic import BaseModel, ValidationError
 
-from aomgen.errors import ConfigError, LimitExceededError, MalformedFileError, MissingFileError
+from aomgen.errors import ConfigError, LimitExceededError, MalformedFileError, MissingFileError, suggest
 
 Schema = TypeVar("Schema", bound=BaseModel)
 # Largest TOML file read, [bytes]; a usual one has a few kB.
@@ -68,13 +67,6 @@ def complaint(error: ValidationError, model: type[BaseModel]) -> tuple[str, str]
     if first["type"] == "missing":
         return f"key '{place}' is missing", "add it"
     return f"'{place}' is {repr(first['input'])[:MAX_SHOWN]}: {first['msg']}", "correct that value"
-
-
-def suggest(word: str, known: Iterable[str]) -> str:
-    """The known word that was probably meant, else all of them."""
-    words = list(known)
-    near = difflib.get_close_matches(word, words, 1)
-    return f"did you mean '{near[0]}'?" if near else f"known: {', '.join(words)}"
 
 
 def _known_keys(model: type[BaseModel], place: tuple[Any, ...]) -> list[str]:

@@ -16,7 +16,7 @@ from scipy.signal import savgol_filter
 
 from aomgen.capture.label_images import read_demo_masks
 from aomgen.conventions import MOVING
-from aomgen.core.recording import Capture, DemoCamera
+from aomgen.core.recording import DemoCamera, Recording
 from aomgen.core.robust import masked_median, robust_sd
 from aomgen.core.values import Array, freeze_arrays
 from aomgen.errors import InputError, NoMotionError
@@ -152,7 +152,7 @@ def flagged_frames(scored: Scores) -> tuple[int, int]:
     return int(flagged[0]), int(flagged[-1])
 
 
-def part_masks(capture: Capture, camera: DemoCamera, demonstration: MotionInput) -> PartMasks:
+def part_masks(capture: Recording, camera: DemoCamera, demonstration: MotionInput) -> PartMasks:
     """Moving part and robot in every frame: the part's from the capture's own label images, else from
     what changed in the video; the robot's drawn from its log.
 

@@ -3,23 +3,22 @@
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from aomgen import __version__
 from aomgen.assets.choice import asset_file, is_made, make_asset, open_assets, suggest_category
 from aomgen.capture.capture_check import check_capture
 from aomgen.core.asset import ArticulatedAsset
 from aomgen.core.episode import NEW_CAMERA
 from aomgen.core.project import Project, split_light
-from aomgen.core.recording import Capture
-from aomgen.errors import BackendError, ConfigError, MissingFileError, StorageError
+from aomgen.core.recording import Recording
+from aomgen.errors import BackendError, ConfigError, MissingFileError, StorageError, suggest
 from aomgen.io.artifact import read_json
 from aomgen.io.atomic import write_json
 from aomgen.io.hdr_image import read_environment
-from aomgen.io.schema import suggest
 from aomgen.io.video import probe_video
 from aomgen.pipeline.manifest import MANIFEST, text_digest
 from aomgen.pipeline.requirements import EVERYTHING, require_environment, require_room
 from aomgen.pipeline.runner import STARTED, Stage, stage_states
 from aomgen.robots.robot import RobotModel
+from aomgen.version import __version__
 
 # Beside the results: what was checked last, so that a finished run is looked through at once.
 CHECKED_FILE = "checked.json"
@@ -36,7 +35,7 @@ CATEGORY_SEEDS = range(4)
 OPENS = {"revolute": "turns", "prismatic": "slides"}
 
 
-def check_project(project: Project, capture: Capture) -> tuple[str, ...]:
+def check_project(project: Project, capture: Recording) -> tuple[str, ...]:
     """Check a project and its capture, but not the machine; warnings of what is doubtful, and what to do.
 
     Raises:
@@ -53,7 +52,7 @@ def check_project(project: Project, capture: Capture) -> tuple[str, ...]:
 
 
 def preflight(
-    project: Project, capture: Capture, inputs: Mapping[str, str], stages: Sequence[Stage]
+    project: Project, capture: Recording, inputs: Mapping[str, str], stages: Sequence[Stage]
 ) -> tuple[str, ...]:
     """`check_project` and `require_environment` before a run; what was checked before is remembered.
 
@@ -84,7 +83,7 @@ def preflight(
     return warnings
 
 
-def machine_warnings(segmenter: str, capture: Capture, *, diffusion: bool = False) -> tuple[str, ...]:
+def machine_warnings(segmenter: str, capture: Recording, *, diffusion: bool = False) -> tuple[str, ...]:
     """What this machine lacks for a run; another machine may have it, so nothing is refused."""
     try:
         require_environment(EVERYTHING, segmenter, has_masks=bool(capture.mask_folders), diffusion=diffusion)
@@ -93,7 +92,7 @@ def machine_warnings(segmenter: str, capture: Capture, *, diffusion: bool = Fals
     return ()
 
 
-def category_warnings(capture: Capture) -> tuple[str, ...]:
+def category_warnings(capture: Recording) -> tuple[str, ...]:
     """What a category that cannot be made means for `aomgen init`."""
     if is_made(capture.category):
         return ()
@@ -103,7 +102,7 @@ def category_warnings(capture: Capture) -> tuple[str, ...]:
     )
 
 
-def new_project(capture: Capture, out: Path, assets: Sequence[str]) -> Project:
+def new_project(capture: Recording, out: Path, assets: Sequence[str]) -> Project:
     """A project for a capture, with images shaped like its first fixed camera's.
 
     Assets are as a user names them, files from here; two made ones of the capture's category when none.
@@ -135,13 +134,13 @@ def _require_own(folder: Path) -> None:
         )
 
 
-def _fitting_size(capture: Capture, width: int) -> tuple[int, int]:
+def _fitting_size(capture: Recording, width: int) -> tuple[int, int]:
     """Width and even height of an image shaped like the first fixed camera's, [px]."""
     info = probe_video(capture.cameras[0].video)
     return width, max(64, 2 * round(width * info.height / info.width / 2))
 
 
-def _check_cameras(project: Project, capture: Capture) -> None:
+def _check_cameras(project: Project, capture: Recording) -> None:
     path = capture.folder / "capture.toml"
     if project.assets and capture.cameras[0].name == NEW_CAMERA:
         raise ConfigError(
@@ -188,7 +187,7 @@ def _check_robot_cameras(project: Project, robot: RobotModel) -> None:
         )
 
 
-def _stretched(project: Project, capture: Capture) -> tuple[str, ...]:
+def _stretched(project: Project, capture: Recording) -> tuple[str, ...]:
     width, height = project.image_size
     fitting = _fitting_size(capture, width)
     stretch = abs(height / fitting[1] - 1)

@@ -1,4 +1,4 @@
-"""Drawing the twin of a finished run: what `aomgen render` and the benchmarks call."""
+"""Render the twin of a finished run; parse cameras and states given as JSON."""
 
 from pathlib import Path
 from typing import Any
@@ -8,12 +8,10 @@ from numpy.typing import NDArray
 
 from aomgen.conventions import BACKGROUND, PART_LABELS
 from aomgen.core.camera import Camera
-from aomgen.core.project import Project
 from aomgen.core.values import Array
-from aomgen.errors import ConfigError, MissingFileError
+from aomgen.errors import ConfigError, MissingFileError, UnknownNameError
 from aomgen.io.artifact import load_artifact
-from aomgen.pipeline.runner import results_of
-from aomgen.pipeline.stages import STAGES
+from aomgen.results import Results
 from aomgen.robots.loading import load_stored_robot
 from aomgen.robots.robot import RobotModel
 from aomgen.twin.twin import Twin, TwinState, render_state
@@ -42,14 +40,16 @@ def open_twin(out: Path) -> tuple[Twin, RobotModel]:
     return twin, load_stored_robot(folder)
 
 
-def draw_twin(
+def render_twin(
     twin: Twin, robot: RobotModel, camera: Camera, state: TwinState
-) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
-    """Image (H, W, 3) and part labels (H, W), both uint8, of the twin in a state.
+) -> tuple[NDArray[np.uint8], NDArray[np.float32], NDArray[np.uint8]]:
+    """Render the twin in a state.
 
-    A pixel's label is the one whose Gaussians contribute most together, background where
-    alpha <= 0.5. Summing by label keeps a thin veil before a surface made of many layers from
-    taking the pixel.
+    Returns:
+        Image (H, W, 3) uint8 sRGB; depth (H, W) float32 along the optical axis, [m], 0 where nothing is; part labels
+        (H, W) uint8, see `conventions.PART_LABELS`. A pixel's label is the one whose Gaussians contribute most
+        together, background where alpha <= 0.5. Summing by label keeps a thin veil in front of a surface of many
+        layers from deciding the label.
     """
     kinds = np.array(sorted(PART_LABELS.values()))
     shares = (twin.labels[:, None] == kinds).astype(np.float32)
@@ -57,29 +57,31 @@ def draw_twin(
     image = np.clip(np.rint(drawn.rgb * 255), 0, 255).astype(np.uint8)
     strongest = kinds[np.argmax(np.asarray(drawn.features), axis=-1)]
     labels = np.where(drawn.alpha > LABEL_MIN_ALPHA, strongest, BACKGROUND).astype(np.uint8)
-    return image, labels
+    depth = np.where(drawn.alpha > LABEL_MIN_ALPHA, drawn.depth, 0).astype(np.float32)
+    return image, depth, labels
 
 
-def find_camera(project: Project, name: str) -> Camera:
-    """A camera of a run that has its twin, world frame: of the demonstration, of the episodes, or of a scan image.
+def list_cameras(results: Results) -> dict[str, Camera]:
+    """Return the cameras of a run by name, world frame: of the demonstration, of the episodes, of scan images.
 
-    A name that demonstration and episodes share means the demonstration's, at the video's size.
+    A name that demonstration and episodes share means the demonstration's camera, at the video's size.
+    """
+    cameras = {name: item.camera for name, item in results.alignment.cameras.items()}
+    made = results.episode_scene.cameras if results.folders["replacement"].is_dir() else {}
+    for others in (made, results.scan_cameras):
+        cameras |= {name: camera for name, camera in others.items() if name not in cameras}
+    return cameras
+
+
+def find_camera(results: Results, name: str) -> Camera:
+    """Return a camera of a run, see `list_cameras`.
 
     Raises:
-        ConfigError: No such camera; lists the known ones.
+        UnknownNameError: The run has no such camera; its sentence lists the known ones.
     """
-    results = results_of(project, STAGES)
-    scan = results.scan_cameras
-    made = results.episode_scene.cameras if results.folders["replacement"].is_dir() else {}
-    fixed = made | {key: item.camera for key, item in results.alignment.cameras.items()}
-    known = scan | fixed
+    known = list_cameras(results)
     if name not in known:
-        images = sorted(scan)
-        raise ConfigError(
-            "--camera",
-            f"'{name}' is no camera of this run",
-            f"known: {', '.join(fixed)}, and scan images from {images[0]} to {images[-1]}; or give a .json file",
-        )
+        raise UnknownNameError("--camera", name, known)
     return known[name]
 
 

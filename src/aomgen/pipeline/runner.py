@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
 
-from aomgen import __version__
 from aomgen.core.progress import Progress
 from aomgen.core.project import Project
 from aomgen.errors import LockedError, StorageError
@@ -24,6 +23,7 @@ from aomgen.pipeline.manifest import (
     write_manifest,
 )
 from aomgen.results import Results
+from aomgen.version import __version__
 
 TIMINGS = "timings.json"
 STARTED = "started.json"

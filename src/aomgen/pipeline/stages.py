@@ -11,13 +11,13 @@ from aomgen.capture.label_images import demo_mask_files
 from aomgen.capture.read import read_capture
 from aomgen.core.progress import Progress
 from aomgen.core.project import Project, split_light
-from aomgen.core.recording import Capture
-from aomgen.errors import ConfigError
+from aomgen.core.recording import Recording
+from aomgen.errors import ConfigError, MissingFileError, suggest
 from aomgen.executors import require_cluster
-from aomgen.io.schema import override, suggest
+from aomgen.io.schema import override
 from aomgen.pipeline.manifest import files_digest
 from aomgen.pipeline.preflight import preflight
-from aomgen.pipeline.project_file import write_project
+from aomgen.pipeline.project_file import read_project, write_project
 from aomgen.pipeline.runner import Display, Stage, StageFunction, locked, run_stages
 from aomgen.results import Results
 
@@ -188,7 +188,7 @@ def run_pipeline(project: Project, display: Display, *, until: str = "", **machi
 
     Raises:
         ConfigError: `until` names no stage.
-        AomgenError: Capture, project or machine cannot be used, and nothing was started; or whatever
+        AomgenError: Recording, project or machine cannot be used, and nothing was started; or whatever
             a stage refuses.
     """
     names = [stage.name for stage in STAGES]
@@ -209,7 +209,27 @@ def run_pipeline(project: Project, display: Display, *, until: str = "", **machi
     return run_stages(project, STAGES, display, inputs=inputs, until=until, **machine)
 
 
-def capture_digest(capture: Capture) -> str:
+def find_project(path: Path) -> Project:
+    """Read the project that a path means: a project file, or the folder of a run, wherever that has been moved.
+
+    Raises:
+        MissingFileError: The path does not exist, or is a folder without a run.
+        ConfigError: The project file is not valid.
+    """
+    remedy = "give the folder of a run, or a project file"
+    if not path.exists():
+        raise MissingFileError(path, "is missing", remedy)
+    if not path.is_dir():
+        return read_project(path)
+    file = path / PROJECT_FILE
+    if not file.is_file():
+        raise MissingFileError(path, f"holds no {PROJECT_FILE}", remedy)
+    project = read_project(file)
+    has_results = any((path / stage.folder).is_dir() for stage in STAGES)
+    return project.model_copy(update={"out": path.resolve()}) if has_results else project
+
+
+def capture_digest(capture: Recording) -> str:
     """Digest of everything that a capture's capture.toml refers to."""
     files: list[Path] = [capture.folder / "capture.toml", *capture.scan_images]
     if capture.scan_video is not None:

@@ -202,13 +202,18 @@ def fit_assets(results: Results, recorded: RecordedObject) -> tuple[list[FittedA
     return fitted, rejected
 
 
-def examine_fit(results: Results, asset: ArticulatedAsset) -> Finding:
-    """Whether an asset can take a run's recorded object's place, for `aomgen assets check`."""
+def fit_to_recording(results: Results, asset: ArticulatedAsset) -> FittedAsset | Rejection:
+    """Fit an asset to a run's recorded object."""
     recorded = recorded_object(results, results.episode_scene.support)
     contact = recorded_contact(results.demonstration, recorded, results.motion.direction)
     params = results.params("replacement", FitParams())
     joint_type = results.demonstration.joint.type
-    found = fit_asset(asset, contact, joint_type, results.project.adapt, params)
+    return fit_asset(asset, contact, joint_type, results.project.adapt, params)
+
+
+def examine_fit(results: Results, asset: ArticulatedAsset) -> Finding:
+    """Report whether an asset can take a run's recorded object's place, for `aomgen assets check`."""
+    found = fit_to_recording(results, asset)
     name = f"fit to {results.out.name}"
     if isinstance(found, Rejection):
         return Finding(name=name, state="", problem=f"{found.reason}: {found.detail}")

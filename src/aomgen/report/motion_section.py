@@ -17,7 +17,7 @@ from aomgen.io.artifact import load_artifact
 from aomgen.io.atomic import write_text
 from aomgen.io.images import resize
 from aomgen.motion.estimates_file import REFUSED_FILE, REFUSED_MOTION
-from aomgen.pipeline.rendering import draw_twin
+from aomgen.pipeline.rendering import render_twin
 from aomgen.report.drawing import OUTLINE, Image8, axis_space, overlay_motion, overlay_outline, sheet
 from aomgen.report.html import Chart, draw_chart, page, paragraph, picture, section
 from aomgen.report.recording_images import recorded_states
@@ -50,7 +50,7 @@ def joint_sheet(results: Results) -> Image8:
     frames = [int(np.argmin(np.abs(video.times_s - moment))) for moment in moments]
     states = recorded_states(results, frames)
     held = apply(results.robot.ee_poses(states[0].joints[None])[0], motion.grasp_ee)
-    parts = [draw_twin(results.twin, results.robot, camera, state)[1] == MOVING for state in states]
+    parts = [render_twin(results.twin, results.robot, camera, state)[2] == MOVING for state in states]
     left, top, width, height = _cut(camera, motion, held, np.any(parts, axis=0))
     scale = WIDTH_PX / width
     size = (round(scale * camera.width), round(scale * camera.height))

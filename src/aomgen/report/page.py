@@ -5,12 +5,11 @@ from pathlib import Path
 
 import numpy as np
 
-from aomgen import __version__
 from aomgen.errors import MissingFileError
 from aomgen.io.artifact import read_json
 from aomgen.io.atomic import write_text
 from aomgen.io.episode_folder import list_committed, read_episode
-from aomgen.io.images import write_image
+from aomgen.io.images import resize, write_image
 from aomgen.pipeline.figures import FIGURES, Reading, read_figure, read_figures
 from aomgen.pipeline.manifest import Manifest, load_record, read_manifest
 from aomgen.pipeline.project_file import read_project
@@ -36,6 +35,7 @@ from aomgen.report.html import (
 )
 from aomgen.report.motion_section import motion_section
 from aomgen.results import Results
+from aomgen.version import __version__
 
 CONTACT_SHEET = "episodes.jpg"
 SHEET_FRAMES, SHEET_EPISODES = 5, 12
@@ -162,13 +162,13 @@ def contact_sheet(results: Results) -> np.ndarray:
     names = list(cameras)
     size = cameras[names[0]]
     images = [
-        recording_images.resize(image, size.width, size.height)
+        resize(image, size.width, size.height)
         for image in recording_images.demo_strip(results, SHEET_FRAMES * len(names))
     ]
     for folder in folders:
         for name in names:
             images += recording_images.episode_strip(folder, name, SHEET_FRAMES)
-    small = [recording_images.resize(image, size.width // 2, size.height // 2) for image in images]
+    small = [resize(image, size.width // 2, size.height // 2) for image in images]
     return sheet(small, SHEET_FRAMES * len(names), gap=2)
 
 

@@ -10,7 +10,7 @@ from aomgen.io.images import read_image, resize
 from aomgen.io.video import probe_video, read_frames
 from aomgen.parts.stage import COVERAGE
 from aomgen.parts.survey import Survey
-from aomgen.pipeline.rendering import draw_twin
+from aomgen.pipeline.rendering import render_twin
 from aomgen.report.drawing import OUTLINE, Image8, map_from_above, overlay_labels, overlay_outline, sheet
 from aomgen.results import Results
 from aomgen.robots.silhouette import SilhouetteRenderer
@@ -39,7 +39,7 @@ def heldout_sheet(results: Results, count: int = 4) -> Image8:
     picked = [names[i] for i in np.linspace(0, len(names) - 1, min(count, len(names))).astype(int)]
     real = [_small(read_image(results.scan_images[name])) for name in picked]
     drawn = [
-        _small(draw_twin(results.twin, results.robot, cameras[name], results.twin.scan_state)[0])
+        _small(render_twin(results.twin, results.robot, cameras[name], results.twin.scan_state)[0])
         for name in picked
     ]
     return sheet(real + drawn, len(picked))
@@ -52,7 +52,7 @@ def parts_sheet(results: Results, count: int = 4) -> Image8:
     picked = [names[i] for i in np.linspace(0, len(names) - 1, count + 2).astype(int)[1:-1]]
     images = []
     for name in picked:
-        labels = draw_twin(results.twin, results.robot, cameras[name], results.twin.scan_state)[1]
+        labels = render_twin(results.twin, results.robot, cameras[name], results.twin.scan_state)[2]
         images.append(_small(overlay_labels(read_image(results.scan_images[name]), labels)))
     return sheet(images, len(images))
 
@@ -83,7 +83,7 @@ def replay_sheet(results: Results, count: int = 4) -> Image8:
     """Video frames above the twin's replay of them."""
     states = recorded_states(results, recorded_frames(results, count))
     camera = results.fixed_camera.camera
-    drawn = [_small(draw_twin(results.twin, results.robot, camera, state)[0]) for state in states]
+    drawn = [_small(render_twin(results.twin, results.robot, camera, state)[0]) for state in states]
     return sheet(demo_strip(results, count) + drawn, count)
 
 

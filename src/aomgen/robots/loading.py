@@ -67,6 +67,11 @@ def load_robot(
     Raises:
         ConfigError: Unknown name, base frame or joint, or the asset package is missing.
         InputError: A file cannot be used; of the kind that fits.
+
+    Example:
+        >>> robot = ag.load_robot("ur5e_2f85")
+        >>> robot.ee_poses(np.zeros((1, 6))).shape
+        (1, 4, 4)
     """
     if base_frame not in ("base_link", "ur_base"):
         raise ConfigError("robot.base_frame", f"'{base_frame}' is unknown", "use base_link or ur_base")

@@ -8,7 +8,6 @@ from typing import Any, Final
 import mujoco
 import numpy as np
 
-from aomgen import __version__
 from aomgen.assets.mjcf import ARMATURE, CONTACT_FRICTION, HOLDING_SOLIMP, holding_friction
 from aomgen.core.asset import ArticulatedAsset
 from aomgen.core.episode import ContactLog
@@ -21,6 +20,7 @@ from aomgen.simulation.judge import PassRule, judge
 from aomgen.simulation.replay import CONTROL_HZ, SETTLE_S, SimulatedRun, simulate
 from aomgen.simulation.scene import Scene
 from aomgen.simulation.settings import draw_settings
+from aomgen.version import __version__
 
 CONTROL: Final = (
     "from frame t on the position command moves straight from action[t-1] to action[t], reached at t+1, with "

@@ -12,7 +12,6 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from aomgen import __version__
 from aomgen.core.camera import Camera
 from aomgen.core.gaussians import Gaussians
 from aomgen.errors import CorruptArtifactError, LimitExceededError, MissingFileError
@@ -20,6 +19,7 @@ from aomgen.io.artifact import arrays_from_bytes, npz_bytes
 from aomgen.io.atomic import write_bytes
 from aomgen.splatting.optimizer import NAMES, Parameters
 from aomgen.splatting.training_views import Exposure, PoseIncrements
+from aomgen.version import __version__
 
 FORMAT: Final = b"aomgen training 2"
 # Largest checkpoint read, [bytes]: above that of the largest training.

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from aomgen.core.lens import Lens, undistort_labels, undistorter
 from aomgen.core.progress import Progress, part
-from aomgen.core.recording import Capture
+from aomgen.core.recording import Recording
 from aomgen.core.structure import PinholeScan, Structure
 from aomgen.io.artifact import save_artifact
 from aomgen.io.atomic import write_bytes
@@ -56,7 +56,7 @@ def run(results: Results, folder: Path, progress: Progress) -> dict[str, Any]:
     }
 
 
-def _demo_views(capture: Capture, videos: dict[str, Video]) -> dict[str, DemoView]:
+def _demo_views(capture: Recording, videos: dict[str, Video]) -> dict[str, DemoView]:
     return {
         camera.name: DemoView(
             first_srgb=videos[camera.name].frames_srgb[0],
@@ -73,7 +73,7 @@ def _median_frame(video: Video) -> NDArray[np.uint8]:
 
 
 def _pinhole_scan(
-    found: Structure, capture: Capture, images: dict[str, Path], folder: Path, progress: Progress
+    found: Structure, capture: Recording, images: dict[str, Path], folder: Path, progress: Progress
 ) -> PinholeScan | None:
     if found.scan_lens is not None:
         return undistort_scan(images, capture, found.scan_lens, folder, progress)
@@ -84,7 +84,7 @@ def _pinhole_scan(
 
 
 def undistort_scan(
-    images: dict[str, Path], capture: Capture, lens: Lens, folder: Path, progress: Progress
+    images: dict[str, Path], capture: Recording, lens: Lens, folder: Path, progress: Progress
 ) -> PinholeScan:
     """Write undistorted copies of scan images and their masks below `folder`, names kept.
 

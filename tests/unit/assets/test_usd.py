@@ -17,7 +17,6 @@ from aomgen.assets.usd_write import write_usd
 from aomgen.core.asset import ArticulatedAsset
 from aomgen.errors import AssetError, ConfigError, MalformedFileError, MissingFileError, UnsafePathError
 from aomgen.io.artifact import load_artifact, save_artifact
-from benchmarks.other_objects import make_object
 
 UsdGeom = pytest.importorskip("pxr.UsdGeom")
 from pxr import Gf, Sdf, Usd, UsdPhysics, UsdShade  # noqa: E402
@@ -76,12 +75,10 @@ def test_binary_round_trip_of_a_scaled_drawer(tmp_path: Path) -> None:
     assert_same(asset, read_usd(tmp_path / "drawer.usdc"))
 
 
-@pytest.mark.parametrize(
-    ("category", "seed"), [("cabinet", 0), ("cupboard", 1), ("laptop", 1), ("oven", 1), ("toolbox", 1)]
-)
+@pytest.mark.parametrize(("category", "seed"), [("cabinet", 0), ("laptop", 1), ("toolbox", 1)])
 def test_round_trip_keeps_the_heading_of_every_kind(tmp_path: Path, category: str, seed: int) -> None:
     """A panel that slides sideways still faces -y, although its motion does not point there."""
-    asset = make_object(category, seed)
+    asset = make_asset(category, seed)
     write_usd(asset, tmp_path / "asset.usda")
     assert_same(asset, parse_usd(tmp_path / "asset.usda"))
 
@@ -157,7 +154,7 @@ def test_no_joint_is_refused(usd: Path) -> None:
     stage = _edit(usd)
     stage.RemovePrim("/microwave_1/joint")
     stage.GetRootLayer().Save()
-    with pytest.raises(AssetError, match="0 revolute or prismatic joints"):
+    with pytest.raises(AssetError, match="no revolute or prismatic joint"):
         read_usd(usd)
 
 

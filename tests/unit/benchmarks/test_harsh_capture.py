@@ -9,9 +9,9 @@ from aomgen.capture.capture_check import check_capture
 from aomgen.capture.read import read_capture
 from aomgen.core.lens import Lens, undistort_labels
 from aomgen.io.images import read_image, read_labels
-from aomgen.synthetic.scene_recording import Conditions
-from aomgen.synthetic.world import make_capture
 from benchmarks.harsh_capture import FOCAL_SHARE, JOINT_ZERO_RAD, K1, degrade_capture
+from synthetic.scene_recording import Conditions
+from synthetic.world import make_capture
 
 
 @pytest.fixture(scope="module")

@@ -7,10 +7,11 @@ from aomgen.conventions import MOVING, STATIC
 from aomgen.core.mesh import sample_surface
 from aomgen.core.transforms import apply
 from aomgen.robots.robot import RobotModel
-from aomgen.synthetic.layout import SceneLayout, build_world, draw_layout
-from aomgen.synthetic.scene_recording import Conditions, SceneRenderer, scan_cameras
+from aomgen.simulation.scene_renderer import SceneRenderer
 from benchmarks.motion_scan import SPACING_M, Surface, raw_gaussians, seen_surface
 from benchmarks.motion_upstream import Upstream
+from synthetic.layout import SceneLayout, build_world, draw_layout
+from synthetic.scene_recording import Conditions, scan_cameras
 
 
 @pytest.fixture(scope="module")

@@ -7,11 +7,11 @@ from aomgen.assets.choice import make_asset
 from aomgen.core.camera import Camera, look_at
 from aomgen.errors import BackendError, ConfigError
 from aomgen.robots.loading import load_robot
-from aomgen.synthetic.layout import build_world, draw_layout
 from benchmarks import path_tracer
 from benchmarks.path_tracer import PathTracedRenderer, RoomLight
 from benchmarks.replace_rooms import CONDITIONS
 from benchmarks.replace_scores import _grown_box, _visible, run_rooms
+from synthetic.layout import build_world, draw_layout
 
 LIGHT = RoomLight(environment="studio.exr", lamp_w=10.0)
 

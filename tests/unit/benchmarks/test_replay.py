@@ -34,7 +34,7 @@ from benchmarks.replay import (
     recheck,
     summary,
 )
-from benchmarks.toy_drawer import SUPPORT, fitted_drawer, opening
+from toy_drawer import SUPPORT, fitted_drawer, opening
 
 HERE = Variation(seed=0, index=0, x=0.0, y=0.0, yaw=0.0)
 

@@ -24,8 +24,8 @@ from aomgen.io.episode_folder import commit_episode, read_episode
 from aomgen.io.video import encode_video
 from aomgen.robots.loading import save_robot
 from aomgen.robots.robot import RobotModel
-from aomgen.synthetic.demonstration_search import Performance, find_demonstration
 from benchmarks.replay_exported import run_replay
+from synthetic.demonstration_search import Performance, find_demonstration
 from verified import verified_episodes
 
 FPS = 10

@@ -1,4 +1,4 @@
-"""What `aomgen bench splatting` writes, on a tiny case."""
+"""What `python -m benchmarks splatting` writes, on a tiny case."""
 
 from dataclasses import replace
 

@@ -2,10 +2,10 @@
 
 import pytest
 
-from aomgen.cli.bench import bench_accuracy
 from aomgen.errors import AlignmentError, ConfigError
 from benchmarks import synthetic_captures
 from benchmarks.bars import BARS, Bar
+from benchmarks.estimate_commands import accuracy
 from benchmarks.synthetic_captures import (
     REFUSED,
     accuracy_table,
@@ -84,7 +84,7 @@ def test_captures_of_one_category(tmp_path, monkeypatch):
     ):
         run_synthetic(1, tmp_path, lambda *_: None, category="toaster")
     with pytest.raises(ConfigError, match="--synthetic"):
-        bench_accuracy(capture=tmp_path, category="laptop")
+        accuracy(capture=tmp_path, category="laptop")
 
 
 def test_errors_of_the_machine_are_not_refusals(tmp_path, monkeypatch):

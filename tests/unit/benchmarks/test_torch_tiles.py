@@ -1,8 +1,5 @@
 """The torch rasterizer that the engine is compared with draws the same picture."""
 
-import importlib.util
-from pathlib import Path
-
 import numpy as np
 import pytest
 import torch
@@ -10,27 +7,16 @@ import torch
 from benchmarks.projection import PARAMETERS, parameters_of
 from benchmarks.scenes import table_camera, table_top
 from benchmarks.tiles_float64 import TileReference, choose_tiles
-
-SOURCE = Path(__file__).parents[3] / "benchmarks" / "torch_tiles.py"
-
-
-@pytest.fixture(scope="module")
-def torch_tiles():
-    spec = importlib.util.spec_from_file_location("torch_tiles", SOURCE)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
+from benchmarks.torch_tiles import render
 
 
 @pytest.mark.parametrize("tile_px", [16, 32])
-def test_it_agrees_with_float64(torch_tiles, tile_px):
+def test_it_agrees_with_float64(tile_px):
     camera, parameters = table_camera(70, 50), parameters_of(table_top(2000, 3))
     reference = TileReference(parameters, camera, 3, choose_tiles(camera, 100, seed=0))
     images = reference.images()
     leaves = {name: tensor.clone().requires_grad_() for name, tensor in parameters.items()}
-    planes = torch_tiles.render(leaves, camera, 3, tile_px=tile_px)
+    planes = render(leaves, camera, 3, tile_px=tile_px)
     noise = np.random.default_rng(0).normal(size=planes.shape)
     grad_planes = torch.tensor(noise) * images.decided
     planes.backward(grad_planes.float())

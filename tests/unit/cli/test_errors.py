@@ -7,13 +7,12 @@ from unittest.mock import patch
 
 import pytest
 
-from aomgen import __version__
 from aomgen.assets.choice import make_asset
 from aomgen.assets.usd_write import write_usd
-from aomgen.cli.run import find_project
 from aomgen.core.project import Project
 from aomgen.pipeline.project_file import write_project
-from aomgen.pipeline.stages import PROJECT_FILE
+from aomgen.pipeline.stages import PROJECT_FILE, find_project
+from aomgen.version import __version__
 from command_line import aomgen, one_sentence, started
 
 
@@ -142,13 +141,13 @@ def test_results_do_not_go_where_a_file_is(tmp_path):
 
 def test_what_may_not_be_read_is_named(tmp_path):
     refusal = PermissionError(13, "Permission denied", "scan/0001.jpg")
-    with patch("aomgen.cli.app.find_project", side_effect=refusal):
+    with patch("aomgen.pipeline.stages.find_project", side_effect=refusal):
         one_sentence(aomgen("status", "out", folder=tmp_path), 3, "scan/0001.jpg: Permission denied")
 
 
 def test_every_command_has_help_and_the_program_its_version(tmp_path):
     assert aomgen("--version", folder=tmp_path).stdout == f"{__version__}\n"
-    for words in ((), ("render",), ("assets",), ("assets", "make"), ("bench", "accuracy")):
+    for words in ((), ("render",), ("assets",), ("assets", "make")):
         result = aomgen(*words, "-h", folder=tmp_path)
         assert result.returncode == 0
         assert result.stdout.startswith("Usage: ")
@@ -173,10 +172,6 @@ def test_an_asset_without_a_joint(tmp_path):
             stage.RemovePrim(prim.GetPath())
     stage.Save()
     one_sentence(started("check", "box.usda", folder=tmp_path), 3, "box.usda", "joint")
-
-
-def test_no_ground_truth_no_score(sample, tmp_path):
-    one_sentence(aomgen("bench", "accuracy", sample, folder=tmp_path), 3, "cannot be scored")
 
 
 def test_a_robot_is_drafted_once_and_for_a_person_to_read(write_urdf, tmp_path):

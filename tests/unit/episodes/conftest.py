@@ -6,7 +6,7 @@ from aomgen.core.demonstration import Demonstration
 from aomgen.core.plan import FittedAsset
 from aomgen.episodes.ik import IkSolver, ik_solver
 from aomgen.robots.robot import RobotModel
-from benchmarks.toy_drawer import fitted_drawer, opening
+from toy_drawer import fitted_drawer, opening
 
 
 @pytest.fixture(scope="session")

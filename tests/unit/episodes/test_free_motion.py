@@ -12,7 +12,7 @@ from aomgen.episodes.ik import IkSolver
 from aomgen.robots.robot import RobotModel
 from aomgen.simulation.collision_check import KinematicLimits, make_collision_test
 from aomgen.simulation.scene import build_scene
-from benchmarks.toy_drawer import SUPPORT
+from toy_drawer import SUPPORT
 
 START, GOAL = np.array([-1.0, -1.0, -0.2]), np.array([1.0, 1.0, 0.2])
 LIMITS = np.tile([-3.0, 3.0], (3, 1))

@@ -38,9 +38,9 @@ from aomgen.io.episode_folder import commit_episode, list_committed, read_episod
 from aomgen.io.video import encode_video
 from aomgen.report.draws_section import draws_section
 from backwards import closing_of
-from benchmarks.toy_drawer import SUPPORT, fitted_drawer
-from benchmarks.toy_run import toy_run
 from drawer_episode import corner_camera, drawer_episode
+from toy_drawer import SUPPORT, fitted_drawer
+from toy_run import toy_run
 
 VIDEO = encode_video(np.zeros((3, 48, 64, 3), np.uint8), 10)
 REQUEST = Request(assets=("a", "b"), episodes=5, attempts=12)

@@ -19,7 +19,7 @@ from aomgen.episodes.planning import Planner, PlanParams, plan_episode
 from aomgen.episodes.retarget import DemonstratedMotion
 from aomgen.robots.robot import RobotModel
 from aomgen.simulation.scene import build_scene
-from benchmarks.toy_drawer import SUPPORT
+from toy_drawer import SUPPORT
 
 HERE = Variation(seed=0, index=0, x=0.0, y=0.0, yaw=0.0)
 

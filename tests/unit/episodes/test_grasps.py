@@ -12,7 +12,7 @@ from aomgen.core.plan import FittedAsset
 from aomgen.core.transforms import apply, invert, matrix_from_rotvec
 from aomgen.episodes.grasps import RIM_OVERLAPS_M, between, difference, grasp_depths, grasps
 from aomgen.robots.robot import RobotModel
-from benchmarks.toy_drawer import fitted_drawer
+from toy_drawer import fitted_drawer
 
 CORNERS = np.array(np.meshgrid([-1, 1], [-1, 1], [-1, 1])).reshape(3, -1).T
 

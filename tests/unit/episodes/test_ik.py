@@ -23,7 +23,7 @@ from aomgen.episodes.planning import PlanParams, plan_episode
 from aomgen.robots.loading import load_robot
 from aomgen.robots.robot import RobotModel
 from aomgen.simulation.scene import build_scene
-from benchmarks.toy_drawer import SUPPORT, fitted_drawer
+from toy_drawer import SUPPORT, fitted_drawer
 
 PHASES = np.ones(80, np.int64)
 HINGES = np.zeros(6, bool)

@@ -21,7 +21,7 @@ from aomgen.simulation.collision_check import KinematicLimits, check_kinematics
 from aomgen.simulation.scene import Scene, build_scene
 from aomgen.simulation.verify import verify_plan
 from backwards import closing_of
-from benchmarks.toy_drawer import SUPPORT, opening
+from toy_drawer import SUPPORT, opening
 
 
 def grasp_of(demo: Demonstration, fitted: FittedAsset) -> Grasp:

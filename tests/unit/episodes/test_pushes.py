@@ -16,7 +16,7 @@ from aomgen.errors import ConfigError
 from aomgen.robots.robot import RobotModel
 from aomgen.simulation.scene import Scene, build_scene
 from aomgen.simulation.verify import verify_plan
-from benchmarks.toy_drawer import SUPPORT
+from toy_drawer import SUPPORT
 
 PUSHED = Variation(seed=3, index=5, x=0.0, y=0.0, yaw=0.0, push_m=0.02)
 

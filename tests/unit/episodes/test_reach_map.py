@@ -13,7 +13,7 @@ from aomgen.episodes.reach_map import MAX_NODES, ReachMap, map_reach
 from aomgen.episodes.variations import Ranges, draw
 from aomgen.robots.robot import RobotModel
 from aomgen.simulation.scene import build_scene
-from benchmarks.toy_drawer import SUPPORT
+from toy_drawer import SUPPORT
 
 # From the robot's foot to far beyond its reach.
 RANGES = Ranges(x_m=(-0.2, 0.6), y_m=(-0.3, 0.3), yaw_deg=(-90, 90))

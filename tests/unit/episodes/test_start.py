@@ -12,7 +12,7 @@ from aomgen.episodes.planning import Planner, PlanParams, plan_episode
 from aomgen.robots.robot import RobotModel
 from aomgen.simulation.scene import build_scene
 from backwards import closing_of
-from benchmarks.toy_drawer import SUPPORT
+from toy_drawer import SUPPORT
 
 
 @pytest.mark.parametrize(("x", "moved"), [(0.0, False), (-0.2, True)])

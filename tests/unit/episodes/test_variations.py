@@ -17,7 +17,7 @@ from aomgen.errors import ConfigError
 from aomgen.robots.reach import Reach, longest_reach
 from aomgen.robots.robot import RobotModel
 from aomgen.simulation.judge import PassRule
-from benchmarks.toy_drawer import SUPPORT
+from toy_drawer import SUPPORT
 
 HERE = Variation(seed=0, index=0, x=0.0, y=0.0, yaw=0.0)
 SQUARE = ((0.5, -0.5), (1.2, -0.5), (1.2, 0.3), (0.5, 0.3))

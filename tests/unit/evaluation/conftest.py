@@ -5,20 +5,17 @@ from pathlib import Path
 import pytest
 
 from aomgen.core.progress import silent
-from aomgen.episodes.stage import run as make_episodes
 from aomgen.evaluation.draws import SuiteRequest, make_suite
 from aomgen.evaluation.rollout import World
 from aomgen.evaluation.suite import Suite
-from benchmarks.toy_run import ToyResults, toy_run
+from toy_run import ToyResults, toy_episode
 
 TRIALS = 3
 
 
 @pytest.fixture(scope="session")
 def toy(tmp_path_factory: pytest.TempPathFactory) -> ToyResults:
-    results = toy_run(tmp_path_factory.mktemp("toy"), poses=1)
-    make_episodes(results, results.folders["episodes"], silent)
-    return results
+    return toy_episode(tmp_path_factory.mktemp("toy"))
 
 
 @pytest.fixture(scope="session")

@@ -21,7 +21,7 @@ from aomgen.evaluation.suite import Suite
 from aomgen.io.artifact import read_json
 from aomgen.io.atomic import write_json
 from aomgen.io.video import read_video
-from benchmarks.toy_run import ToyResults
+from toy_run import ToyResults
 
 
 class Still:

@@ -22,7 +22,7 @@ from aomgen.evaluation.suite import (
     twin_digest,
     write_suite,
 )
-from benchmarks.toy_run import ToyResults
+from toy_run import ToyResults
 
 
 def test_a_suite_comes_back_as_it_was(suite: Suite, toy: ToyResults, tmp_path: Path) -> None:

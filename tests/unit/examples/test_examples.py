@@ -1,5 +1,6 @@
 """Every example runs on a tiny scene and writes what it promises."""
 
+import ast
 import os
 import subprocess
 import sys
@@ -98,12 +99,11 @@ def test_convert(tmp_path: Path) -> None:
     assert (tmp_path / "c.usdc").read_bytes()[:8] == b"PXR-USDC"
 
 
-@pytest.mark.parametrize("start", [[], ["--sparse"]], ids=["dense", "sparse"])
-def test_train_colmap(tmp_path: Path, start: list[str]) -> None:
+def test_train_colmap(tmp_path: Path) -> None:
     write_colmap(tmp_path, ball())
     effort = ["--iterations", 60, "--max-gaussians", 900]
-    said = run("train_colmap.py", tmp_path, "--out", tmp_path / "a.ply", *effort, *start)
-    assert "9 images to learn from, 1 held out" in said
+    said = run("train_colmap.py", tmp_path, "--out", tmp_path / "a.ply", *effort)
+    assert "8 images to learn from, 2 held out" in said
     psnr_db = float(said.split("held-out PSNR ")[1].split()[0])
     assert psnr_db > 12
     assert len(read_gaussians(tmp_path / "a.ply")) > 500
@@ -119,26 +119,23 @@ def test_fit_pose(tmp_path: Path) -> None:
     assert float(last.split("position ")[1].split("%")[0]) < 0.4
 
 
-@pytest.mark.slow
-def test_make_capture(tmp_path: Path) -> None:
-    said = run("01_make_capture.py", tmp_path / "capture", "--scan-views", 12, "--size", 160, 120)
-    assert "12 scan images" in said
-    assert (tmp_path / "capture" / "truth" / "truth.json").is_file()
-
-
 def test_recover_joint() -> None:
-    assert "revolute: axis" in run("02_recover_joint.py")
+    assert "revolute: axis" in run("01_recover_joint.py")
 
 
 def test_make_asset(tmp_path: Path) -> None:
-    assert "revolute about" in run("03_make_asset.py", tmp_path / "microwave.usda")
+    assert "revolute about" in run("02_make_asset.py", tmp_path / "microwave.usda")
 
 
-@pytest.mark.slow
-def test_generate_episodes_and_learn_from_them(tmp_path: Path) -> None:
-    assert "4 episodes verified" in run("04_generate_episodes.py", tmp_path, "--episodes", 4)
-    assert "4 episodes at 10 frames" in run("07_learn_from_the_dataset.py", tmp_path / "dataset")
+@pytest.mark.parametrize("path", sorted(EXAMPLES.glob("*.py")), ids=lambda path: path.stem)
+def test_examples_use_public_names_only(path: Path) -> None:
+    for node in ast.walk(ast.parse(path.read_text("utf-8"))):
+        if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("aomgen"):
+            assert node.module == "aomgen.splatting"
+        elif isinstance(node, ast.Import):
+            assert {alias.name for alias in node.names if alias.name.startswith("aomgen")} <= {"aomgen"}
 
 
-def test_write_an_estimator() -> None:
-    assert "standard deviation" in run("05_write_an_estimator.py", "--seed", 3)
+def test_the_script_of_the_readme_is_short_and_the_example() -> None:
+    lines = (EXAMPLES / "03_generate_episodes.py").read_text("utf-8").splitlines()
+    assert sum(bool(line) for line in lines[1:]) <= 12

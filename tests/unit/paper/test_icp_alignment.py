@@ -16,7 +16,6 @@ from aomgen.paper import icp_alignment as paper_alignment
 from aomgen.paper.icp_alignment import align_as_paper, rigid_icp, robot_points, weighted_rigid
 from aomgen.paper.methods import bodies_in_boxes
 from aomgen.robots.robot import RobotConfiguration, RobotModel
-from benchmarks.alignment_methods import methods_table, paper_figures
 
 S_WORLD_RECON = similarity(0.37, matrix_from_rotvec([1.1, -0.7, 2.0]), [0.4, -0.2, 0.9])
 S_RECON_WORLD = np.array(np.linalg.inv(S_WORLD_RECON), np.float64)
@@ -191,14 +190,3 @@ def test_link_boxes_move_with_the_robot(configuration) -> None:
     before, after = bodies_in_boxes(points, configuration), bodies_in_boxes(apply(T, points), turned)
     upper = before > 1
     assert np.mean(before[upper] == after[upper]) > 0.99
-
-
-def test_figures_of_both_methods_stand_side_by_side() -> None:
-    scored = {"alignment.end_effector_mm": 8.0, "joint.axis_deg": 1.0, "parts.robot_iou": None}
-    figures = {"alignment.end_effector_mm": 1.0, "parts.robot_iou": 0.9} | paper_figures(scored, 3.21)
-    assert figures["paper.seconds"] == 3.2
-    assert "paper.joint.axis_deg" not in figures
-    lines = [line.split() for line in methods_table(figures).splitlines()]
-    assert lines[0] == ["figure", "outlines", "paper"]
-    assert ["alignment.end_effector_mm", "1", "8"] in lines
-    assert ["parts.robot_iou", "0.9", "-"] in lines

@@ -14,7 +14,7 @@ from aomgen.robots.robot import RobotModel
 from aomgen.simulation import collision_check
 from aomgen.simulation.collision_check import SWEEP_M, KinematicLimits, check_kinematics, self_overlap_mm
 from aomgen.simulation.scene import Scene, build_scene
-from benchmarks.toy_drawer import NEAR, SUPPORT
+from toy_drawer import NEAR, SUPPORT
 
 # Behind the robot, so that the arm moves freely.
 FAR = transform(np.eye(3), [-1.5, -1.5, SUPPORT.height])

@@ -18,7 +18,7 @@ from aomgen.splatting import native
 from aomgen.splatting.optimizer import RATES
 from aomgen.splatting.training import TrainingParams, learning, scene_extent, start_training, train
 from aomgen.splatting.training_views import PoseIncrements, gauge_motions
-from benchmarks.accuracy import best_similarity
+from similarity_fit import best_similarity
 from small_scene import checkered, photograph, ring, start
 
 

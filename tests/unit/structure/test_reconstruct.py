@@ -22,7 +22,7 @@ from aomgen.structure.mapping import Workspace
 from aomgen.structure.outlier_rejection import InlierModel, is_better
 from aomgen.structure.reconstruct import Photographs, StructureParams, reconstruct_structure
 from aomgen.structure.sparse_model import SparseModel
-from benchmarks.accuracy import best_similarity
+from similarity_fit import best_similarity
 
 # Enough for boards full of print, and quick.
 FEW_FEATURES = StructureParams(max_features=1000)

@@ -13,17 +13,18 @@ from aomgen.core.transforms import invert, rotvec_from_matrix
 from aomgen.core.values import Array
 from aomgen.errors import ConfigError
 from aomgen.robots.robot import RobotModel
-from aomgen.synthetic.commanded_trajectory import CONTROL_STEP_S
-from aomgen.synthetic.demonstration_search import Performance, find_demonstration
-from aomgen.synthetic.scene_recording import Conditions, SceneRenderer, draw_schedule, render_frames
-from aomgen.synthetic.style import (
+from aomgen.simulation.scene_renderer import SceneRenderer
+from synthetic.commanded_trajectory import CONTROL_STEP_S
+from synthetic.demonstration_search import Performance, find_demonstration
+from synthetic.scene_recording import Conditions, draw_schedule, render_frames
+from synthetic.style import (
     DemonstrationStyle,
     GraspType,
     Outcome,
     compute_progress,
     draw_style,
 )
-from aomgen.synthetic.world import draw_capture_style, find_moved_range
+from synthetic.world import draw_capture_style, find_moved_range
 
 SHORT = Conditions(size=(96, 72), fps=4)
 

@@ -19,14 +19,14 @@ from aomgen.io.artifact import load_artifact, read_json
 from aomgen.io.images import read_labels
 from aomgen.io.video import read_video
 from aomgen.robots.robot import RobotModel
-from aomgen.synthetic.demonstration_search import Performance, find_demonstration, simulate
-from aomgen.synthetic.grasp_selection import draw_usual_style
-from aomgen.synthetic.layout import build_world, draw_layout
-from aomgen.synthetic.scene_recording import Conditions
-from aomgen.synthetic.style import draw_style
-from aomgen.synthetic.tabletop_objects import SIZES
-from aomgen.synthetic.world import find_moved_range, make_capture, make_prompt
 from benchmarks.truth import read_truth
+from synthetic.demonstration_search import Performance, find_demonstration, simulate
+from synthetic.grasp_selection import draw_usual_style
+from synthetic.layout import build_world, draw_layout
+from synthetic.scene_recording import Conditions
+from synthetic.style import draw_style
+from synthetic.tabletop_objects import SIZES
+from synthetic.world import find_moved_range, make_capture, make_prompt
 
 SIZE = (128, 96)
 VIEWS = 12

@@ -1,0 +1,194 @@
+"""Commands that measure what is generated: assets, episodes, their replay, policies, and runs after faults."""
+
+import sys
+import tempfile
+from functools import partial
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from aomgen.cli.run import run_project, sample_capture
+from benchmarks.estimate_commands import JsonFile, show
+
+generate_app = typer.Typer()
+
+
+@generate_app.command("replay-exported")
+def replay_exported(
+    outs: Annotated[list[Path], typer.Argument(help="Folders of finished runs.")],
+    json_file: JsonFile = None,
+) -> None:
+    """Replay exported actions in a scene made of the exported USD alone, by category.
+
+    Also with the object 8 cm farther along the gripper's approach, where the same actions must fail.
+    """
+    from benchmarks.replay_exported import run_replay
+
+    show(run_replay(outs), json_file)
+
+
+@generate_app.command("generate")
+def generate(
+    out: Annotated[Path, typer.Option(help="Run folder; its twin and fitted assets are kept.")] = Path(
+        "out-bench"
+    ),
+    episodes: Annotated[int, typer.Option(min=2, help="Committed in the end, over two assets.")] = 60,
+    workers: Annotated[int, typer.Option(min=0, help="Processes; 0 for one a processor.")] = 0,
+    json_file: JsonFile = None,
+) -> None:
+    """Make verified, rendered and exported demonstrations of the bundled recording: how many a minute, and why no more.
+
+    Two cameras of 256 x 256, the paper's ranges, full length and rate, rejects included; wall clock from the first
+    worker's start to the finished dataset. `core_seconds` and `share` are by part, a committed episode.
+    """
+    from benchmarks.generate import run_generate
+
+    def tell(share: float, text: str) -> None:
+        print(f"{share:4.0%} {text}", flush=True)
+
+    machine = {"workers": workers} if workers else {}
+    show(run_generate(out, sample_capture(), episodes, run_project, tell, **machine), json_file)
+
+
+@generate_app.command("environment")
+def environment(
+    run: Annotated[Path, typer.Argument(help="Folder of a run that has committed episodes.")],
+    trials: Annotated[int, typer.Option(min=1, help="Of each action space.")] = 100,
+    workers: Annotated[int, typer.Option(min=1, help="Processes.")] = 2,
+    json_file: JsonFile = None,
+    out: Annotated[
+        Path | None, typer.Option(help="Keeps suite and rollouts; continued when it exists.")
+    ] = None,
+) -> None:
+    """Replay plans in closed loop in every action space, compare pictures with episodes', time steps and resets."""
+    from benchmarks.environment import run_environment
+
+    with tempfile.TemporaryDirectory() as scratch:
+        folder = (out or Path(scratch)).resolve()
+        show(run_environment(run, folder, trials, workers, partial(print, file=sys.stderr)), json_file)
+
+
+@generate_app.command("policy")
+def policy(
+    out: Annotated[
+        Path, typer.Argument(help="Keeps runs, datasets, trainings and rollouts; continued when it exists.")
+    ],
+    cells: Annotated[
+        list[str] | None,
+        typer.Option(help="Only tables whose name begins so, for example curve.microwave; repeatable."),
+    ] = None,
+    quick: Annotated[
+        bool, typer.Option("--quick", help="A few demonstrations, steps and trials: whether all of it works.")
+    ] = False,
+    assets: Annotated[
+        list[str] | None,
+        typer.Option("--asset", help="Also opened in unseen_table: a USD file, or FILE#JOINT; repeatable."),
+    ] = None,
+    workers: Annotated[
+        int, typer.Option(min=1, help="Trainings, episodes and rollouts at the same time.")
+    ] = 2,
+    json_file: JsonFile = None,
+) -> None:
+    """Train policies on generated demonstrations with LeRobot and count how often they open what they have not seen.
+
+    Run it from .venv-policy (`make policy-env`). Hours for all tables; figures are told by `docs/policies.md`.
+    """
+    from aomgen.assets.choice import asset_file, open_asset
+    from benchmarks.policy import PolicyBench
+    from benchmarks.policy_data import PolicyData
+    from benchmarks.policy_tables import QUICK, chosen_tables
+    from benchmarks.policy_training import QUICK_STEPS, STEPS, Trainer
+
+    named = [str(Path(asset).resolve()) if asset_file(asset) else asset for asset in assets or []]
+    for asset in named:
+        open_asset(asset)
+    data = PolicyData(
+        folder=out.resolve(),
+        capture=sample_capture(),
+        run_project=run_project,
+        workers=workers,
+        tell=partial(print, file=sys.stderr, flush=True),
+        assets=tuple(named),
+        **({"trials": 2, "demonstrations": 2} if quick else {}),
+    )
+    tables = chosen_tables(cells or ([QUICK] if quick else []))
+    trainer = Trainer(data=data, steps=QUICK_STEPS if quick else STEPS)
+    show(PolicyBench(data=data, trainer=trainer).figures(tables), json_file)
+
+
+@generate_app.command("replay")
+def replay(
+    attempts: Annotated[int, typer.Option(help="Plans of each category; a tenth of it beyond.")] = 200,
+    seed: Annotated[int, typer.Option(help="Of the first motion world and of all draws.")] = 7000,
+    json_file: JsonFile = None,
+    out: Annotated[Path | None, typer.Option(help="Keeps what was done; continued when it exists.")] = None,
+) -> None:
+    """Plan for made objects from recovered demonstrations, and replay what is exported (the paper's Table 1).
+
+    Figures are told by `docs/dataset.md`.
+    """
+    from benchmarks.replay_runs import run_replay_bench
+
+    with tempfile.TemporaryDirectory() as scratch:
+        folder = (out or Path(scratch)).resolve()
+        show(run_replay_bench(folder, attempts, seed, partial(print, flush=True)), json_file)
+
+
+@generate_app.command("replace")
+def replace(
+    out: Annotated[
+        Path | None, typer.Argument(help="Also path-traced rooms; keeps them and what is made of them.")
+    ] = None,
+    rooms: Annotated[list[str] | None, typer.Option("--room", help="Only this room; repeatable.")] = None,
+    assets: Annotated[
+        list[str] | None, typer.Option("--asset", help="Also a USD file, or FILE#JOINT; repeatable.")
+    ] = None,
+    meshes: Annotated[bool, typer.Option(help="Draw assets as Gaussians beside their meshes.")] = True,
+    fits: Annotated[bool, typer.Option(help="Scale assets to recovered motions.")] = True,
+    seed: Annotated[int, typer.Option(help="Of the first made asset and of all views.")] = 100,
+    json_file: JsonFile = None,
+) -> None:
+    """Draw assets as Gaussians beside their meshes, fit them to motions, and compare with path-traced pictures.
+
+    Rooms want Blender (`make blender-env`) and half an hour each. Figures are told by `docs/replacement.md`.
+    """
+    from aomgen.assets.choice import load_asset
+    from benchmarks.replace_fits import run_fits
+    from benchmarks.replace_meshes import made_assets, run_meshes
+    from benchmarks.replace_scores import ROOMS, run_rooms
+
+    figures: dict = {}
+    tell = partial(print, file=sys.stderr, flush=True)
+    if meshes:
+        figures["mesh"] = run_meshes([*made_assets(seed), *map(load_asset, assets or [])], seed, tell)
+    if fits:
+        with tempfile.TemporaryDirectory() as scratch:
+            figures["fit"] = run_fits((out or Path(scratch)).resolve(), seed, tell)
+    if out is not None:
+        figures |= run_rooms(out.resolve(), rooms or list(ROOMS), run_project, tell)
+    show(figures, json_file)
+
+
+@generate_app.command("faults")
+def faults(
+    kills: Annotated[int, typer.Option(min=1, help="Points at which a run is killed.")] = 200,
+    json_file: JsonFile = None,
+) -> None:
+    """Kill runs that make episodes, fill their disk, kill workers, here and on a Ray cluster; then let them continue.
+
+    Episodes are real but small. Figures are told by `docs/dataset.md`.
+    """
+    from faults import run_faults
+
+    with tempfile.TemporaryDirectory() as scratch:
+        figures = run_faults(Path(scratch), kills, partial(print, file=sys.stderr, flush=True))
+    show(figures, json_file)
+
+
+@generate_app.command("style-pictures")
+def style_pictures(file: Annotated[Path, typer.Argument(help="JPEG to write.")]) -> None:
+    """Render all styles of made assets into one image, a category a row."""
+    from benchmarks.style_pictures import draw_styles
+
+    draw_styles(file)

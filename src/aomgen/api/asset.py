@@ -1,0 +1,167 @@
+"""Articulated assets: loaded, made, checked, and fitted to a recorded motion."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from aomgen.api.arguments import require_count
+from aomgen.api.run import Run
+from aomgen.assets.choice import load_asset, make_asset, require_usable
+from aomgen.assets.doctor import Finding, examine
+from aomgen.assets.import_model import import_model
+from aomgen.assets.usd_read import SUFFIXES
+from aomgen.assets.usd_write import write_usd
+from aomgen.core.asset import ArticulatedAsset
+from aomgen.core.joint import Joint
+from aomgen.core.plan import FittedAsset, Rejection
+from aomgen.errors import ConfigError, EstimationError
+from aomgen.replacement.stage import fit_to_recording
+
+
+@dataclass(frozen=True, slots=True)
+class Asset:
+    """An articulated object with meshes, colliders, masses, one joint and a handle.
+
+    Attributes:
+        model: Its content, asset frame: front towards -y, support plane z = 0.
+        source: How projects name it, `category:seed` or FILE#JOINT; empty before `save`.
+
+    Example:
+        >>> asset = ag.Asset.make("drawer", seed=3)
+        >>> asset.joint.type, asset.source
+        ('prismatic', 'drawer:3')
+    """
+
+    model: ArticulatedAsset
+    source: str = ""
+
+    @classmethod
+    def load(
+        cls,
+        file: str | Path,
+        *,
+        joint: str = "",
+        scale: float = 1.0,
+        category: str = "",
+        limits: Sequence[float] = (),
+        handle: Sequence[float] = (),
+    ) -> "Asset":
+        """Read a USD, URDF, MJCF or OBJ model.
+
+        Args:
+            file: The model; OBJ needs an `articulation.json`, see `docs/assets.md`.
+            joint: Which of several joints moves.
+            scale: Factor on the size.
+            category: For example "microwave"; as the file says when empty.
+            limits: Lower and upper limit of the joint in place of the file's, [rad] or [m].
+            handle: Corners x0, y0, z0, x1, y1, z1 of a box around the handle as drawn, [m], z up.
+
+        Raises:
+            InputError: The file cannot be used; the subclass says why.
+            SeveralJointsError: The file has several joints; its `joints` lists them.
+
+        Example:
+            >>> ag.Asset.make("toolbox", seed=1).save("toolbox.usda")
+            >>> asset = ag.Asset.load("toolbox.usda")
+            >>> asset.joint.type
+            'revolute'
+        """
+        path = Path(file)
+        read = import_model(path, joint=joint, scale=scale, category=category, limits=limits, handle=handle)
+        as_is = scale == 1.0 and not (category or limits or handle) and path.suffix.lower() in SUFFIXES
+        name = f"{path.resolve()}#{joint}" if joint else str(path.resolve())
+        return cls(read, name if as_is else "")
+
+    @classmethod
+    def make(cls, category: str, seed: int = 1) -> "Asset":
+        """Make a textured asset with random sizes and style; the same seed gives the same asset.
+
+        Args:
+            category: "cabinet", "drawer", "dresser", "laptop", "microwave" or "toolbox".
+            seed: Chooses style, sizes, colors and the side of the hinge.
+
+        Raises:
+            ConfigError: The category is unknown, or the seed is negative.
+
+        Example:
+            >>> ag.Asset.make("microwave", seed=1).model.category
+            'microwave'
+        """
+        return cls(make_asset(category, require_count("seed", seed, 0)), f"{category}:{seed}")
+
+    @property
+    def name(self) -> str:
+        """Name of the asset, by which episodes tell assets apart."""
+        return self.model.name
+
+    @property
+    def joint(self) -> Joint:
+        """The joint, asset frame; value 0 is closed."""
+        return self.model.joint
+
+    def check(self) -> list[Finding]:
+        """Examine joint, size, handle, colliders, mass and textures.
+
+        Returns:
+            Findings; the asset can be simulated and opened when none has a `problem`.
+
+        Example:
+            >>> [item.problem for item in ag.Asset.make("laptop", seed=2).check() if item.problem]
+            []
+        """
+        return examine(self.model)
+
+    def save(self, file: str | Path) -> None:
+        """Write the asset as USD with colliders, masses, joint and friction, named as the file.
+
+        Example:
+            >>> ag.Asset.make("cabinet", seed=1).save("cabinet.usda")
+        """
+        path = Path(file)
+        write_usd(replace(self.model, name=path.stem), path)
+
+
+def fit_asset(asset: Asset, run: Run) -> FittedAsset:
+    """Place an asset where a run's object stood and carry the recorded motion to its joint.
+
+    Args:
+        asset: See `Asset`.
+        run: A run that has finished stage "replacement".
+
+    Returns:
+        The asset with its pose, contact point and joint values over the motion.
+
+    Raises:
+        AssetError: The asset cannot be simulated and held.
+        EstimationError: The recorded motion does not fit the asset.
+
+    Example:
+        >>> run = ag.Run.open("out")
+        >>> fit = ag.fit_asset(ag.Asset.make("microwave", seed=4), run)
+        >>> fit.mode, fit.scale
+        ('trajectory', 1.0)
+    """
+    run.require_stage("replacement")
+    found = fit_to_recording(run.results, require_usable(asset.model))
+    if isinstance(found, Rejection):
+        raise EstimationError(
+            asset.name,
+            f"does not fit the recorded motion: {found.detail}",
+            "choose an asset that moves alike",
+        )
+    return found
+
+
+def asset_source(asset: "Asset | str | Path") -> str:
+    """Return how a project names an asset.
+
+    Raises:
+        ConfigError: The asset is neither a made one nor a USD file.
+    """
+    if isinstance(asset, Asset):
+        if not asset.source:
+            raise ConfigError(asset.name, "is in no file that a run can read", "save it as USD and load that")
+        return asset.source
+    spec = str(asset)
+    load_asset(spec)
+    return spec

@@ -1,0 +1,287 @@
+"""Verified demonstrations: planned, simulated, rendered, exported."""
+
+import hashlib
+import json
+import os
+import shutil
+import threading
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import fields, is_dataclass
+from pathlib import Path
+from typing import Any
+
+from aomgen.api.arguments import require_count
+from aomgen.api.asset import Asset, asset_source
+from aomgen.api.run import ProgressOption, Run, bring_up_to_date, change_project
+from aomgen.core.plan import EpisodePlan, FittedAsset, Rejection, Variation
+from aomgen.core.project import Project
+from aomgen.core.verdict import Verdict
+from aomgen.datasets.formats import export_dataset
+from aomgen.datasets.selection import Selection
+from aomgen.episodes.factory import EpisodeFactory
+from aomgen.episodes.ledger import unit_of
+from aomgen.episodes.variations import Ranges
+from aomgen.errors import ConfigError
+from aomgen.io.episode_folder import CommittedEpisode, list_committed, read_episode
+from aomgen.pipeline.runner import results_of
+from aomgen.pipeline.stages import PROJECT_FILE, STAGES, check_params, find_project
+from aomgen.simulation.scene import Scene
+from aomgen.simulation.verify import verify_plan
+
+# Below a run's folder: requests of `generate` without a folder of their own.
+GENERATED_FOLDER = "generated"
+# Stages whose results do not depend on assets and ranges; requests share them.
+SHARED_STAGES = ("structure", "gaussians", "alignment", "parts", "motion", "twin")
+# Interval between looks for new episodes, [s].
+POLL_S = 0.2
+
+
+class _Stopped(Exception):
+    """The caller of `generate` wants no more episodes."""
+
+
+def generate(
+    run: Run,
+    assets: Sequence[Asset | str | Path] = (),
+    n: int = 6,
+    *,
+    ranges: Ranges | None = None,
+    seed: int | None = None,
+    out: str | Path | None = None,
+    workers: int = 0,
+    progress: ProgressOption = False,
+    **choices: Any,
+) -> Iterator[CommittedEpisode]:
+    """Make verified, rendered episodes, and yield each one when it is on disk.
+
+    The results go into a run of their own that shares the twin with `run`. The same call continues what was
+    interrupted, and yields finished episodes at once. Closing the iterator stops the work.
+
+    Args:
+        run: A run that has finished stage "twin".
+        assets: Assets that replace the recorded object; those of `run` when empty.
+        n: Episodes of each asset.
+        ranges: Ranges that poses, sizes, speeds, light and cameras are sampled from; those of `run` when None.
+        seed: Seed of all random choices; that of `run` when None.
+        out: Folder of the new run; a folder below `run.folder` that is named after the request when None.
+        workers: Processes; 0 for one per processor.
+        progress: See `reconstruct`.
+        choices: Other fields of the project, for example `image_size=(256, 256)`.
+
+    Yields:
+        Episodes in the order in which they are committed. Fewer than n for an asset whose attempts are used up.
+
+    Raises:
+        ConfigError, AssetError: An argument is wrong; nothing has been started.
+        NotEnoughEpisodesError: No draw of any asset passes verification.
+
+    Example:
+        >>> run = ag.Run.open("out")
+        >>> episodes = list(ag.generate(run, [ag.Asset.make("microwave", seed=1)], n=1, image_size=(64, 64)))
+        >>> episodes[0].episode.asset, episodes[0].episode.verdict["passed"]
+        ('microwave-1', True)
+    """
+    run.require_stage("twin")
+    changes: dict[str, Any] = {"poses": require_count("n", n), **choices}
+    if assets:
+        changes["assets"] = tuple(asset_source(asset) for asset in assets)
+    if seed is not None:
+        changes["seed"] = require_count("seed", seed, 0)
+    if ranges is not None:
+        episodes = run.project.params.get("episodes", {})
+        stated = {**episodes, "ranges": _differences(ranges, Ranges())}
+        changes["params"] = {**run.project.params, "episodes": stated}
+    project = change_project(run.project, changes)
+    check_params(project)
+    home = run.folder / GENERATED_FOLDER / _request_name(project) if out is None else Path(out).resolve()
+    earlier = find_project(home).poses if (home / PROJECT_FILE).is_file() else n
+    # Fewer episodes than an earlier call made would delete the others.
+    project = project.model_copy(update={"out": home, "poses": max(n, earlier)})
+    machine = {"workers": require_count("workers", workers)} if workers else {}
+    _share_twin(run, home)
+    return _generate(project, n, progress, machine)
+
+
+def _request_name(project: Project) -> str:
+    """Return a name of a request that does not depend on the number of episodes, which can be raised later."""
+    choices = project.model_dump(mode="json", exclude={"capture", "out", "poses"})
+    return hashlib.sha256(json.dumps(choices, sort_keys=True).encode()).hexdigest()[:12]
+
+
+def _differences(params: Any, usual: Any) -> dict[str, Any]:
+    """Return the fields in which two dataclasses differ, as a project file states them."""
+    changed = {}
+    for item in fields(params):
+        value, default = getattr(params, item.name), getattr(usual, item.name)
+        if value != default:
+            nested = is_dataclass(value)
+            changed[item.name] = _differences(value, default) if nested else json.loads(json.dumps(value))
+    return changed
+
+
+def _share_twin(run: Run, home: Path) -> None:
+    """Link the stages up to the twin into the folder of another run."""
+    for name in SHARED_STAGES:
+        source = run.results.folders[name]
+        if not (home / source.name).exists():
+            shutil.copytree(source, home / source.name, copy_function=_link)
+
+
+def _link(source: str, target: str) -> None:
+    """Link a file, or copy it to another file system."""
+    try:
+        os.link(source, target)
+    except OSError:
+        shutil.copy2(source, target)
+
+
+def _generate(
+    project: Project, wanted: int, progress: ProgressOption, machine: Mapping[str, int]
+) -> Iterator[CommittedEpisode]:
+    """Run the pipeline in a thread and yield what it commits."""
+    folder = results_of(project, STAGES).folders["episodes"]
+    stopped, failures = threading.Event(), list[BaseException]()
+
+    def tell(share: float, text: str) -> None:
+        if stopped.is_set():
+            raise _Stopped
+        if callable(progress):
+            progress(share, text)
+
+    def work() -> None:
+        try:
+            bring_up_to_date(project, until="episodes", progress=tell, **machine)
+        except _Stopped:
+            pass
+        except BaseException as error:
+            failures.append(error)
+
+    worker = threading.Thread(target=work, daemon=True)
+    worker.start()
+    made: Counter[int] = Counter()
+    yielded = set[Path]()
+    try:
+        over = False
+        while not over:
+            worker.join(POLL_S)
+            over = not worker.is_alive()
+            for path in list_committed(folder):
+                asset = unit_of(path.name).asset
+                if path not in yielded and made[asset] < wanted:
+                    made[asset] += 1
+                    yielded.add(path)
+                    yield read_episode(path)
+            over = over or sum(made.values()) == wanted * len(project.assets)
+        if failures:
+            raise failures[0]
+    finally:
+        stopped.set()
+        worker.join()
+
+
+def build_scene(run: Run, fit: FittedAsset) -> Scene:
+    """Build the simulated scene in which episodes of an asset are planned and verified.
+
+    Args:
+        run: A run that has finished stage "replacement".
+        fit: See `fit_asset`.
+
+    Example:
+        >>> run = ag.Run.open("out")
+        >>> scene = ag.build_scene(run, run.fits[0])
+        >>> scene.model.nu > 6
+        True
+    """
+    run.require_stage("replacement")
+    factory = EpisodeFactory(run.results, run.results.folders["episodes"])
+    return factory.build_scene(fit)
+
+
+def plan(
+    run: Run, fit: FittedAsset, variation: Variation, scene: Scene | None = None
+) -> EpisodePlan | Rejection:
+    """Plan the robot's motion for a pose of an asset.
+
+    Args:
+        run: A run that has finished stage "replacement".
+        fit: See `fit_asset`.
+        variation: Pose of the object relative to the recorded one, and what else differs.
+        scene: Result of `build_scene`, which is built when None.
+
+    Returns:
+        The plan, or why there is none; `passed` tells which.
+
+    Example:
+        >>> run = ag.Run.open("out")
+        >>> found = ag.plan(run, run.fits[0], ag.Variation(seed=0, index=0, x=5.0, y=0.0, yaw=0.0))
+        >>> found.passed, found.reason
+        (False, 'unreachable')
+    """
+    run.require_stage("replacement")
+    factory = EpisodeFactory(run.results, run.results.folders["episodes"])
+    return factory.plan_for(fit, variation, scene or factory.build_scene(fit))
+
+
+def verify(plan: EpisodePlan, scene: Scene) -> Verdict | Rejection:
+    """Simulate a plan under several resistances of the object, and judge whether contact alone moves it.
+
+    Args:
+        plan: Commanded motion.
+        scene: Robot, table and the plan's asset.
+
+    Returns:
+        The certificate with all margins, or why the plan fails; `passed` tells which.
+
+    Example:
+        >>> run = ag.Run.open("out")
+        >>> fit = run.fits[0]
+        >>> scene = ag.build_scene(run, fit)
+        >>> made = ag.plan(run, fit, ag.Variation(seed=0, index=0, x=0.0, y=0.0, yaw=0.0), scene)
+        >>> verdict = ag.verify(made, scene)
+        >>> verdict.passed, verdict.margin > 0
+        (True, True)
+    """
+    found = verify_plan(plan, scene)
+    return found if isinstance(found, Rejection) else found.verdict
+
+
+def export(
+    episodes: Run | Iterable[CommittedEpisode],
+    folder: str | Path,
+    format: str = "lerobot-v3",
+    *,
+    actions: str = "",
+    media: str = "",
+    size: str = "",
+    val: int | None = None,
+) -> Selection:
+    """Write episodes as a dataset for training.
+
+    Args:
+        episodes: Episodes, or a run whose episodes are all written.
+        folder: The dataset; replaced if AOMGen wrote it.
+        format: "lerobot-v3", "lerobot-v2.1", "rlds", "rlds-array-record" or "hdf5".
+        actions: "joint", "ee_absolute" or "ee_delta"; the format's own when empty.
+        media: LeRobot's images: "video", "image", or "none" for the object's pose instead; "video" when empty.
+        size: Width and height of the images, "128x96"; as rendered when empty.
+        val: Number of episodes for validation; the format's own share when None.
+
+    Returns:
+        Episodes by split, and the number of frames.
+
+    Raises:
+        ConfigError: No episodes, an unknown format or option, or a folder that holds something else.
+
+    Example:
+        >>> made = ag.export(ag.Run.open("out"), "dataset", "hdf5", val=1)
+        >>> len(made.val)
+        1
+    """
+    made = episodes.episodes if isinstance(episodes, Run) else list(episodes)
+    if not made:
+        raise ConfigError("episodes", "is empty", "generate episodes first")
+    folders = [episode.folder for episode in made]
+    return export_dataset(
+        folders, Path(folder).resolve(), format, actions=actions, media=media, size=size, val=val
+    )

@@ -1,0 +1,1 @@
+"""Captures with ground truth, made in simulation; `python -m synthetic --help`."""

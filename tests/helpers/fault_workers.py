@@ -1,0 +1,187 @@
+"""Workers of a run die, here and on a Ray cluster; the run goes on."""
+
+import multiprocessing
+import os
+import re
+import signal
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from functools import partial
+from multiprocessing.process import BaseProcess
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from aomgen.core.progress import silent
+from aomgen.episodes.ledger import read_accounts
+from aomgen.episodes.stage import run as generate
+from aomgen.errors import WorkerError
+from aomgen.executors import Done
+from aomgen.io.artifact import read_json
+from aomgen.io.atomic import STAGING_PREFIX, write_json
+from aomgen.io.episode_folder import list_committed, read_episode
+from fault_run import INPUTS, PARAMS, in_child
+from fault_trees import read_tree
+from toy_run import FOLDERS, ToyResults, elsewhere, toy_run
+
+ASSETS, WORKERS = 2, 2
+# A unit takes about a second: a worker dies at any moment of it, [s].
+UNIT_S: Final = 1.0
+# A run of 200 episodes takes two minutes; one that takes longer hangs, [s].
+HANGS_S: Final = 1200.0
+# A Ray cluster of two nodes, each with one processor, and as much shared memory as Ray takes at least, [bytes].
+NODE: Final = {"num_cpus": 1, "object_store_memory": 80 << 20}
+# Episodes of an asset in a run on Ray; after so many units a worker dies, then a node.
+RAY_POSES, RAY_FAULTS_AFTER = 3, (1, 3)
+# A cluster whose workers are all idle for so long has nothing to do, [s].
+IDLE_S: Final = 20.0
+
+
+def worker_deaths(scratch: Path, deaths: int = 50, requested: int = 200) -> dict[str, int]:
+    """Kill the older one of two workers again and again during a run.
+
+    Args:
+        scratch: A folder.
+        deaths: How many.
+        requested: Episodes, over two assets; at least as many units are made.
+
+    Returns:
+        `accounted` are those of the requested episodes that are committed and readable, or of which the ledger says that
+        all attempts have failed; `partial` are files that are half-written; `given_up` are attempts whose worker died every time.
+    """
+    results = toy_run(scratch / INPUTS, params=PARAMS, poses=requested // ASSETS, assets=ASSETS)
+    out, file = scratch / "run", scratch / "deaths.json"
+    code = in_child(
+        partial(_die_often, elsewhere(results, out, workers=WORKERS), deaths, requested, file), HANGS_S
+    )
+    if code:
+        raise WorkerError(out, f"ended with code {code}", "see its traceback")
+    folder = out / FOLDERS["episodes"]
+    accounts = read_accounts(folder)
+    readable = sum(len(read_episode(path).episode) > 0 for path in list_committed(folder))
+    rejected = sum(account.rejected for account in accounts)
+    return {
+        "deaths": read_json(file)["deaths"],
+        "requested": requested,
+        "committed": readable,
+        "rejected": rejected,
+        "left": sum(account.left for account in accounts),
+        "accounted": readable + rejected,
+        "partial": sum(STAGING_PREFIX in name for name in read_tree(folder, staging=True)),
+        "given_up": sum(account.reasons.get("worker_died", 0) for account in accounts),
+    }
+
+
+def _die_often(results: ToyResults, deaths: int, requested: int, file: Path) -> None:
+    """Make the episodes; after every few units, and a moment, the worker that was started first is killed."""
+    rng, units, killed = np.random.default_rng(0), 0, list[threading.Timer]()
+
+    def heard(done: Done) -> None:
+        nonlocal units
+        units += 1
+        waiting = killed and killed[-1].is_alive()
+        if units % (requested // deaths) == 0 and len(killed) < deaths and not waiting:
+            oldest = min(multiprocessing.active_children(), key=_number)
+            killed.append(threading.Timer(float(rng.uniform(0, UNIT_S)), oldest.kill))
+            killed[-1].start()
+
+    _generate(results, heard)
+    write_json(file, {"deaths": len(killed)})
+
+
+def _number(process: BaseProcess) -> int:
+    """Of a process among those that its parent has started, by its name."""
+    return int(re.split("[-:]", process.name)[-1])
+
+
+def ray_deaths(scratch: Path) -> dict[str, Any]:
+    """Kill a worker process, and then a node, of a Ray cluster in the middle of a run; compare with an undisturbed run."""
+    results = toy_run(scratch / INPUTS, params=PARAMS, poses=RAY_POSES, assets=ASSETS)
+    code = in_child(partial(_on_ray, results, scratch), HANGS_S, "spawn")
+    if code:
+        raise WorkerError(scratch, f"ended with code {code}", "see its traceback")
+    disturbed = scratch / "disturbed"
+    return {
+        "killed": ["worker", "node"],
+        "episodes": len(list_committed(disturbed / FOLDERS["episodes"])),
+        "tree_equal": read_tree(disturbed, staging=True) == read_tree(scratch / "undisturbed"),
+    }
+
+
+def _on_ray(results: ToyResults, scratch: Path) -> None:
+    """An undisturbed run in processes, then one on a cluster.
+
+    Raises:
+        WorkerError: It was over before both faults had happened.
+    """
+    _generate(elsewhere(results, scratch / "undisturbed", workers=WORKERS), lambda done: None)
+    with _cluster() as cluster:
+        node = cluster.add_node(**NODE)
+        faults = [
+            partial(_kill_ray_worker, cluster),
+            partial(cluster.remove_node, node, allow_graceful=False),
+        ]
+        units = 0
+
+        def heard(_: Done) -> None:
+            nonlocal units
+            units += 1
+            if units in RAY_FAULTS_AFTER:
+                faults.pop(0)()
+
+        _generate(elsewhere(results, scratch / "disturbed", ray=cluster.address), heard)
+    if faults:
+        raise WorkerError("ray", f"was done after {units} units, before both faults")
+
+
+@contextmanager
+def _cluster() -> Iterator[Any]:
+    """A cluster with its first node, whose workers find this folder's modules."""
+    from ray.cluster_utils import Cluster
+
+    os.environ["PYTHONPATH"] = str(Path(__file__).parent)
+    cluster = Cluster(initialize_head=True, head_node_args={**NODE, "include_dashboard": False})
+    try:
+        yield cluster
+    finally:
+        cluster.shutdown()
+
+
+def _kill_ray_worker(cluster: Any) -> None:
+    """Kill a process that is at work; between two units none is.
+
+    Raises:
+        WorkerError: None is for a while.
+    """
+    end = time.monotonic() + IDLE_S
+    while time.monotonic() < end:
+        for worker in _at_work(cluster):
+            with suppress(ProcessLookupError):  # it has ended
+                os.kill(worker, signal.SIGKILL)
+                return
+        time.sleep(0.01)
+    raise WorkerError("ray", "has no worker at work")
+
+
+def _at_work(cluster: Any) -> Iterator[int]:
+    """Processes of a cluster that do a unit now."""
+    for node in cluster.list_all_nodes():
+        (raylet,) = node.all_processes["raylet"]
+        for child in _children(raylet.process.pid):
+            with suppress(FileNotFoundError, ProcessLookupError):  # it has ended
+                if b"_do_on_ray" in Path(f"/proc/{child}/cmdline").read_bytes():
+                    yield child
+
+
+def _children(process: int) -> list[int]:
+    tasks = Path(f"/proc/{process}/task").iterdir()
+    return [int(child) for task in tasks for child in (task / "children").read_text().split()]
+
+
+def _generate(results: ToyResults, heard: Callable[[Done], None]) -> None:
+    folder = results.folders["episodes"]
+    folder.mkdir(parents=True)
+    generate(results, folder, silent, heard)
