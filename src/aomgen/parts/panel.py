@@ -1,15 +1,14 @@
-"""An object as two boxes: the moving part, a panel, and the body; and what is known of them by their faces alone.
+"""Model of an articulated object as two boxes: the moving part (a panel) and the body; cuts of Gaussians at its faces.
 
-Masks of doors, drawers and lids are ragged or stop at a window; the boxes make the borders straight.
+Segmentation masks of doors, drawers and lids are ragged or end at a window; the boxes have straight borders.
 Panel frame: x level along the panel, y up (across, for a lid), z out of the front, origin on the front face.
 Body frame: z up.
-Gaussians on a plain front are large and lie across the seam around a drawer or a door. With one label they
-would drag a strip of the body along when the part moves, so those that a face passes through are cut in two. Each half
-is the moment match of the Gaussian truncated at the face: its mean and covariance, its weight kept, so that images of
-the scan stay.
+Gaussians on a plain front are large and extend across the seam around a drawer or a door. With one label they
+would move a strip of the body with the part. A Gaussian that a face intersects is therefore cut in two; each half is
+the moment match of the Gaussian truncated at the face. Its weight is kept, so that renderings of the scan stay.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -19,13 +18,20 @@ from aomgen.conventions import BACKGROUND, MOVING, STATIC
 from aomgen.core.boxes import find_upright_axes
 from aomgen.core.gaussians import Gaussians, concatenate, gaussians_of
 from aomgen.core.parts import Cut
-from aomgen.core.transforms import apply, invert, matrix_from_quat, quat_from_matrix, transform
+from aomgen.core.transforms import (
+    apply,
+    invert,
+    matrix_from_quat,
+    matrix_from_rotvec,
+    quat_from_matrix,
+    transform,
+)
 from aomgen.core.values import Array, Matrix4, Vector3, freeze_arrays
 from aomgen.errors import ReconstructionError
 
 STAGE = "parts"
-# Fronts this close to level or upright are so: objects stand on something, and planes are found to a degree
-# or two. Lids that stand ajar lean more.
+# Fronts within this angle of level or upright are taken as level or upright: objects rest on a support, and
+# planes are found to a degree or two. Lids that are ajar lean more.
 SNAP_DEG = 4.0
 # Reconstructed surfaces scatter about their plane by this share of the part's diagonal.
 SCATTER_SHARE = 0.015
@@ -33,19 +39,22 @@ SCATTER_SHARE = 0.015
 TRIALS = 1000
 # Surface pixels below which the normal of a plane is noise.
 MIN_POINTS = 50
-# A face cuts Gaussians of which it leaves this share on either side, at least.
+# A face cuts a Gaussian that has at least this share on either side.
 MIN_SHARE = 0.1
 # Opacities end below 1: a Gaussian never blocks all light.
 MAX_OPACITY = 0.999
+# Unknowns of the boxes in a step (13,): left, right, lower and upper edge of the panel; its seam and reach; low and high
+# corner of the body, all [m]; yaw of the body about the vertical, [rad].
+EDGES, SEAM, REACH, BODY_LOW, BODY_HIGH, YAW, UNKNOWNS = slice(0, 4), 4, 5, slice(6, 9), slice(9, 12), 12, 13
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Panel:
-    """Where the two boxes are; what lies in both belongs to the moving part.
+    """Two boxes; their intersection belongs to the moving part.
 
     Attributes:
-        low, high: Corners of the moving part, panel frame, [m]. `low[2]` is the seam behind
-            the panel; `high[2]` is how far handles reach.
+        low, high: Corners of the moving part, panel frame, [m]. `low[2]` is the seam behind the panel;
+            `high[2]` is the reach of handles.
         body_low, body_high: Corners of the object's body, body frame, [m].
     """
 
@@ -58,27 +67,46 @@ class Panel:
 
     __post_init__ = freeze_arrays
 
+    def move(self, step: Array) -> "Panel":
+        """Add a step (13,) to the unknowns, see `UNKNOWNS`."""
+        left, right, lower, upper = step[EDGES]
+        turn = transform(matrix_from_rotvec([0, 0, step[YAW]]), np.zeros(3))
+        return replace(
+            self,
+            low=self.low + [left, lower, step[SEAM]],
+            high=self.high + [right, upper, step[REACH]],
+            T_panel_body=self.T_panel_body @ turn if step[YAW] else self.T_panel_body,
+            body_low=self.body_low + step[BODY_LOW],
+            body_high=self.body_high + step[BODY_HIGH],
+        )
+
+    def thicken_body(self, margin_m: float) -> "Panel":
+        """Extend the body on all sides but the lower one, where its support is."""
+        return replace(
+            self, body_low=self.body_low - [margin_m, margin_m, 0], body_high=self.body_high + margin_m
+        )
+
     def labels(self, points_world: ArrayLike) -> NDArray[np.uint8]:
-        """Part labels (N,) of points (N, 3) by where they are, world frame."""
+        """Part labels (N,) of the positions of points (N, 3), world frame."""
         return self.labels_local(apply(invert(self.T_world_panel), np.asarray(points_world, np.float64)))
 
     def labels_seen(self, points_world: Array, center_world: Array) -> NDArray[np.uint8]:
-        """Part labels (H, W) of what a camera sees.
+        """Part labels (H, W) of the surface that a camera sees.
 
         Args:
             points_world: (H, W, 3) surface point at each pixel; NaN for none.
             center_world: The camera's centre (3,).
 
-        A panel is opaque: what appears behind its face, mirrored or seen through glass, is it.
+        A panel is opaque: a surface that appears behind its face, mirrored or through glass, is labelled as panel.
         """
         T_panel_world = invert(self.T_world_panel)
         local = apply(T_panel_world, points_world.reshape(-1, 3)).reshape(points_world.shape)
         return self.labels_local(local, apply(T_panel_world, center_world[None])[0])
 
     def labels_local(self, local: NDArray, center: Array | None = None) -> NDArray[np.uint8]:
-        """As `labels` and, with a camera centre (3,), `labels_seen`, for points (..., 3) in the panel frame."""
+        """Part labels of points (..., 3) in the panel frame: as `labels`, with a camera centre (3,) as `labels_seen`."""
         T_body_panel = invert(self.T_panel_body)
-        # Coordinate by coordinate: the search of a panel spends its time here.
+        # One coordinate at a time: the search of a panel spends its time here.
         x, y, z = (local[..., axis] for axis in range(3))
         body = [row[0] * x + row[1] * y + row[2] * z + row[3] for row in T_body_panel[:3]]
         ours = np.logical_and.reduce(_within(body, self.body_low, self.body_high))
@@ -94,7 +122,7 @@ class Panel:
         return labels
 
     def faces(self) -> list[tuple[Array, float]]:
-        """The planes of all twelve faces, `normal @ x = offset`, world frame."""
+        """Planes `normal @ x = offset` of all twelve faces, world frame."""
         planes = []
         for T_world_box, low, high in (
             (self.T_world_panel, self.low, self.high),
@@ -107,8 +135,26 @@ class Panel:
         return planes
 
     @property
+    def is_valid(self) -> bool:
+        """Both boxes have positive sizes, and the front face is between seam and reach."""
+        sizes = np.append(self.high - self.low, self.body_high - self.body_low)
+        return bool((sizes > 0).all() and self.low[2] < 0 < self.high[2])
+
+    @property
+    def extent_m(self) -> float:
+        """Sum of the panel's width, height and thickness, and of the body's three sizes, [m]."""
+        return float((self.high - self.low)[:2].sum() - self.low[2] + (self.body_high - self.body_low).sum())
+
+    @property
+    def skew_rad(self) -> float:
+        """Smallest yaw that makes the body square to the panel, [rad], 0..pi/4."""
+        along, body = self.T_world_panel[:2, 0], (self.T_world_panel @ self.T_panel_body)[:2, 0]
+        yaw = np.arctan2(along[0] * body[1] - along[1] * body[0], along @ body)
+        return float(abs((yaw + np.pi / 4) % (np.pi / 2) - np.pi / 4))
+
+    @property
     def uncovered_m(self) -> float:
-        """How far the panel's corners stand out past the body's footprint, mean over the corners, [m]."""
+        """Distance of the panel's corners outside the body's footprint, mean over the corners, [m]."""
         corners = [[x, y, 0.0] for x in (self.low[0], self.high[0]) for y in (self.low[1], self.high[1])]
         body = apply(invert(self.T_panel_body), np.array(corners))
         beyond = np.maximum(np.maximum(self.body_low - body, body - self.body_high), 0)
@@ -120,10 +166,10 @@ def _within(planes: list[NDArray], low: Array, high: Array) -> list[NDArray[np.b
     return [(values > low[axis]) & (values < high[axis]) for axis, values in enumerate(planes)]
 
 
-def panel_frame(
+def find_panel_frame(
     points_of_views: list[Array], centers_world: Array, rng: np.random.Generator
 ) -> tuple[Array, float]:
-    """Panel frame (4, 4) on the largest plane among the points that the part's boxes show, and their diagonal [m].
+    """Find the panel frame (4, 4) on the largest plane among points of the part, and the diagonal of the points, [m].
 
     Args:
         points_of_views: Surface points (N, 3) inside the box, one array a view, world frame.
@@ -144,7 +190,7 @@ def panel_frame(
     points = np.concatenate([p[rng.choice(len(p), count, replace=False)] for p in points_of_views])
     low, high = np.quantile(points, [0.1, 0.9], axis=0)
     size = float(np.linalg.norm(high - low))
-    normal, origin, near = _plane(points, SCATTER_SHARE * size, rng)
+    normal, origin, near = _find_plane(points, SCATTER_SHARE * size, rng)
     if (centers_world.mean(0) - origin) @ normal < 0:
         normal = -normal
     up = np.array([0.0, 0.0, 1.0])
@@ -158,8 +204,8 @@ def panel_frame(
     return transform(np.stack([np.cross(up, normal), up, normal], 1), origin), size
 
 
-def _plane(points: Array, tolerance: float, rng: np.random.Generator) -> tuple[Array, Array, Array]:
-    """Unit normal, a point, and the points near the plane that most of them (N, 3) lie on."""
+def _find_plane(points: Array, tolerance: float, rng: np.random.Generator) -> tuple[Array, Array, Array]:
+    """Find the plane near most of the points (N, 3): unit normal, a point, and the points near it."""
     corners = points[rng.integers(len(points), size=(TRIALS, 3))]
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
@@ -179,7 +225,7 @@ def _plane(points: Array, tolerance: float, rng: np.random.Generator) -> tuple[A
 
 
 def cut_at_faces(gaussians: Gaussians, panel: Panel, free: NDArray[np.bool_]) -> Cut:
-    """Cut Gaussians whose halves lie in different parts.
+    """Cut Gaussians whose halves have different labels.
 
     Args:
         gaussians: World frame.
@@ -189,8 +235,8 @@ def cut_at_faces(gaussians: Gaussians, panel: Panel, free: NDArray[np.bool_]) ->
     origins = np.flatnonzero(free)
     pieces, cut = gaussians.select(origins), np.zeros(len(origins), bool)
     for normal, offset in panel.faces():
-        crossed = np.flatnonzero(_least_share(pieces, normal, offset) > MIN_SHARE)
-        above, below = (_half(pieces.select(crossed), side * normal, side * offset) for side in (1, -1))
+        crossed = np.flatnonzero(_compute_least_share(pieces, normal, offset) > MIN_SHARE)
+        above, below = (_truncate(pieces.select(crossed), side * normal, side * offset) for side in (1, -1))
         apart = panel.labels(above.means) != panel.labels(below.means)
         divided = crossed[apart]
         whole = np.ones(len(pieces), bool)
@@ -201,25 +247,21 @@ def cut_at_faces(gaussians: Gaussians, panel: Panel, free: NDArray[np.bool_]) ->
     return Cut(sources=origins[cut], pieces=pieces.select(cut))
 
 
-def _covariances(gaussians: Gaussians) -> Array:
-    axes = matrix_from_quat(gaussians.quats) * gaussians.scales[:, None, :].astype(np.float64)
-    return axes @ np.swapaxes(axes, 1, 2)
-
-
-def _least_share(gaussians: Gaussians, normal: Array, offset: float) -> Array:
-    """Share (N,) of each Gaussian on the emptier side of the plane `normal @ x = offset`."""
+def _compute_least_share(gaussians: Gaussians, normal: Array, offset: float) -> Array:
+    """Compute the share (N,) of each Gaussian on the emptier side of the plane `normal @ x = offset`."""
     widths = np.linalg.norm(
         gaussians.scales * (normal @ matrix_from_quat(gaussians.quats)).astype(np.float64), axis=1
     )
     return norm.cdf(-np.abs(gaussians.means @ normal - offset) / np.maximum(widths, 1e-12))
 
 
-def _half(gaussians: Gaussians, normal: Array, offset: float) -> Gaussians:
-    """What lies above the plane `normal @ x = offset`, as Gaussians of the same mean and covariance.
+def _truncate(gaussians: Gaussians, normal: Array, offset: float) -> Gaussians:
+    """Truncate Gaussians to the upper side of the plane `normal @ x = offset`; mean and covariance are kept.
 
     Source: moments of the truncated normal distribution, along the normal.
     """
-    covariances = _covariances(gaussians)
+    spread = matrix_from_quat(gaussians.quats) * gaussians.scales[:, None, :].astype(np.float64)
+    covariances = spread @ np.swapaxes(spread, 1, 2)
     along = covariances @ normal
     variances = along @ normal
     widths = np.sqrt(variances)

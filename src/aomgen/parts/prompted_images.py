@@ -1,41 +1,38 @@
 """Prompted images with their surface points and the masks of each box."""
 
 from dataclasses import dataclass
-from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from aomgen.conventions import MOVING, STATIC
-from aomgen.core.camera import Camera
 from aomgen.core.gaussians import Gaussians
 from aomgen.core.recording import Prompt
 from aomgen.core.values import Array
 from aomgen.errors import ReconstructionError
 from aomgen.parts.panel import STAGE
-from aomgen.parts.panel_views import PromptedView, box_misfit, iou, share_inside
+from aomgen.parts.panel_terms import PromptedView, box_misfit, iou, share_inside
 from aomgen.parts.scan_views import ScanView, render_parts
 from aomgen.segmentation.interface import Mask, PreparedImage, Segmenter
 from aomgen.segmentation.segmenter import MasksOnDisk
 from aomgen.splatting.surfaces import seen_points
 
-# Boxes explained as well as this (see `box_misfit`; 2.5 % of the box a side) need no second opinion.
+# A mask this close to its box (see `box_misfit`; 2.5 % of the box a side) is used as it is.
 MAX_MISFIT = 0.1
-# Masks that are farther from their box are joined with what lies under a grid of so many points a side, as far as this
-# share of it is inside the box.
+# Other masks are joined with masks of a grid with this number of points a side, of which this share is inside the box.
 GRID, MIN_INSIDE = 6, 0.95
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PromptedImage:
-    """One box on one scan image, and the masks that answer it; none of them is empty.
+    """One box on one scan image, and the masks of the segmenter for it; none of them is empty.
 
     Attributes:
         view: The image.
-        prepared: The image, ready for more questions.
+        prepared: The image, encoded for further masks.
         part: `STATIC` or `MOVING`.
         box: (4,) x0, y0, x1, y1, [px].
-        masks: Answers (H, W), robot left out.
+        masks: (H, W), without the robot.
     """
 
     view: ScanView
@@ -46,43 +43,34 @@ class PromptedImage:
 
     @property
     def best_mask(self) -> Mask:
-        """The answer whose extent is most like the box."""
+        """The mask whose extent is closest to the box."""
         empty = np.zeros_like(self.view.robot)
         return min(self.masks, key=lambda mask: box_misfit(mask, self.box), default=empty)
 
     def on_surface(self, gaussians: Gaussians) -> PromptedView:
-        """The same with the surface that the Gaussians show there."""
-        points = surface_seen(gaussians, self.view.camera, self.view.robot)
+        """Add the surface of the Gaussians in this view."""
+        points = find_surface(gaussians, self.view)
         return PromptedView(
             part=self.part, camera=self.view.camera, points_world=points, box=self.box, masks=self.masks
         )
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class PromptFit:
-    """Agreement of labels, rendered into the prompted images, with the prompts.
+def compare_with_prompts(
+    gaussians: Gaussians, labels: NDArray[np.uint8], prompted: list[PromptedImage]
+) -> tuple[float, dict[int, float]]:
+    """Compare labels (N,) of Gaussians, world frame, rendered into the prompted images, with the prompts.
 
-    Attributes:
-        misfit: `box_misfit`, mean over the prompts.
-        agreement: IoU with the mask that fits best, mean over the prompts of a part, by part.
+    Returns:
+        The `box_misfit`, mean over the prompts; and the IoU with the mask that agrees best, mean over the prompts of
+        a part, by part.
     """
-
-    misfit: float
-    agreement: dict[int, float]
-
-    @classmethod
-    def of(cls, gaussians: Gaussians, labels: NDArray[np.uint8], prompted: list[PromptedImage]) -> Self:
-        """Draw labels (N,) of Gaussians, world frame."""
-        misfits: list[float] = []
-        overlaps: dict[int, list[float]] = {STATIC: [], MOVING: []}
-        for item in prompted:
-            drawn = render_parts(gaussians, labels, item.view.camera)[item.part] & ~item.view.robot
-            misfits.append(box_misfit(drawn, item.box))
-            overlaps[item.part].append(max((iou(drawn, mask) for mask in item.masks), default=0.0))
-        return cls(
-            misfit=float(np.mean(misfits)),
-            agreement={part: float(np.mean(values)) for part, values in overlaps.items()},
-        )
+    misfits: list[float] = []
+    overlaps: dict[int, list[float]] = {STATIC: [], MOVING: []}
+    for item in prompted:
+        rendered = render_parts(gaussians, labels, item.view.camera)[item.part] & ~item.view.robot
+        misfits.append(box_misfit(rendered, item.box))
+        overlaps[item.part].append(max((iou(rendered, mask) for mask in item.masks), default=0.0))
+    return float(np.mean(misfits)), {part: float(np.mean(values)) for part, values in overlaps.items()}
 
 
 def segment_prompts(
@@ -97,12 +85,12 @@ def segment_prompts(
     """
     by_name = {view.name: view for view in views}
     prepared: dict[str, PreparedImage] = {}
-    answers = []
+    segmented = []
     for part, value in (("static", STATIC), ("moving", MOVING)):
-        asked = [p for p in prompts if p.part == part and len(p.box) == 4 and p.image in by_name]
-        if not asked:
+        boxed = [p for p in prompts if p.part == part and len(p.box) == 4 and p.image in by_name]
+        if not boxed:
             raise ReconstructionError(STAGE, f"no box prompts the {part} part", "add one to capture.toml")
-        for prompt in asked:
+        for prompt in boxed:
             view = by_name[prompt.image]
             if view.name not in prepared:
                 prepared[view.name] = segmenter.prepare(view.name, view.image_srgb)
@@ -111,24 +99,26 @@ def segment_prompts(
             masks = [image.mask(part, prompt.box, points) & ~view.robot for points in clicks]
             box = np.asarray(prompt.box, np.float64)
             if isinstance(segmenter, MasksOnDisk) and masks[0].any():
-                # Label images are edited by people, and say more than a box around them.
-                box = _extent(masks[0])
-            masks = [mask for mask in _filling(masks, image, box, view.robot) if mask.any()]
-            answers.append(PromptedImage(view=view, prepared=image, part=value, box=box, masks=tuple(masks)))
-    return answers
+                # Label images are edited by people, and are more accurate than a box around them.
+                box = _bound_mask(masks[0])
+            masks = [mask for mask in _fill_box(masks, image, box, view.robot) if mask.any()]
+            segmented.append(
+                PromptedImage(view=view, prepared=image, part=value, box=box, masks=tuple(masks))
+            )
+    return segmented
 
 
-def _extent(mask: Mask) -> Array:
+def _bound_mask(mask: Mask) -> Array:
     """The box x0, y0, x1, y1 around a mask (H, W), [px]."""
     rows, columns = np.flatnonzero(mask.any(1)), np.flatnonzero(mask.any(0))
     return np.array([columns[0], rows[0], columns[-1] + 1, rows[-1] + 1], np.float64)
 
 
-def _filling(masks: list[Mask], image: PreparedImage, box: Array, robot: Mask) -> list[Mask]:
-    """The masks (H, W) and, where none fills its box, the best one joined with other things in the box.
+def _fill_box(masks: list[Mask], image: PreparedImage, box: Array, robot: Mask) -> list[Mask]:
+    """Add, where no mask (H, W) fills the box, the best one joined with further masks in the box.
 
-    Parts of several colors are cut into pieces. A missing piece is inside the box and makes the mask fill it,
-    twice as well at least: details and things behind change little.
+    Segmenters divide parts of several colors. A missing piece is inside the box, and with it the mask fills the box at
+    least twice as well; details and objects behind the part change little.
     """
     best = min(masks, key=lambda mask: box_misfit(mask, box))
     if box_misfit(best, box) <= MAX_MISFIT:
@@ -154,6 +144,6 @@ def _filling(masks: list[Mask], image: PreparedImage, box: Array, robot: Mask) -
     return [*masks, joined] if box_misfit(joined, box) < box_misfit(best, box) / 2 else masks
 
 
-def surface_seen(gaussians: Gaussians, camera: Camera, robot: NDArray[np.bool_]) -> Array:
-    """World points (H, W, 3) of the surface at each pixel; NaN where there is none, and on the robot (H, W)."""
-    return np.where(robot[..., None], np.nan, seen_points(gaussians, camera))
+def find_surface(gaussians: Gaussians, view: ScanView) -> Array:
+    """World points (H, W, 3) of the surface at each pixel of a view; NaN where there is none, and on the robot."""
+    return np.where(view.robot[..., None], np.nan, seen_points(gaussians, view.camera))

@@ -1,4 +1,4 @@
-"""Between Gaussians and the masks of scan images: what a mask shows, masks that labels draw, and who is the robot."""
+"""Scan images with masks: weights of Gaussians in masks, masks of labelled Gaussians, and labels of the robot."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -18,18 +18,18 @@ from aomgen.robots.robot import RobotConfiguration
 from aomgen.segmentation.interface import Mask
 from aomgen.splatting.rasterizer import contribution_weights, render
 
-# Views whose masks vote.
+# Number of views whose masks vote.
 VIEWS = 20
 # Distance from a link within which a Gaussian belongs to it, [m]: scan noise plus alignment error; and within which it
-# may do so: cables and housings that the model omits.
+# can belong to it: cables and housings that the model omits.
 MAX_DISTANCE_M, LOOSE_DISTANCE_M = 0.02, 0.06
-# Surface samples a square metre: about 4 mm apart, well below the distance above.
+# Surface samples per square metre: about 4 mm apart, well below the distance above.
 SAMPLES_PER_M2 = 60_000.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ScanView:
-    """A scan image in the world frame, with the pixels where the aligned robot is drawn."""
+    """A scan image in the world frame, with the mask of the aligned robot."""
 
     name: str
     camera: Camera
@@ -38,34 +38,34 @@ class ScanView:
 
 
 def spread(views: Sequence[ScanView]) -> list[ScanView]:
-    """About `VIEWS` of the views, evenly in their order."""
+    """Select about `VIEWS` of the views, evenly in their order."""
     return list(views[:: max(1, len(views) // VIEWS)])
 
 
 def lift(gaussians: Gaussians, view: ScanView, masks: list[Mask]) -> NDArray[np.float32]:
-    """Blended weight (N, M) of every Gaussian in each mask of one view."""
+    """Compute the blended weight (N, M) of every Gaussian in each mask of one view."""
     return contribution_weights(gaussians, view.camera, np.stack(masks).astype(np.float32))
 
 
 def render_parts(gaussians: Gaussians, labels: NDArray[np.uint8], camera: Camera) -> dict[int, Mask]:
-    """Masks of static and moving part as their Gaussians paint them, occlusion included."""
+    """Render the masks of static and moving part from their Gaussians, with occlusion."""
     features = np.stack([labels == STATIC, labels == MOVING], 1).astype(np.float32)
     shares = render(gaussians, camera, features=features).features
     if shares is None:
-        raise BackendError("rasterizer", "drew no features", "rebuild the engine")
+        raise BackendError("rasterizer", "rendered no features", "rebuild the engine")
     return {STATIC: shares[..., 0] > 0.5, MOVING: shares[..., 1] > 0.5}
 
 
 def label_robot(
     gaussians: Gaussians, views: list[ScanView], configuration: RobotConfiguration, rng: np.random.Generator
 ) -> NDArray[np.int32]:
-    """Index into `robot.body_names` (N,) of the body that each Gaussian is of, -1 for none.
+    """Find the robot body of each Gaussian: index (N,) into `robot.body_names`, -1 for none.
 
     Args:
         gaussians: The scan, world frame.
-        views: Scan images with drawn robot masks.
+        views: Scan images with rendered robot masks.
         configuration: Robot as scanned.
-        rng: Spreads samples over the robot's surface.
+        rng: Samples the robot's surface.
     """
     means = np.asarray(gaussians.means, np.float64)
     near, distances = nearest_links(means, configuration, rng, LOOSE_DISTANCE_M)
@@ -76,13 +76,13 @@ def label_robot(
         seen += weights.sum(1)
     share = inside / np.maximum(seen, 1e-9)
     close = (share > 0.5) & (distances < MAX_DISTANCE_M)
-    # A Gaussian on a thin finger paints well beyond the finger's outline.
+    # A Gaussian on a thin finger extends well beyond the finger's outline.
     close |= (share > 0.25) & (distances < 0.5 * MAX_DISTANCE_M)
-    # Rims that peep past the outline, and small Gaussians that nearly touch the model, are robot too.
+    # Rims outside the outline, and small Gaussians that nearly touch the model, are robot too.
     close |= (distances < 0.3 * MAX_DISTANCE_M) & (gaussians.scales.max(1) < MAX_DISTANCE_M)
-    # Mirroring metal is reconstructed behind its surface: what all views see inside the robot is robot.
+    # Mirroring metal is reconstructed behind its surface: Gaussians inside the robot in all views are robot.
     behind = (share > 0.85) & (distances < LOOSE_DISTANCE_M)
-    # What no view shows lies inside the robot when it is close to its surface.
+    # A Gaussian that no view shows is inside the robot if it is close to its surface.
     robot = (near >= 0) & np.where(seen > 0.05, close | behind, distances < 0.01)
     return np.where(robot, near, -1).astype(np.int32)
 
@@ -93,12 +93,12 @@ def nearest_links(
     rng: np.random.Generator,
     max_distance_m: float = MAX_DISTANCE_M,
 ) -> tuple[NDArray[np.int32], Array]:
-    """The robot body nearest to each point, by distance to the posed visual meshes.
+    """Find the robot body nearest to each point, by distance to the visual meshes in the scanned configuration.
 
     Args:
         points_world: (N, 3), [m].
         configuration: Robot as scanned, fingers included.
-        rng: Spreads samples over the meshes, about 4 mm apart.
+        rng: Samples the meshes, about 4 mm apart.
         max_distance_m: Points farther away belong to no body.
 
     Returns:

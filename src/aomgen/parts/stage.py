@@ -1,4 +1,4 @@
-"""A part label for every Gaussian, the robot link that carries it, and which sides the scan saw. [paper 4.1]"""
+"""Stage that labels every Gaussian with its part and robot link, and surveys the coverage of the scan. [paper 4.1]"""
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -24,24 +24,24 @@ from aomgen.segmentation.interface import Segmenter
 from aomgen.segmentation.segmenter import choose_segmenter
 from aomgen.splatting.surfaces import view_depths
 
-# Name of the coverage maps beside the labels.
+# Name of the stored coverage, in the folder of the labels.
 COVERAGE = "coverage"
 
-# The robot body (N,) that carries each Gaussian, -1 where it is not of the robot.
+# Finds the robot body (N,) that carries each Gaussian, -1 where it is not of the robot.
 LabelRobot = Callable[[Results, list[ScanView]], NDArray[np.int32]]
-# Evidence of the object's parts by another method than boxes; None for boxes.
+# Computes evidence of the object's parts by another method than boxes; None for boxes.
 GivenEvidence = Callable[
     [Results, list[ScanView], Sequence[PromptedImage], Segmenter, Progress], PartEvidence | None
 ]
 
 
 def label_robot_by_links(results: Results, views: list[ScanView]) -> NDArray[np.int32]:
-    """The nearest link of the model where the model is drawn."""
+    """Label Gaussians inside the robot's masks with the nearest link of the model."""
     return label_robot(results.gaussians, views, results.configuration, np.random.default_rng(SEED))
 
 
 def no_evidence(*_: object) -> None:
-    """Boxes are the evidence."""
+    """Return no evidence of another method, so that boxes are used."""
 
 
 def run(
@@ -52,15 +52,15 @@ def run(
     label_robot: LabelRobot = label_robot_by_links,
     given_evidence: GivenEvidence = no_evidence,
 ) -> dict[str, Any]:
-    """Label the Gaussians by prompts and demonstration, and survey how the sides of all parts were seen."""
+    """Label the Gaussians by prompts and demonstration, and survey the coverage of the sides of all parts."""
     capture = results.capture
-    views = scan_views(results)
-    progress(0.1, "robot drawn into the scan")
+    views = load_scan_views(results)
+    progress(0.1, "robot rendered into the scan")
     bodies = label_robot(results, views)
     progress(0.2, "robot labelled")
     segmenter = choose_segmenter(capture.mask_folders, results.project.segmenter)
     prompted = segment_prompts(views, capture.prompts, segmenter)
-    progress(0.4, "prompts answered")
+    progress(0.4, "prompts segmented")
     given = given_evidence(results, views, prompted, segmenter, part(progress, 0.4, 0.5))
     scan = segment_scan(results.gaussians, views, bodies, prompted, given)
     found = find_moving_parts(scan, motion_evidence, part(progress, 0.5, 1.0))
@@ -81,8 +81,8 @@ def run(
     }
 
 
-def scan_views(results: Results) -> list[ScanView]:
-    """The scan images that are not held out, world frame, with the robot drawn into them."""
+def load_scan_views(results: Results) -> list[ScanView]:
+    """Load the scan images that are not held out, world frame, with the mask of the robot."""
     withheld, configuration = set(held_out(list(results.scan_images))), results.configuration
     width = max(camera.width for camera in results.scan_cameras.values())
     height = max(camera.height for camera in results.scan_cameras.values())
@@ -97,7 +97,7 @@ def scan_views(results: Results) -> list[ScanView]:
 
 
 def survey_parts(results: Results, parts: Parts) -> Survey:
-    """How the sides of object, robot and table were seen; held-out images do not count."""
+    """Survey the coverage of the sides of object, robot and table, without held-out images."""
     withheld = set(held_out([*results.structure.cameras_recon, *results.structure.dropped]))
     cameras = [camera for name, camera in results.scan_cameras.items() if name not in withheld]
     world = parts.cut.applied(results.gaussians)

@@ -1,7 +1,7 @@
 """Coverage of the sides of object, robot and table by the scan, in numbers and in words.
 
-A view sees a place when it lies inside the image, faces the camera, and the surface drawn there is not in front of it.
-Sides are named as the robot sees them: the near side of the object faces the robot's base, left is
+A view covers a point that is inside the image, faces the camera and is not behind the rendered surface.
+Sides are named from the robot's viewpoint: the near side of the object faces the robot's base, left is
 the robot's left when it looks at the object.
 """
 
@@ -21,28 +21,28 @@ from aomgen.core.values import Array, freeze_arrays
 from aomgen.robots.robot import RobotConfiguration
 from aomgen.splatting.surfaces import PARALLAX_DEG, ViewDepth
 
-# Views that a depth needs: one, and two that confirm it.
+# Views that a depth requires: one, and two that confirm it.
 MIN_VIEWS = 3
-# A side under a flatter angle than this shows nothing.
+# A view at a smaller cosine to the normal does not cover a point.
 MIN_COSINE = 0.25
-# Points along each edge of a side.
+# Number of points along each edge of a side.
 GRID = 12
-# Where they are: its rims belong to the neighbouring sides as well.
+# Their positions on the edge, -1..1: rims belong to the neighboring sides as well.
 SPAN = np.linspace(-0.9, 0.9, GRID)
-# Points on the robot's surface.
+# Number of points on the robot's surface.
 ROBOT_POINTS = 6000
-# A side counts as seen when at least this share of its points is.
+# A side with a smaller share of covered points is warned about.
 MIN_SHARE = 0.5
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Coverage:
-    """Coverage of N places.
+    """Coverage of N points.
 
     Attributes:
-        views: Number of views that see each.
-        spread_deg: Width of the cone around the mean direction that holds all directions from which each is
-            seen, [deg]; 0 with less than two views.
+        views: Number of views that cover each.
+        spread_deg: Width of the cone around the mean direction that contains the directions to all these views,
+            [deg]; 0 with less than two views.
     """
 
     views: Annotated[NDArray[np.uint16], "N"]
@@ -52,16 +52,16 @@ class Coverage:
 
     @property
     def enough(self) -> NDArray[np.bool_]:
-        """Places (N,) whose depth the scan decides."""
+        """Points (N,) whose depth the scan determines."""
         return (self.views >= MIN_VIEWS) & (self.spread_deg >= PARALLAX_DEG)
 
 
-def coverage_of(points: Array, views: list[ViewDepth], normals: Array | None = None) -> Coverage:
+def compute_coverage(points: Array, views: list[ViewDepth], normals: Array | None = None) -> Coverage:
     """Compute the coverage of points (N, 3).
 
     Args:
         points: In the frame of the views' cameras.
-        views: What each view sees.
+        views: Depths of each view.
         normals: Unit outward directions (N, 3); without them every side counts.
     """
     seen = np.zeros((len(views), len(points)), bool)
@@ -69,7 +69,7 @@ def coverage_of(points: Array, views: list[ViewDepth], normals: Array | None = N
     for row, view in enumerate(views):
         rays = view.camera.center - points
         directions[row] = rays / np.maximum(np.linalg.norm(rays, axis=1, keepdims=True), 1e-12)
-        # NaN, where the view does not look, compares as False.
+        # NaN, outside the view, compares as False.
         seen[row] = view.behind(points) <= 1
         if normals is not None:
             seen[row] &= (directions[row] * normals).sum(1) > MIN_COSINE
@@ -81,7 +81,7 @@ def coverage_of(points: Array, views: list[ViewDepth], normals: Array | None = N
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Side:
-    """One side of a thing: its name, points (M, 3) [m] on it and outward normals (M, 3), world frame."""
+    """One side of an object: its name, points (M, 3) [m] on it and outward normals (M, 3), world frame."""
 
     name: str
     points: Array
@@ -100,7 +100,7 @@ class Survey:
     __post_init__ = freeze_arrays
 
     def figures(self) -> dict[str, dict[str, float]]:
-        """By side: median number of views and spread, and the share of points that were seen enough."""
+        """Median number of views and spread, and the share of points with enough of both, by side."""
         result = {}
         for index, name in enumerate(self.names):
             mine = self.sides == index
@@ -112,19 +112,19 @@ class Survey:
         return result
 
     def warnings(self) -> list[str]:
-        """A sentence for every side that the scan does not decide."""
+        """List a sentence for every side that the scan does not determine."""
         sentences = []
         for name, seen in self.figures().items():
             if seen["share"] >= MIN_SHARE:
                 continue
             views, spread = round(seen["views"]), seen["spread_deg"]
             if views < MIN_VIEWS:
-                found = f"was seen by {views} view{'' if views == 1 else 's'}, want {MIN_VIEWS}"
+                found = f"is covered by {views} view{'' if views == 1 else 's'}, want {MIN_VIEWS}"
             elif spread < PARALLAX_DEG:
-                found = f"was seen from one direction (over {spread:.0f} deg, want {PARALLAX_DEG:.0f})"
+                found = f"is covered from one direction (over {spread:.0f} deg, want {PARALLAX_DEG:.0f})"
             else:
-                found = f"was seen to {100 * seen['share']:.0f} % only"
-            sentences.append(f"{name} {found}; what is there is guessed, add scan images that show it")
+                found = f"is covered to {100 * seen['share']:.0f} % only"
+            sentences.append(f"{name} {found}; its surface is guessed, add scan images that show it")
         return sentences
 
 
@@ -140,30 +140,30 @@ def survey(
     Args:
         gaussians_world, labels: The scene, [m], and the part of each Gaussian (N,).
         configuration: Robot as scanned.
-        views: What the training views see, world frame.
-        rng: Spreads points over the robot.
+        views: Depths of the training views, world frame.
+        rng: Samples points on the robot.
     """
     ours = np.isin(labels, (STATIC, MOVING)) & (gaussians_world.opacities > SOLID_OPACITY)
     points = np.asarray(gaussians_world.means[ours], np.float64)
     forward = _forward(points)
-    sides = [*object_sides(points, forward), *table_sides(points, forward)]
-    sides += robot_sides(configuration, forward, rng)
-    places = np.concatenate([side.points for side in sides])
+    sides = [*list_object_sides(points, forward), *list_table_sides(points, forward)]
+    sides += list_robot_sides(configuration, forward, rng)
+    points = np.concatenate([side.points for side in sides])
     normals = np.concatenate([side.normals for side in sides])
     return Survey(
         names=tuple(side.name for side in sides),
-        points_world=places,
+        points_world=points,
         sides=np.repeat(np.arange(len(sides)), [len(side.points) for side in sides]),
-        coverage=coverage_of(places, views, normals),
+        coverage=compute_coverage(points, views, normals),
     )
 
 
-def object_sides(points: Array, forward: Array) -> list[Side]:
-    """Four sides and the top of the upright box around an object.
+def list_object_sides(points: Array, forward: Array) -> list[Side]:
+    """List four sides and the top of the upright box around an object.
 
     Args:
         points: On the object (N, 3), world frame, [m].
-        forward: Level unit direction (2,) in which the robot looks at it.
+        forward: Level unit direction (2,) from the robot to it.
     """
     box = fit_box(points, find_upright_axes(points))
     words = {"near": "near side", "far": "far side", "left": "left side", "right": "right side"}
@@ -172,14 +172,14 @@ def object_sides(points: Array, forward: Array) -> list[Side]:
     for axis, sign in ((0, -1.0), (0, 1.0), (1, -1.0), (1, 1.0), (2, 1.0)):
         normal = sign * box.T_world_box[:3, axis]
         word = "top" if axis == 2 else words[_bearing(normal[:2], forward)]
-        places = apply(box.T_world_box, np.insert(grid, axis, sign, axis=1) * box.half_extents)
+        points = apply(box.T_world_box, np.insert(grid, axis, sign, axis=1) * box.half_extents)
         normals = np.tile(normal, (len(grid), 1))
-        sides.append(Side(name=f"the {word} of the object", points=places, normals=normals))
+        sides.append(Side(name=f"the {word} of the object", points=points, normals=normals))
     return sides
 
 
-def table_sides(points: Array, forward: Array) -> list[Side]:
-    """The surface on which an object stands, in a band around it half as wide as the object's box; see `object_sides`."""
+def list_table_sides(points: Array, forward: Array) -> list[Side]:
+    """List the support around an object, in a band half as wide as the object's box; see `list_object_sides`."""
     box = fit_box(points, find_upright_axes(points))
     half = box.half_extents
     words = {"near": "before", "far": "behind", "left": "left of", "right": "right of"}
@@ -197,20 +197,24 @@ def table_sides(points: Array, forward: Array) -> list[Side]:
     return sides
 
 
-def robot_sides(configuration: RobotConfiguration, forward: Array, rng: np.random.Generator) -> list[Side]:
-    """Four sides and the top of the posed robot; undersides, which no table lets be seen, are left out.
+def list_robot_sides(
+    configuration: RobotConfiguration, forward: Array, rng: np.random.Generator
+) -> list[Side]:
+    """List four sides and the top of the robot in its configuration, without undersides, which the table hides.
 
     Args:
         configuration: Robot as scanned.
-        forward: Level unit direction (2,) in which it looks at the object.
-        rng: Spreads points over the meshes.
+        forward: Level unit direction (2,) from it to the object.
+        rng: Samples points on the meshes.
     """
     robot = configuration.robot
     poses = robot.link_poses(configuration.joints[None], configuration.gripper)[0]
-    posed = [apply(poses[mesh.body], mesh.vertices_body)[mesh.faces].reshape(-1, 3) for mesh in robot.meshes]
-    corners = np.concatenate(posed)
+    triangles_world = [
+        apply(poses[mesh.body], mesh.vertices_body)[mesh.faces].reshape(-1, 3) for mesh in robot.meshes
+    ]
+    corners = np.concatenate(triangles_world)
     triangles = np.arange(len(corners)).reshape(-1, 3)
-    places, chosen, _ = sample_surface(corners, triangles, ROBOT_POINTS, rng)
+    points, chosen, _ = sample_surface(corners, triangles, ROBOT_POINTS, rng)
     directions = face_normals_areas(corners, triangles)[0][chosen]
     words = {"near": "back", "far": "front", "left": "left side", "right": "right side"}
     steep = np.abs(directions[:, 2]) > np.sqrt(0.5)
@@ -218,26 +222,26 @@ def robot_sides(configuration: RobotConfiguration, forward: Array, rng: np.rando
     sides = [("top", steep & (directions[:, 2] > 0))]
     sides += [(word, ~steep & (kinds == kind)) for kind, word in words.items()]
     return [
-        Side(name=f"the {word} of the robot", points=places[which], normals=directions[which])
+        Side(name=f"the {word} of the robot", points=points[which], normals=directions[which])
         for word, which in sides
         if which.any()
     ]
 
 
 def _grid(first: NDArray, second: NDArray) -> Array:
-    """All pairs (N, 2) of two rows of numbers."""
+    """List all pairs (N, 2) of two rows of numbers."""
     return np.stack(np.meshgrid(first, second), -1).reshape(-1, 2)
 
 
 def _forward(points: Array) -> Array:
-    """Level unit direction (2,) from the robot's base to points, +x where they are above it."""
+    """Compute the level unit direction (2,) from the robot's base to points, +x where they are above it."""
     middle = np.median(points[:, :2], axis=0)
     length = float(np.linalg.norm(middle))
     return middle / length if length > 1e-6 else np.array([1.0, 0.0])
 
 
 def _bearing(direction: Array, forward: Array) -> str:
-    """Where a level direction (2,) points, for who looks `forward` (2,)."""
+    """Name a level direction (2,) relative to the viewing direction `forward` (2,)."""
     along = float(direction @ forward)
     across = float(direction @ [-forward[1], forward[0]])
     if abs(along) >= abs(across):

@@ -21,9 +21,9 @@ from aomgen.parts.label import (
     PromptedScan,
     cut_scan,
     find_parts,
-    part_evidence,
     segment_scan,
     smooth_posterior,
+    weigh_evidence,
 )
 from aomgen.parts.likelihood import LABELS, PartEvidence
 from aomgen.parts.prompted_images import segment_prompts
@@ -137,7 +137,7 @@ def segmented(gaussians, views, prompts, folder, configuration) -> PromptedScan:
 
 
 def labelled(scan: PromptedScan) -> Parts:
-    return find_parts(scan, part_evidence(scan))
+    return find_parts(scan, weigh_evidence(scan))
 
 
 def test_labels_of_a_known_scene_are_recovered(configuration, tmp_path):
@@ -175,7 +175,7 @@ def test_cut_parts_are_stored_with_their_pieces(configuration, tmp_path):
     views = toy_views(gaussians, labels, configuration, tmp_path)
     prompts = tuple(tight_prompt(part, i, tmp_path) for part in ("static", "moving") for i in (2, 4))
     scan = segmented(gaussians, views, prompts, tmp_path, configuration)
-    parts = find_parts(*cut_scan(scan, part_evidence(scan), None))
+    parts = find_parts(*cut_scan(scan, weigh_evidence(scan), None))
     assert len(parts.cut.sources) > 0
     assert len(parts.labels) == len(parts.cut.applied(gaussians)) > len(gaussians)
     save_artifact(tmp_path, "parts", parts)
@@ -322,8 +322,8 @@ def world(monkeypatch):
         )
 
     # Evidence is what the demonstration showed.
-    monkeypatch.setattr(label, "part_evidence", lambda scan, log_odds=None: log_odds)
-    monkeypatch.setattr(label, "cut_scan", lambda scan, evidence, log_odds: (scan, evidence))
+    monkeypatch.setattr(label, "weigh_evidence", lambda scan, log_ratios=None: log_ratios)
+    monkeypatch.setattr(label, "cut_scan", lambda scan, evidence, log_ratios: (scan, evidence))
     monkeypatch.setattr(label, "find_parts", labelled)
     return made
 

@@ -10,11 +10,11 @@ from aomgen.conventions import BACKGROUND, MOVING, STATIC
 from aomgen.core.camera import Camera, look_at
 from aomgen.core.gaussians import Gaussians, gaussians_of
 from aomgen.core.parts import no_cut
-from aomgen.core.transforms import apply, invert, matrix_from_quat, transform
+from aomgen.core.transforms import apply, invert, matrix_from_quat, matrix_from_rotvec, transform
 from aomgen.errors import ReconstructionError
-from aomgen.parts.panel import MIN_SHARE, Panel, cut_at_faces, panel_frame
-from aomgen.parts.panel_fit import Shapes, fit_panel
-from aomgen.parts.panel_views import PromptedView, TrackedPoints, box_misfit, iou
+from aomgen.parts.panel import MIN_SHARE, UNKNOWNS, YAW, Panel, cut_at_faces, find_panel_frame
+from aomgen.parts.panel_fit import fit_panel
+from aomgen.parts.panel_terms import PromptedView, TrackedPoints, box_misfit, iou
 from aomgen.splatting.rasterizer import render
 
 # Cabinet frame: x along the front, y into the room, z up; the front is at y = 0, the body behind it.
@@ -106,20 +106,20 @@ def agreement(
 
 @pytest.mark.parametrize("masks", ["none", "right", "half"])
 def test_the_panel_of_a_cabinet_is_found_from_boxes(masks):
-    fit = fit_panel(prompted(masks=masks), np.random.default_rng(0))
-    assert np.mean(fit.misfits) < 0.06
-    assert min(agreement(fit.panel).values()) > 0.9
-    T_panel_cabinet = invert(fit.panel.T_world_panel) @ turned(0.0)
+    panel, misfits = fit_panel(prompted(masks=masks), np.random.default_rng(0))
+    assert np.mean(misfits) < 0.06
+    assert min(agreement(panel).values()) > 0.9
+    T_panel_cabinet = invert(panel.T_world_panel) @ turned(0.0)
     corners = apply(T_panel_cabinet, DOOR)
     low, high = np.minimum(*corners), np.maximum(*corners)
-    assert np.allclose(fit.panel.low[:2], low[:2], atol=0.01)
-    assert np.allclose(fit.panel.high[:2], high[:2], atol=0.01)
+    assert np.allclose(panel.low[:2], low[:2], atol=0.01)
+    assert np.allclose(panel.high[:2], high[:2], atol=0.01)
 
 
 @pytest.mark.parametrize(("size", "yaw"), [(0.1, 0.0), (1.0, 2.2), (8.0, -0.9)])
 def test_size_and_place_of_the_cabinet_do_not_matter(size, yaw):
-    fit = fit_panel(prompted(size, yaw), np.random.default_rng(0))
-    assert min(agreement(fit.panel, size, yaw).values()) > 0.9
+    panel, _ = fit_panel(prompted(size, yaw), np.random.default_rng(0))
+    assert min(agreement(panel, size, yaw).values()) > 0.9
 
 
 @pytest.mark.parametrize(
@@ -131,23 +131,22 @@ def test_size_and_place_of_the_cabinet_do_not_matter(size, yaw):
 )
 def test_the_seam_behind_the_panel_is_found_from_wherever_it_is_looked_at(eyes):
     """From these places a seam at twice or five times the door's thickness explains the boxes nearly as well."""
-    fit = fit_panel(prompted(masks="right", eyes=eyes), np.random.default_rng(0))
-    assert fit.panel.low[2] == pytest.approx(DOOR[0, 1], abs=0.003)
+    panel, _ = fit_panel(prompted(masks="right", eyes=eyes), np.random.default_rng(0))
+    assert panel.low[2] == pytest.approx(DOOR[0, 1], abs=0.003)
 
 
 @pytest.mark.parametrize("boxes", [OPEN_CABINET, DRAWER, UPRIGHT_LID], ids=["door", "drawer", "lid"])
 @pytest.mark.parametrize("yaw", [0.0, 0.7])
 def test_parts_that_were_scanned_open_have_their_own_box(boxes, yaw):
     views = prompted(yaw=yaw, masks="right", eyes=OPEN_EYES, boxes=boxes)
-    fit = fit_panel(views, np.random.default_rng(0))
-    assert np.mean(fit.misfits) < 0.08
-    assert min(agreement(fit.panel, yaw=yaw, boxes=boxes).values()) > 0.9
+    panel, misfits = fit_panel(views, np.random.default_rng(0))
+    assert np.mean(misfits) < 0.08
+    assert min(agreement(panel, yaw=yaw, boxes=boxes).values()) > 0.9
 
 
 def test_the_table_before_an_open_door_stays_table():
-    panel = fit_panel(
-        prompted(masks="right", eyes=OPEN_EYES, boxes=OPEN_CABINET), np.random.default_rng(0)
-    ).panel
+    views = prompted(masks="right", eyes=OPEN_EYES, boxes=OPEN_CABINET)
+    panel, _ = fit_panel(views, np.random.default_rng(0))
     around = np.random.default_rng(0).uniform([-0.1, -0.4, -0.01], [0.3, -0.1, 0.0], (500, 3))
     assert np.mean(panel.labels(apply(turned(0.0), around)) > 0) < 0.02
     handle = np.random.default_rng(0).uniform(*OPEN_HANDLE, (200, 3))
@@ -164,8 +163,8 @@ def test_boxes_drawn_a_little_wrong_still_give_the_panel():
                 part=view.part, camera=view.camera, points_world=view.points_world, box=box, masks=view.masks
             )
         )
-    fit = fit_panel(views, rng)
-    assert min(agreement(fit.panel).values()) > 0.88
+    panel, _ = fit_panel(views, rng)
+    assert min(agreement(panel).values()) > 0.88
 
 
 def test_boxes_around_different_things_are_not_explained():
@@ -183,7 +182,7 @@ def test_boxes_around_different_things_are_not_explained():
 def explained(views: list[PromptedView]) -> float:
     """Mean misfit, infinite when the boxes show no common front."""
     try:
-        return float(np.mean(fit_panel(views, np.random.default_rng(0)).misfits))
+        return float(np.mean(fit_panel(views, np.random.default_rng(0))[1]))
     except ReconstructionError:
         return np.inf
 
@@ -221,11 +220,28 @@ def test_what_shows_through_a_front_is_the_front():
 
 
 def test_the_body_has_some_thickness_but_not_below():
-    shapes = Shapes(T_world_panel=np.eye(4), T_panel_body=np.eye(4), size=1.0)
-    shape = np.array([0, 1, 0, 1, -0.05, 0.1, 0, 0, 0, 1, 1, 1, 0.0])
-    panel = shapes.panel(shape, 0.02)
-    assert np.allclose(panel.body_low, [-0.02, -0.02, 0])
-    assert np.allclose(panel.body_high, 1.02)
+    panel = boxes_of(np.eye(4)).thicken_body(0.02)
+    assert np.allclose(panel.body_low, [-0.22, -0.02, 0])
+    assert np.allclose(panel.body_high, [1.22, 0.82, 1.22])
+
+
+@pytest.mark.parametrize("chosen", range(UNKNOWNS))
+def test_a_step_moves_one_unknown_and_back(chosen):
+    panel = boxes_of(turned(0.3) @ transform(matrix_from_rotvec([0.2, 0.0, 0.0]), np.zeros(3)))
+    step = 0.05 * np.eye(UNKNOWNS)[chosen]
+    moved, names = panel.move(step), ("low", "high", "T_panel_body", "body_low", "body_high")
+    changed = [name for name in names if not np.allclose(getattr(moved, name), getattr(panel, name))]
+    assert len(changed) == 1
+    assert (changed[0] == "T_panel_body") == (chosen == YAW)
+    back = moved.move(-step)
+    assert all(np.allclose(getattr(back, name), getattr(panel, name)) for name in names)
+
+
+def test_boxes_without_a_size_are_impossible():
+    panel = boxes_of(np.eye(4))
+    assert panel.is_valid
+    assert not panel.move(np.eye(UNKNOWNS)[4] * 0.06).is_valid
+    assert not panel.move(np.eye(UNKNOWNS)[9] * -1.5).is_valid
 
 
 def test_points_that_were_seen_to_move_make_the_panel_reach_them():
@@ -236,7 +252,7 @@ def test_points_that_were_seen_to_move_make_the_panel_reach_them():
     stands = rng.uniform([0.4, -0.12, 0.05], [0.5, 0.3, 0.3], (300, 3))
     points = apply(turned(0.0), np.concatenate([held, stands]))
     tracked = TrackedPoints(points=points, moves=np.arange(600) < 300, weights=np.ones(600))
-    with_them = fit_panel(views, np.random.default_rng(0), tracked).panel
+    with_them, _ = fit_panel(views, np.random.default_rng(0), tracked)
     assert np.mean(with_them.labels(points[:300]) == MOVING) > 0.95
     assert np.mean(with_them.labels(points[300:]) == MOVING) < 0.02
 
@@ -299,12 +315,12 @@ def flat(rng: np.random.Generator, normal: list[float], noise: float) -> np.ndar
 def test_fronts_face_the_camera_and_are_upright_or_level_when_they_nearly_are(normal, want):
     rng = np.random.default_rng(7)
     points = [flat(rng, normal, 0.002), flat(rng, normal, 0.002)]
-    T, size = panel_frame(points, np.array([[1.0, 0, 1]]) + 2 * np.array([normal]), rng)
+    T, size = find_panel_frame(points, np.array([[1.0, 0, 1]]) + 2 * np.array([normal]), rng)
     assert np.degrees(np.arccos(np.clip(T[:3, 2] @ want / np.linalg.norm(want), -1, 1))) < 1.0
     assert np.linalg.det(T[:3, :3]) == pytest.approx(1.0)
     assert 0.2 < size < 0.5
     assert abs((T[:3, 3] - [1, 0, 1]) @ T[:3, 2]) < 0.005
-    turned_away, _ = panel_frame(points, np.array([[1.0, 0, 1]]) - 2 * np.array([normal]), rng)
+    turned_away, _ = find_panel_frame(points, np.array([[1.0, 0, 1]]) - 2 * np.array([normal]), rng)
     assert turned_away[:3, 2] @ T[:3, 2] < -0.99
 
 

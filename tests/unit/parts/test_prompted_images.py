@@ -6,7 +6,7 @@ import pytest
 from aomgen.core.camera import Camera, look_at
 from aomgen.core.recording import Prompt
 from aomgen.errors import ReconstructionError
-from aomgen.parts.panel_views import box_misfit
+from aomgen.parts.panel_terms import box_misfit
 from aomgen.parts.prompted_images import segment_prompts
 from aomgen.parts.scan_views import ScanView
 from aomgen.segmentation.interface import Mask, PointMasks, given_masks

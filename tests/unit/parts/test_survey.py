@@ -6,7 +6,14 @@ from scipy.spatial.transform import Rotation
 
 from aomgen.core.camera import Camera, camera_in_world, look_at
 from aomgen.core.transforms import apply, similarity
-from aomgen.parts.survey import Coverage, Survey, coverage_of, object_sides, survey, table_sides
+from aomgen.parts.survey import (
+    Coverage,
+    Survey,
+    compute_coverage,
+    list_object_sides,
+    list_table_sides,
+    survey,
+)
 from aomgen.robots.robot import RobotConfiguration
 from aomgen.splatting.surfaces import ViewDepth, view_depths
 
@@ -67,7 +74,7 @@ def test_a_scan_without_one_side_warns_of_it(toy_scene, side: str, outward: list
     name = f"the {side} side of the object"
     warned = [sentence for sentence in found.warnings() if sentence.startswith(name)]
     assert warned == [
-        f"{name} was seen by 0 views, want 3; what is there is guessed, add scan images that show it"
+        f"{name} is covered by 0 views, want 3; its surface is guessed, add scan images that show it"
     ]
     opposite = {"far": "near", "near": "far", "left": "right", "right": "left"}[side]
     assert not any(f"the {opposite} side of the object" in sentence for sentence in found.warnings())
@@ -85,25 +92,25 @@ def test_views_from_one_direction_do_not_decide_depth(toy_scene):
 def test_what_stands_before_a_place_hides_it():
     view = empty_view(camera_at([0, 0, 0], [0, 1, 0]), depth=2.0)
     on, before, behind, outside = [0, 2.0, 0], [0, 1.0, 0], [0, 2.2, 0], [5.0, 2.0, 0]
-    assert coverage_of(np.array([on, before, behind, outside]), [view]).views.tolist() == [1, 1, 0, 0]
+    assert compute_coverage(np.array([on, before, behind, outside]), [view]).views.tolist() == [1, 1, 0, 0]
     assert np.isnan(view.behind(np.array([outside]))[0])
-    assert coverage_of(np.array([[0, -2.0, 0]]), [view]).views.tolist() == [0]
+    assert compute_coverage(np.array([[0, -2.0, 0]]), [view]).views.tolist() == [0]
 
 
 def test_a_side_that_is_turned_away_is_not_seen():
     view = empty_view(camera_at([0, 0, 0], [0, 1, 0]))
     normals = np.array([[0, -1.0, 0], [0, 1.0, 0], [1.0, -0.1, 0] / np.sqrt(1.01)])
-    assert coverage_of(np.tile([0, 2.0, 0], (3, 1)), [view], normals).views.tolist() == [1, 0, 0]
+    assert compute_coverage(np.tile([0, 2.0, 0], (3, 1)), [view], normals).views.tolist() == [1, 0, 0]
 
 
 def test_spread_is_the_angle_between_the_outermost_views():
     eyes = [[np.sin(a), -np.cos(a), 0] for a in np.radians([-20, 0, 20])]
-    found = coverage_of(np.zeros((1, 3)), [empty_view(camera_at(eye, [0, 0, 0])) for eye in eyes])
+    found = compute_coverage(np.zeros((1, 3)), [empty_view(camera_at(eye, [0, 0, 0])) for eye in eyes])
     assert found.views.tolist() == [3]
     assert found.spread_deg[0] == pytest.approx(40, abs=2)
-    alone = coverage_of(np.zeros((1, 3)), [empty_view(camera_at(eyes[0], [0, 0, 0]))])
+    alone = compute_coverage(np.zeros((1, 3)), [empty_view(camera_at(eyes[0], [0, 0, 0]))])
     assert (alone.views.tolist(), float(alone.spread_deg[0])) == ([1], pytest.approx(0, abs=0.1))
-    assert coverage_of(np.zeros((2, 3)), []).views.tolist() == [0, 0]
+    assert compute_coverage(np.zeros((2, 3)), []).views.tolist() == [0, 0]
 
 
 @pytest.mark.parametrize("scale", [0.05, 20.0])
@@ -118,7 +125,7 @@ def test_coverage_is_the_same_in_any_frame(scale: float):
         ViewDepth(camera=camera_in_world(S, view.camera), depth=view.depth * np.float32(scale))
         for view in here
     ]
-    first, second = coverage_of(points, here), coverage_of(apply(S, points), there)
+    first, second = compute_coverage(points, here), compute_coverage(apply(S, points), there)
     assert np.mean(first.views == second.views) > 0.99  # rounding moves a pixel now and then
     assert 0.1 < first.enough.mean() < 0.9
 
@@ -128,11 +135,11 @@ def test_sides_are_named_as_the_robot_sees_them():
     rng = np.random.default_rng(0)
     points = rng.uniform([-0.2, -1.1, 0.0], [0.2, -0.9, 0.3], (4000, 3))
     forward = np.array([0.0, -1.0])
-    normals = {side.name: side.normals[0] for side in object_sides(points, forward)}
+    normals = {side.name: side.normals[0] for side in list_object_sides(points, forward)}
     assert normals["the near side of the object"] == pytest.approx([0, 1, 0], abs=0.02)
     assert normals["the left side of the object"] == pytest.approx([1, 0, 0], abs=0.02)
     assert normals["the top of the object"] == pytest.approx([0, 0, 1])
-    middles = {side.name: side.points.mean(0) for side in table_sides(points, forward)}
+    middles = {side.name: side.points.mean(0) for side in list_table_sides(points, forward)}
     assert middles["the table behind the object"][1] < -1.1
     assert middles["the table right of the object"][0] < -0.2
     assert middles["the table before the object"][2] == pytest.approx(0.0, abs=0.01)

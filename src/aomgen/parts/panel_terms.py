@@ -1,8 +1,4 @@
-"""How well a panel (see `panel`) explains prompted images and what is known to move.
-
-Of images: the boxes people drew, and masks that fill them. Of points: which of them move, from the grasp and from
-tracks in the video.
-"""
+"""Loss terms of a panel (see `panel`): prompt boxes and masks of images, and points with a known motion."""
 
 from dataclasses import dataclass
 from typing import Annotated
@@ -18,16 +14,16 @@ from aomgen.core.values import Array, freeze_arrays
 from aomgen.parts.panel import Panel
 from aomgen.segmentation.interface import Mask
 
-# A mask shows something else if its own extent is this far from its box (see `box_misfit`), or this much farther than
-# another one's, or if less than this share of it is inside the box.
+# A mask is of another object if its own extent is this far from its box (see `box_misfit`), or this much farther than
+# that of another mask, or if less than this share of it is inside the box.
 MAX_MASK_MISFIT, MASK_SPREAD, MIN_SHARE_INSIDE = 0.25, 0.1, 0.5
-# A mask beside a box: segmenters are wrong by whole faces, people by a few pixels.
+# Weight of a mask relative to a box: segmenters are wrong by whole faces, people by a few pixels.
 MASK_WEIGHT = 0.5
-# Log odds from which a point counts: e = 2.7 to 1.
-MIN_LOG_ODDS = 1.0
-# Points farther from the panel than this, as share of its diagonal, are of other things.
-REACH_SHARE = 1.2
-# A few large Gaussians do not speak for all: areas are cut at this quantile.
+# Log-likelihood ratio from which a point counts: e = 2.7 to 1.
+MIN_LOG_RATIO = 1.0
+# Points farther from the panel than this, as share of its diagonal, belong to other objects.
+MAX_DISTANCE_SHARE = 1.2
+# Areas of Gaussians are limited to this quantile, so that a few large ones do not outweigh all others.
 LARGEST_QUANTILE = 0.95
 
 
@@ -40,7 +36,7 @@ class PromptedView:
         camera: World frame.
         points_world: (H, W, 3) surface point at each pixel, NaN where there is none or the robot.
         box: (4,) x0, y0, x1, y1 of the prompt, [px].
-        masks: Answers (H, W) of the segmenter, any number.
+        masks: Masks (H, W) by the segmenter, any number.
     """
 
     part: int
@@ -51,7 +47,7 @@ class PromptedView:
 
 
 def box_misfit(mask: Mask, box: Array) -> float:
-    """How badly a mask (H, W) fits a box drawn around it: 0 when it touches all sides from inside.
+    """Distance between the extent of a mask (H, W) and a box: 0 when the mask touches all sides from inside.
 
     The distances of the four sides, as shares of the box, and twice the share of the mask outside.
     Single pixels do not make an extent. Without a mask it is 4: each side off by the whole box.
@@ -67,14 +63,14 @@ def box_misfit(mask: Mask, box: Array) -> float:
     return float(gaps / width + heights / height + 2 * (1 - share_inside(mask, box)))
 
 
-def within(box: Array, shape: tuple[int, ...]) -> Mask:
+def pixels_within(box: Array, shape: tuple[int, ...]) -> Mask:
     """Pixels (H, W) of a box x0, y0, x1, y1, [px]."""
     rows, columns = np.arange(shape[0])[:, None] + 0.5, np.arange(shape[1]) + 0.5
     return (columns > box[0]) & (columns < box[2]) & (rows > box[1]) & (rows < box[3])
 
 
 def share_inside(mask: Mask, box: Array) -> float:
-    """Share of a mask (H, W), not empty, that lies in a box x0, y0, x1, y1, [px]."""
+    """Share of a mask (H, W), not empty, inside a box x0, y0, x1, y1, [px]."""
     x0, y0 = np.maximum(np.floor(box[:2]), 0).astype(int)
     x1, y1 = np.ceil(box[2:]).astype(int)
     return float(mask[y0:y1, x0:x1].sum() / mask.sum())
@@ -89,7 +85,7 @@ def iou(first: Mask, second: Mask) -> float:
 class Crop:
     """Every n-th pixel of a prompted view around its box, panel frame.
 
-    `local` (H, W, 3) lies in memory one coordinate after the other, as it is compared.
+    `local` (H, W, 3) has one contiguous plane of memory for each coordinate; `center` is the camera's.
     """
 
     part: int
@@ -101,14 +97,15 @@ class Crop:
 
     @staticmethod
     def of(view: PromptedView, T_world_panel: Array, pixels: int) -> "Crop":
+        """Crop a view to at most about `pixels` pixels."""
         height, width = view.points_world.shape[:2]
         margin = 0.25 * (view.box[2:] - view.box[:2])
         x0, y0 = np.maximum(view.box[:2] - margin, 0).astype(int)
         x1, y1 = np.minimum(view.box[2:] + margin, [width, height]).astype(int)
         stride = max(1, int(np.sqrt((x1 - x0) * (y1 - y0) / pixels)))
         window = (slice(y0, y1, stride), slice(x0, x1, stride))
-        inside = within(view.box, (height, width))
-        # Masks bleed over the border of what was boxed; one that is mostly elsewhere shows something else.
+        inside = pixels_within(view.box, (height, width))
+        # Masks bleed over the border of the boxed part; one that is mostly outside shows another object.
         kept = [mask & inside for mask in view.masks if share_inside(mask, view.box) > MIN_SHARE_INSIDE]
         misfits = [box_misfit(mask, view.box) for mask in kept]
         limit = min([MAX_MASK_MISFIT, *(misfit + MASK_SPREAD for misfit in misfits)])
@@ -124,24 +121,22 @@ class Crop:
             inside_box=inside[window],
         )
 
-    def shown(self, panel: Panel) -> Mask:
-        return panel.labels_local(self.local, self.center) == self.part
-
     def misfit(self, panel: Panel) -> float:
-        return box_misfit(self.shown(panel), self.box)
+        """Distance between the box and the extent of the part, see `box_misfit`."""
+        return box_misfit(panel.labels_local(self.local, self.center) == self.part, self.box)
 
     def loss(self, panel: Panel) -> float:
         """Misfit of the box, and distance to the mask that agrees best."""
         labels = panel.labels_local(self.local, self.center)
         shown = labels == self.part
-        # Segmenters find whole objects best, also where a person boxed the body of one.
-        wanted = (shown,) if self.part == MOVING else (shown, labels != BACKGROUND)
+        # Segmenters often return the whole object for a box around its body.
+        expected = (shown,) if self.part == MOVING else (shown, labels != BACKGROUND)
         apart = min(
-            (1 - iou(item & self.inside_box, mask) for mask in self.masks for item in wanted), default=0.0
+            (1 - iou(item & self.inside_box, mask) for mask in self.masks for item in expected), default=0.0
         )
         return box_misfit(shown, self.box) + MASK_WEIGHT * apart
 
-    def inside(self, *, masked: bool) -> Array:
+    def surface(self, *, masked: bool) -> Array:
         """Surface points (N, 3) in the mask that agrees with the box best, else in the box."""
         if masked and self.masks:
             points = self.local[min(self.masks, key=lambda mask: box_misfit(mask, self.box))]
@@ -153,12 +148,12 @@ class Crop:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TrackedPoints:
-    """Points and how surely they move.
+    """Points with a known motion.
 
     Attributes:
         points: (N, 3), world frame; panel frame once `near` a panel, [m].
         moves: (N,).
-        weights: (N,), area times certainty.
+        weights: (N,), area times log-likelihood ratio.
     """
 
     points: Annotated[Array, "N 3"]
@@ -168,25 +163,25 @@ class TrackedPoints:
     __post_init__ = freeze_arrays
 
     @staticmethod
-    def of(gaussians: Gaussians, log_odds: Array) -> "TrackedPoints":
-        """Those Gaussians, world frame, whose log odds of moving over standing still (N,) tell."""
-        told = np.abs(log_odds) >= MIN_LOG_ODDS
-        sizes = np.sort(gaussians.scales[told], axis=1)[:, 1:].prod(1)
+    def of(gaussians: Gaussians, log_ratios: Array) -> "TrackedPoints":
+        """Select Gaussians, world frame, whose log-likelihood ratio (N,) of moving to resting is decisive."""
+        known = np.abs(log_ratios) >= MIN_LOG_RATIO
+        sizes = np.sort(gaussians.scales[known], axis=1)[:, 1:].prod(1)
         sizes = np.minimum(sizes, np.quantile(sizes, LARGEST_QUANTILE)) if len(sizes) else sizes
         return TrackedPoints(
-            points=gaussians.means[told].astype(np.float64),
-            moves=log_odds[told] > 0,
-            weights=sizes * gaussians.opacities[told] * np.abs(log_odds[told]),
+            points=gaussians.means[known].astype(np.float64),
+            moves=log_ratios[known] > 0,
+            weights=sizes * gaussians.opacities[known] * np.abs(log_ratios[known]),
         )
 
-    def near(self, T_world_panel: Array, size: float) -> "TrackedPoints":
-        """Those around a panel of a diagonal `size` [m], panel frame."""
+    def near(self, T_world_panel: Array, size_m: float) -> "TrackedPoints":
+        """Select points around a panel of this diagonal, panel frame."""
         local = apply(invert(T_world_panel), self.points)
-        kept = (np.abs(local) < REACH_SHARE * size).all(1)
+        kept = (np.abs(local) < MAX_DISTANCE_SHARE * size_m).all(1)
         return TrackedPoints(points=local[kept], moves=self.moves[kept], weights=self.weights[kept])
 
     def loss(self, panel: Panel) -> float:
-        """Distance, 1 - IoU, of what moves by the panel from what was seen to move; 0 where nothing was."""
+        """Distance, 1 - IoU, between points inside the moving part and points that move; 0 where none move."""
         found = panel.labels_local(self.points) == MOVING
         either = float(self.weights @ (found | self.moves))
         return 1.0 - float(self.weights @ (found & self.moves)) / either if either > 0 else 0.0
