@@ -22,7 +22,7 @@ from aomgen.io.atomic import write_json
 from aomgen.results import ASSET_USD
 from aomgen.robots.loading import load_robot
 from aomgen.robots.robot import RobotModel
-from aomgen.simulation.collision_check import episode_scene
+from aomgen.simulation.episode_scene import episode_scene
 from aomgen.simulation.scene import Scene
 from aomgen.simulation.verify import verify_plan
 from benchmarks.exported import (

@@ -35,7 +35,7 @@ from aomgen.io.episode_folder import episode_folder
 from aomgen.results import ASSET_USD, Results
 from aomgen.robots.reach import longest_reach
 from aomgen.saved_units import unit_name
-from aomgen.simulation.collision_check import episode_scene
+from aomgen.simulation.episode_scene import episode_scene
 from aomgen.simulation.scene import Scene
 from aomgen.simulation.verify import verify_plan
 from aomgen.twin.plane_shadow import SoftShadow, cast_soft_shadow

@@ -1,8 +1,7 @@
 """Tier A: does a commanded trajectory avoid collisions and reach the handle, before anything is simulated."""
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
-from functools import partial
+from collections.abc import Callable
+from dataclasses import dataclass
 from itertools import product
 from typing import NamedTuple
 
@@ -10,16 +9,12 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from aomgen.core.boxes import OrientedBox
-from aomgen.core.demonstration import Demonstration, SupportPlane
-from aomgen.core.plan import FittedAsset, Rejection
+from aomgen.core.plan import Rejection
 from aomgen.core.transforms import matrix_from_quat
 from aomgen.core.values import Array
 from aomgen.robots.robot import RobotModel
-from aomgen.simulation.scene import Scene, build_scene
+from aomgen.simulation.scene import Scene
 
-# Kept between the recorded arm and a table that it would have hit, [m].
-TABLE_CLEARANCE_M = 0.005
 # No point moves farther between two configurations that are looked at, [m].
 SWEEP_M = 0.005
 # Configurations on the path of a search keep this much of the limits, [mm]: the path is smoothed afterwards.
@@ -157,7 +152,7 @@ def _sweep(
     places = np.empty((len(qpos), model.nbody, 12))
     pairs, depths, counts = [], [], np.zeros(len(qpos), np.int64)
     for index, row in enumerate(qpos):
-        _place(scene, data, row)
+        place_scene(scene, data, row)
         places[index, :, :9], places[index, :, 9:] = data.xmat, data.xpos
         if data.ncon:
             counts[index] = data.ncon
@@ -201,7 +196,7 @@ def make_collision_test(
 
     def is_free(joints: Array) -> bool:
         qpos[scene.arm.qpos] = joints
-        _place(scene, data, qpos)
+        place_scene(scene, data, qpos)
         if not data.ncon:
             return True
         pairs = data.contact.geom
@@ -266,45 +261,6 @@ def _moves(scene: Scene, places: Array) -> Array:
     return np.sqrt((shifts**2).sum(-1).max((1, 2)))
 
 
-def episode_scene(
-    robot: RobotModel,
-    fitted: FittedAsset,
-    demo: Demonstration,
-    support: SupportPlane,
-    obstacles: Sequence[OrientedBox] = (),
-    *,
-    bolted: bool = True,
-) -> Scene:
-    """Robot, table, obstacles and asset; a table that the recorded arm would have hit is lowered out of its way.
-
-    An object that is not bolted needs its table where it is.
-    """
-    build = partial(
-        build_scene, robot, fitted.asset, fitted.T_world_asset, bolted=bolted, obstacles=obstacles
-    )
-    scene = build(support)
-    overlap = table_overlap_m(scene, demo.joints)
-    if overlap <= 0.0 or not bolted:
-        return scene
-    lower = replace(support, height=support.height - overlap - TABLE_CLEARANCE_M)
-    return build(lower)
-
-
-def table_overlap_m(scene: Scene, joints: Array) -> float:
-    """How deep a path that a real arm has taken (T, J) dips into the assumed table, [m].
-
-    More than nothing means that the table ends before it, or that its plane is estimated too high.
-    """
-    data = mujoco.MjData(scene.model)
-    deepest = 0.0
-    for qpos in scene.qpos(joints, 0.0, 0.0):
-        _place(scene, data, qpos)
-        pairs = data.contact.geom
-        touching = scene.roles.table[pairs].any(1) & scene.roles.robot[pairs].any(1)
-        deepest = max(deepest, float(-data.contact.dist[touching].min(initial=0.0)))
-    return deepest
-
-
 def holding_gripper(robot: RobotModel, width_m: float, fallback: float) -> float:
     """Gripper value 0..1 at which the pads stand `width_m` apart; `fallback` for a robot without pads."""
     values = np.linspace(0.0, 1.0, 65)
@@ -330,7 +286,7 @@ def stalling_gripper(scene: Scene, joints: Array, theta: float, fallback: float)
     return opened
 
 
-def _place(scene: Scene, data: mujoco.MjData, qpos: Array) -> None:
+def place_scene(scene: Scene, data: mujoco.MjData, qpos: Array) -> None:
     data.qpos[:] = qpos
     mujoco.mj_kinematics(scene.model, data)
     mujoco.mj_comPos(scene.model, data)
