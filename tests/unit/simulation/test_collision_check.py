@@ -34,13 +34,13 @@ def check(scene: Scene, joints: np.ndarray, thetas: np.ndarray) -> dict[str, flo
 def test_no_point_moves_far_between_two_looks(robot: RobotModel, monkeypatch: pytest.MonkeyPatch) -> None:
     """At the largest speed of all joints, for points of every mesh of the robot and for the part's corners."""
     scene, looks = scene_with(robot), []
-    place = collision_check._place
+    place = collision_check.place_scene
 
     def recorded(scene: Scene, data, qpos: np.ndarray) -> None:
         looks.append(qpos.copy())
         place(scene, data, qpos)
 
-    monkeypatch.setattr(collision_check, "_place", recorded)
+    monkeypatch.setattr(collision_check, "place_scene", recorded)
     rng = np.random.default_rng(0)
     corners = np.concatenate([box.corners for box in scene.asset.moving.colliders])
     for _ in range(12):
