@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import cKDTree
 
 from aomgen.core.motion import ContactPatch
+from aomgen.core.quadrature import normal_points
 from aomgen.core.transforms import apply, invert
 from aomgen.core.values import Array, Vector3, freeze_arrays
 from aomgen.motion.ee_path import average_poses
@@ -27,7 +28,9 @@ _BEHIND_M = 2 * SURFACE_SD_M
 _PAD_GRID = 81
 # What is held may be turned against a pad by this much more than known, [rad]: about its length by the fit of the
 # object's box, along it by what the pads give way until they lie on it, and on the face by the few points seen of it.
-_TURNS = np.random.default_rng(0).normal(size=(100, 3)) * np.radians([1.0, 0.3, 5.0])
+_TURN_SDS = tuple(np.radians([1.0, 0.3, 5.0]))
+# Turns over which a contact is averaged; each costs one search over the points of a pad.
+_TURNS = 100
 # What is touched may seem to stand inside the hand by as much as finger and alignment are off, [m].
 _INSIDE_M = 0.01
 # Points beyond these percentiles are strays.
@@ -164,6 +167,8 @@ def _find_held(faces: list[_Face], points_ee: Array, axes_ee: Array) -> list[Con
     """
     closing = faces[0].T_frame_face[:3, 2] - faces[1].T_frame_face[:3, 2]
     axis = axes_ee[np.argmax(np.abs(axes_ee @ closing))]
+    # The first one is the strip as it was seen.
+    turns = np.vstack([np.zeros(3), normal_points(_TURNS, 3) * _TURN_SDS])
     patches = []
     for face, other in zip(faces, faces[::-1], strict=True):
         # As far to the side as along the fingers: what is seen of a bar beside the pads tells its line.
@@ -172,29 +177,37 @@ def _find_held(faces: list[_Face], points_ee: Array, axes_ee: Array) -> list[Con
         if not len(between):
             return []
         opening = float(face.openings(np.zeros(2), other))
-        along, across, covered = _lay_strip(between[:, :2], face.grid, opening)
+        along, across, covered = _lay_strip(between[:, :2], face.grid, opening, turns[:, 2])
         thickness = float(np.ptp(np.percentile(between[:, 2], _STRAYS)))
         closest = face.openings(face.grid[covered[0]], other).min(initial=np.inf)
         if not 0 < closest <= thickness + 2 * _INSIDE_M:
             return []
-        rolls = across @ face.slope(axis) + _TURNS[:, 0]
-        leans = along @ face.slope(closing) + _TURNS[:, 1]
+        rolls = across @ face.slope(axis) + turns[:, 0]
+        leans = along @ face.slope(closing) + turns[:, 1]
         nearness = (rolls[:, None] * across + leans[:, None] * along) @ face.grid.T
         nearest = np.argmax(np.where(covered, nearness, -np.inf), axis=1)[covered.any(1)]
         patches.append(face.patch(points_ee, face.grid[covered[0]], face.grid[nearest].mean(0)))
     return patches
 
 
-def _lay_strip(seen: Array, grid: Array, least_m: float) -> tuple[Array, Array, NDArray[np.bool_]]:
-    """The straight piece of which points (N, 2) were seen before a face of points (G, 2), at least so wide.
+def _lay_strip(
+    seen: Array, grid: Array, least_m: float, turns: Array
+) -> tuple[Array, Array, NDArray[np.bool_]]:
+    """Fit a straight strip to points (N, 2) seen before a face with points (G, 2), and turn it on the face.
 
-    Units along and across it (K, 2), and the points that it covers (K, G), for each of `_TURNS`.
+    Args:
+        seen, grid: See above, [m].
+        least_m: Smallest width of the strip.
+        turns: Angles (K,) by which the strip may be turned, [rad].
+
+    Returns:
+        Units along and across the strip (K, 2), and the points of the face that it covers (K, G).
     """
     center = seen.mean(0)
     way = np.linalg.eigh((seen - center).T @ (seen - center))[1][:, 1]
     low, high = np.percentile((seen - center) @ [-way[1], way[0]], _STRAYS)
     middle = center + (low + high) / 2 * np.array([-way[1], way[0]])
-    angles = np.arctan2(way[1], way[0]) + _TURNS[:, 2]
+    angles = np.arctan2(way[1], way[0]) + turns
     along = np.stack([np.cos(angles), np.sin(angles)], 1)
     across = along[:, ::-1] * [-1, 1]
     half = max(float(high - low), least_m, 2 * SURFACE_SD_M) / 2

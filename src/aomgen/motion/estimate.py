@@ -4,6 +4,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+from scipy.optimize import root_scalar
 
 from aomgen.core.joint import JointType
 from aomgen.core.motion import MotionCurve, MotionEstimate
@@ -46,8 +47,12 @@ class MotionParams:
     width: int = 320
 
 
+# Directions over which the 95 % radius is integrated: exact to 0.1 % even where one variance is zero.
+_RADIUS_NODES = 512
+
+
 def _ignore_curve(curve: MotionCurve) -> None:
-    """Nobody wants the curve before the answer."""
+    """Default callback; does nothing."""
 
 
 def estimate_motion(
@@ -127,7 +132,13 @@ def first_motion(demo: MotionInput) -> MotionEstimate:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _TypeEstimate:
-    """The answer if the joint is of a type: by the hand's path, the video as read for it, and refined on it."""
+    """Estimate of one joint type.
+
+    Attributes:
+        found: From the gripper's path.
+        seen: Frames of the video around the part's path, None where the video shows too little.
+        refined: Joint and values, refined on the video where held-out frames agree.
+    """
 
     found: JointCandidates
     seen: PhotometricFrames | None
@@ -150,9 +161,21 @@ def _take_over(estimate: MotionEstimate, answer: KinematicPrior) -> MotionEstima
 
 
 def find_radius_95(covariance: Array) -> float:
-    """Radius around the mean that holds 95 % of a normal distribution in the plane, covariance (2, 2)."""
-    draws = np.random.default_rng(0).multivariate_normal(np.zeros(2), covariance, 4000)
-    return float(np.percentile(np.linalg.norm(draws, axis=1), 95))
+    """Radius around the mean that holds 95 % of a normal distribution in the plane, covariance (2, 2).
+
+    In a direction of variance v, the squared radius is v times a chi-square variable of two degrees of freedom, so the
+    probability of a radius r is the mean of `1 - exp(-r^2 / 2 v)` over all directions of the standard normal.
+    """
+    low, high = np.linalg.eigvalsh(covariance)
+    # The integrand has period pi; equally spaced nodes at half steps converge geometrically and avoid v = 0.
+    angles = (np.arange(_RADIUS_NODES) + 0.5) * (np.pi / _RADIUS_NODES)
+    variances = np.maximum(low, 0.0) * np.sin(angles) ** 2 + high * np.cos(angles) ** 2
+
+    def excess(radius: float) -> float:
+        return float(np.mean(1 - np.exp(-(radius**2) / (2 * variances)))) - 0.95
+
+    sd = float(np.sqrt(high))
+    return float(root_scalar(excess, bracket=(0.0, 3 * sd), xtol=1e-6 * sd).root)
 
 
 def assemble(

@@ -53,9 +53,9 @@ class JointParams:
     noise: NoisePrior = field(default_factory=NoisePrior)
     nodes: int = 24
 
-    def loosened(self) -> "JointParams":
+    def loosen(self) -> "JointParams":
         """For a path on which the hand only pushes or hooks."""
-        return replace(self, noise=self.noise.loosened())
+        return replace(self, noise=self.noise.loosen())
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -141,13 +141,13 @@ def fit_candidates(
         )
     doors, drawer = make_models(path, np.inf if shape is None else shape.reach_m(points.mean(0)))
     noise = _loosen_ends(PathNoise.of(points, params.noise), (doors, [drawer]))
-    hinges, rails = ([], []) if shape is None else (shape.hinges(), shape.rails())
+    hinges, rails = ([], []) if shape is None else (shape.revolute_priors(), shape.prismatic_priors())
     revolute, prismatic = compute_posterior(doors, noise, hinges), compute_posterior([drawer], noise, rails)
     margin = 2 * (revolute.log_evidence - prismatic.log_evidence)
     # The middle half of the nodes against the outer half tells the bulge. Bars are along hinges, so that arcs
     # bend in the direction that the fingers hold best.
     unsteady = prismatic.scales[0] * np.sqrt(4 / params.nodes)
-    slip = compute_held_rate(prismatic.scales, prismatic.model.firmness) * extent
+    slip = compute_held_rate(prismatic.scales, prismatic.model.closing_alignment) * extent
     return JointCandidates(
         revolute=_estimate(path, revolute, "revolute", margin),
         prismatic=_estimate(path, prismatic, "prismatic", -margin),
@@ -205,7 +205,7 @@ def _loosen_ends(noise: PathNoise, types: tuple[list[Revolute], list[Prismatic]]
         return noise
     count = len(noise.travel_m)
     for ends in ([slice(count - k, count) for k in (1, 2, 4, 6)], [slice(0, k) for k in (1, 2, 4, 6)]):
-        tried = [noise.loosened(nodes) for nodes in ends]
+        tried = [noise.loosen(nodes) for nodes in ends]
         evidences = [fit(item)[0] for item in tried]
         if max(evidences) > best:
             best, noise = max(evidences), tried[int(np.argmax(evidences))]

@@ -56,16 +56,16 @@ class JointModel:
         """Held point (..., 3), end-effector frame, [m]."""
         return np.broadcast_to(self.path.hold.point_ee, (*x.shape[:-1], 3))
 
-    def beliefs(self, x: Array) -> Array:
+    def prior_residuals(self, x: Array) -> Array:
         """Residuals (..., Q) of what is assumed beforehand, in standard deviations."""
         return np.zeros((*x.shape[:-1], 0))
 
     @property
-    def log_beliefs(self) -> float:
-        """Normalization of `beliefs`."""
+    def log_prior_norm(self) -> float:
+        """Normalization of `prior_residuals`."""
         return 0.0
 
-    def log_any_place(self, x: Array) -> float:
+    def log_diffuse_position_prior(self, x: Array) -> float:
         """Log density of an axis' place of which nothing but the usual size is known."""
         return 0.0
 
@@ -100,7 +100,7 @@ class Revolute(JointModel):
 
     kinds = ("face", "bar", "tilt", "tilt", "pivot")
     steps = np.array([*[1e-2] * 6, *[3e-3] * 3, 0.1])
-    firmness = 1.0
+    closing_alignment = 1.0
 
     def grasp(self, x: Array) -> Array:
         """Held point (..., 3), end-effector frame, [m]."""
@@ -133,7 +133,7 @@ class Revolute(JointModel):
         center, radius = fit_circle(offsets, float(turns[-1] - turns[0]))
         return np.array([0, 0, *center, radius, 0, 0, 0, 0, RATIO], np.float64)
 
-    def beliefs(self, x: Array) -> Array:
+    def prior_residuals(self, x: Array) -> Array:
         """Residuals (..., 6) of held point, share of the turn, usual size and the object's size."""
         radius = np.maximum(np.abs(x[..., 4:5]), 1e-3)
         size = np.log(radius / RADIUS_M) / RADIUS_SPREAD
@@ -142,12 +142,12 @@ class Revolute(JointModel):
         return np.concatenate([x[..., 6:9] / self.path.hold.sd_m, ratio, size, beyond], axis=-1)
 
     @property
-    def log_beliefs(self) -> float:
-        """Normalization of `beliefs`."""
+    def log_prior_norm(self) -> float:
+        """Normalization of `prior_residuals`."""
         return -float(np.log(self.path.hold.sd_m) * 3 + np.log(RATIO_SD) + 2 * np.log(2 * np.pi))
 
-    def log_any_place(self, x: Array) -> float:
-        """Log density of an axis' place of which only the usual size is known, see `beliefs`."""
+    def log_diffuse_position_prior(self, x: Array) -> float:
+        """Log density of an axis' place of which only the usual size is known, see `prior_residuals`."""
         return -float(np.log(2 * np.pi * x[4] ** 2) + np.log(RADIUS_SPREAD * np.sqrt(2 * np.pi)))
 
 
@@ -162,7 +162,7 @@ class Prismatic(JointModel):
     kinds = ("straight", "bar", "tilt", "tilt", "tilt")
 
     @property
-    def firmness(self) -> float:
+    def closing_alignment(self) -> float:
         """Share of the closing direction in the direction of the first row of `data`, squared."""
         across = make_tangent_basis(self.start) @ self.path.closing_world
         return float(across @ across)

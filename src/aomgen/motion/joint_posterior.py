@@ -13,13 +13,12 @@ from typing import Annotated, Any, cast
 import numpy as np
 from scipy.linalg import solve_triangular
 from scipy.optimize import least_squares, minimize
-from scipy.special import ndtri
-from scipy.stats import qmc
 
 from aomgen.core.joint import JointType
+from aomgen.core.quadrature import normal_points
 from aomgen.core.values import Array, freeze_arrays
 from aomgen.motion.joint_models import Prismatic, Revolute
-from aomgen.motion.part_shape import ANYWHERE, AxisHint
+from aomgen.motion.part_shape import UNIFORM_PRIOR, AxisPrior
 
 # A slow course bends at its middle by 0.15 to 0.3 of its end value, finer waves are smaller as their
 # number squared (doors opened by contact).
@@ -69,7 +68,7 @@ class NoisePrior:
         """Sizes (7,) that lie `steps` (7,) standard deviations from their medians."""
         return np.array(self.medians) * np.exp(np.array(self.spreads) * steps)
 
-    def loosened(self) -> "NoisePrior":
+    def loosen(self) -> "NoisePrior":
         """Usual flaws of a path on which the hand only pushes or hooks: it slides across the motion."""
         medians, spreads = (dict(zip(SCALES, row, strict=True)) for row in (self.medians, self.spreads))
         medians |= {"face": _LOOSE_RATE / 4, "bar": _LOOSE_RATE, "straight": _LOOSE_RATE}
@@ -102,37 +101,39 @@ class PathNoise:
         waves = np.sin(np.pi * np.outer(travel / travel[-1], k)) / k**2
         return PathNoise(prior=prior, travel_m=travel, inflation=np.ones(len(points)), waves=waves @ waves.T)
 
-    def loosened(self, nodes: slice) -> "PathNoise":
+    def loosen(self, nodes: slice) -> "PathNoise":
         """The same with some nodes that may lie anywhere near."""
         inflation = self.inflation.copy()
         inflation[nodes] = _INFLATION
         return replace(self, inflation=inflation)
 
-    def covariance(self, kind: str, scales: Array, firmness: float) -> Array:
+    def covariance(self, kind: str, scales: Array, closing_alignment: float) -> Array:
         """Covariance (K, K) of a kind of residual: "face", "bar", "straight" [m], "tilt", "pivot" [rad].
 
         By sizes of the flaws (7,), and the square of the cosine between the "straight" direction and that in which
         the fingers close; by the rest they give way as along the bar.
         """
-        sizes = dict(zip(SCALES, scales, strict=True)) | {"straight": compute_held_rate(scales, firmness)}
+        sizes = dict(zip(SCALES, scales, strict=True)) | {
+            "straight": compute_held_rate(scales, closing_alignment)
+        }
         steady, uneven = (0.0, sizes[kind]) if kind == "pivot" else (sizes[kind], BEND_SHARE * sizes[kind])
         white = sizes["turn" if kind in ("tilt", "pivot") else "place"]
         s = self.travel_m
         course = steady**2 * np.outer(s, s) + (uneven * s[-1]) ** 2 * self.waves
         return course + np.diag((white * self.inflation) ** 2)
 
-    def whiten(self, kinds: Sequence[str], steps: Array, firmness: float) -> tuple[Array, float]:
+    def whiten(self, kinds: Sequence[str], steps: Array, closing_alignment: float) -> tuple[Array, float]:
         """Matrices (C, K, K) that make residuals of kinds white, and the sum of their log determinants."""
         scales = self.prior.scales(steps)
-        factors = np.linalg.cholesky([self.covariance(kind, scales, firmness) for kind in kinds])
+        factors = np.linalg.cholesky([self.covariance(kind, scales, closing_alignment) for kind in kinds])
         logs = np.log(np.diagonal(factors, axis1=1, axis2=2))
         return np.asarray(np.linalg.inv(factors), np.float64), 2 * float(logs.sum())
 
 
-def compute_held_rate(scales: Array, firmness: float) -> float:
+def compute_held_rate(scales: Array, closing_alignment: float) -> float:
     """Slip per travel [m/m] of a straight path in the direction across it that is held best, see `PathNoise.covariance`."""
     straight, bar = scales[SCALES.index("straight")], scales[SCALES.index("bar")]
-    return float(np.sqrt(firmness * straight**2 + (1 - firmness) * bar**2))
+    return float(np.sqrt(closing_alignment * straight**2 + (1 - closing_alignment) * bar**2))
 
 
 def compute_give_rate(joint_type: JointType, scales: Array, closing: float) -> float:
@@ -183,7 +184,7 @@ class LinearizedModel:
     log_prior: float
 
     @staticmethod
-    def of(model: Revolute | Prismatic, noise: PathNoise, hint: AxisHint, x: Array) -> "LinearizedModel":
+    def of(model: Revolute | Prismatic, noise: PathNoise, hint: AxisPrior, x: Array) -> "LinearizedModel":
         """By central differences."""
         steps = model.steps * 1e-3
         around = np.concatenate([x[None], x + np.diag(steps), x - np.diag(steps)])
@@ -192,19 +193,19 @@ class LinearizedModel:
             ahead, behind = np.split(rows[1:], 2)
             return rows[0], np.moveaxis(ahead - behind, 0, -1) / (2 * steps)
 
-        place = 0.0 if len(hint.across) else model.log_any_place(x)
+        place = 0.0 if len(hint.across) else model.log_diffuse_position_prior(x)
         return LinearizedModel(
             model=model,
             noise=noise,
             x=x,
             data=differences(model.data(around)),
             prior=differences(_prior(model, hint, around)),
-            log_prior=hint.log_density + place + model.log_beliefs,
+            log_prior=hint.log_density + place + model.log_prior_norm,
         )
 
     def gaussian(self, steps: Array) -> tuple[float, Array, Array]:
         """Log evidence, mean (P,) and information (P, P) of the unknowns at given sizes of the flaws."""
-        whiten, log_det = self.noise.whiten(self.model.kinds, steps, self.model.firmness)
+        whiten, log_det = self.noise.whiten(self.model.kinds, steps, self.model.closing_alignment)
         r = np.append(whiten @ self.data[0][..., None], self.prior[0])
         J = np.concatenate([(whiten @ self.data[1]).reshape(-1, len(self.x)), self.prior[1]])
         information, gradient = J.T @ J, J.T @ r
@@ -230,22 +231,22 @@ class LinearizedModel:
         around = [self.log_posterior(center + step) + self.log_posterior(center - step) for step in unit]
         curvature = (2 * middle - np.array(around)) / h**2
         sds = 1.1 / np.sqrt(np.clip(curvature, 0.5, None))
-        normal = _normal_points(_SCALE_POINTS, size)
+        normal = normal_points(_SCALE_POINTS, size)
         points = np.clip(center + normal * sds, *STEP_LIMITS)
         log_ratio = 0.5 * (normal**2 - points**2).sum(1) + np.log(sds).sum()
         return points, log_ratio - np.log(len(points))
 
 
 def compute_posterior(
-    models: Sequence[Revolute | Prismatic], noise: PathNoise, hints: Sequence[AxisHint]
+    models: Sequence[Revolute | Prismatic], noise: PathNoise, hints: Sequence[AxisPrior]
 ) -> Posterior:
     """What is known of one joint type, by its models about different first axes; none of the shape's hints may hold."""
     path, steps = fit_path(models, noise)
     model, x = path.model, path.x
     for _ in range(2):
-        model, x = model.about(_fit(model, noise, ANYWHERE, steps, x))
-        steps = LinearizedModel.of(model, noise, ANYWHERE, x).likeliest(steps)
-    found = [LinearizedModel.of(model, noise, ANYWHERE, x)]
+        model, x = model.about(_fit(model, noise, UNIFORM_PRIOR, steps, x))
+        steps = LinearizedModel.of(model, noise, UNIFORM_PRIOR, x).likeliest(steps)
+    found = [LinearizedModel.of(model, noise, UNIFORM_PRIOR, x)]
     for hint in hints:
         x_hint = _fit(model, noise, hint, steps, x)
         if np.abs(x_hint[:2]).max() < _MAX_TILT:
@@ -275,15 +276,15 @@ def fit_path(models: Sequence[Revolute | Prismatic], noise: PathNoise) -> tuple[
     for model in models:
         x = model.first()
         for _ in range(2):
-            model, x = model.about(_fit(model, noise, ANYWHERE, steps, x))
-        found.append(LinearizedModel.of(model, noise, ANYWHERE, x))
+            model, x = model.about(_fit(model, noise, UNIFORM_PRIOR, steps, x))
+        found.append(LinearizedModel.of(model, noise, UNIFORM_PRIOR, x))
     best = max(found, key=lambda item: item.gaussian(steps)[0])
     return best, best.likeliest(steps)
 
 
-def _fit(model: Revolute | Prismatic, noise: PathNoise, hint: AxisHint, steps: Array, first: Array) -> Array:
+def _fit(model: Revolute | Prismatic, noise: PathNoise, hint: AxisPrior, steps: Array, first: Array) -> Array:
     """Unknowns (P,) that fit best at given sizes of the flaws."""
-    whiten = noise.whiten(model.kinds, steps, model.firmness)[0]
+    whiten = noise.whiten(model.kinds, steps, model.closing_alignment)[0]
 
     def residuals(x: Array) -> Array:
         return np.append(whiten @ model.data(x)[..., None], _prior(model, hint, x))
@@ -298,22 +299,17 @@ def _fit(model: Revolute | Prismatic, noise: PathNoise, hint: AxisHint, steps: A
     return np.asarray(result.x, np.float64)
 
 
-def _prior(model: Revolute | Prismatic, hint: AxisHint, x: Array) -> Array:
-    return np.concatenate([model.beliefs(x), hint.residuals(*model.lines(x))], axis=-1)
+def _prior(model: Revolute | Prismatic, hint: AxisPrior, x: Array) -> Array:
+    return np.concatenate([model.prior_residuals(x), hint.residuals(*model.lines(x))], axis=-1)
 
 
 def _draw(weights: Array, parts: Sequence[tuple[float, Array, Array]]) -> Array:
     """Samples (S, P) of the mixture of Gaussians (log evidence, mean, information), evenly taken."""
     places = (np.arange(_DRAWS) + 0.5) / _DRAWS
     chosen = np.minimum(np.searchsorted(np.cumsum(weights), places), len(parts) - 1)
-    draws = _normal_points(_DRAWS, len(parts[0][1]))
+    draws = normal_points(_DRAWS, len(parts[0][1]))
     for part in np.unique(chosen):
         _, mean, information = parts[part]
         L, mine = np.linalg.cholesky(information), chosen == part
         draws[mine] = mean + solve_triangular(L.T, draws[mine].T).T
     return draws
-
-
-def _normal_points(count: int, size: int) -> Array:
-    """Low-discrepancy points (count, size) of the standard normal distribution, always the same."""
-    return np.asarray(ndtri(qmc.Halton(size, scramble=False).random(count + 1)[1:]), np.float64)

@@ -15,13 +15,13 @@ from aomgen.motion.joint_value import (
     TouchObservation,
     ValueTrajectory,
     compute_path_values,
+    estimate_level_sd,
     find_motion_tolerance,
     follow_pushed_part,
     refine_interval,
-    select_resting,
     smooth_within,
 )
-from aomgen.motion.keyframes import Departures
+from aomgen.motion.keyframes import ChangeFractions
 from aomgen.motion.observations import DENSE_STEP_S, VideoObservations
 from aomgen.motion.part_shape import PartShape, measure_shape
 
@@ -84,7 +84,7 @@ class TouchRecovery:
         return TouchRecovery(
             demo=demo,
             view=view,
-            params=params if view.touch.gripped else params.loosened(),
+            params=params if view.touch.gripped else params.loosen(),
             contact_steps=contact_steps,
             shape=measure_shape(demo.points_static, demo.points_moving),
             surface=demo.surface_moving(SURFACE_SD_M),
@@ -116,15 +116,15 @@ class TouchRecovery:
         found = self._fit(contacts, trajectory.interval)
         estimate = found.of(joint_type)
         trajectory = self._follow(estimate, trajectory.interval)
-        # A part that creeps off does not tell where it rested.
-        rest = select_resting(trajectory.times_s, trajectory.values, seen[0])
-        rest_sd = float(np.std(rest)) if len(rest) else 0.0
+        level_sd = find_motion_tolerance(joint_type)
+        if self.view.touch.gripped:
+            level_sd = estimate_level_sd(trajectory.times_s, trajectory.values, seen[0], level_sd)
         return RecoveredMotion(
             contacts=self._contacts(*self._beginning(estimate, trajectory)),
             found=found,
             estimate=estimate,
             trajectory=trajectory,
-            level_sd=rest_sd if self.view.touch.gripped else find_motion_tolerance(joint_type),
+            level_sd=level_sd,
             face_normal=self.shape.face_normal,
         )
 
@@ -145,7 +145,7 @@ class TouchRecovery:
             hand = (points, apply(invert(estimate.joint.motion(values)), points))
             picture = TouchObservation(
                 times_s=frames_s,
-                seen=Departures(left=view.seen.left[touch.frames], ahead=view.seen.ahead[touch.frames]),
+                seen=ChangeFractions(left=view.seen.left[touch.frames], ahead=view.seen.ahead[touch.frames]),
                 noise=view.interval.noise,
             )
             return follow_pushed_part(times, values, hand, interval, leave, picture)

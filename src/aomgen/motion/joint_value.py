@@ -16,7 +16,7 @@ from aomgen.core.robust import robust_sd
 from aomgen.core.transforms import apply
 from aomgen.core.values import Array, freeze_arrays
 from aomgen.motion.ee_path import GripperPath, smooth
-from aomgen.motion.keyframes import STILL_M, Departures, detect_offset, detect_onset
+from aomgen.motion.keyframes import STILL_M, ChangeFractions, detect_offset, detect_onset
 
 # Beyond this share of the radius the face passes too close to the axis to correct for sliding.
 _MAX_FACE_SHARE = 0.7
@@ -24,6 +24,8 @@ _MAX_FACE_SHARE = 0.7
 _NOISE_SDS = 3.0
 # While it is held, a part that rests is looked at from so long to so long before it moves, [s].
 _REST_S = (0.5, 0.1)
+# Shortest rest of a held part from which the value at rest is measured, [s].
+_LEAST_REST_S = 0.1
 # A hand leaves for good when it goes aside, farther than along the part's way, by this much within this time.
 _ASIDE_M, _ASIDE_S = 0.004, 0.1
 # The part has left its first state when its value differs by this much, [rad], [m]: half a degree, and half a degree
@@ -156,6 +158,16 @@ def select_resting(times_s: Array, values: Array, start_s: float) -> Array:
     return values[(times_s >= start_s - since) & (times_s <= start_s - until)]
 
 
+def estimate_level_sd(times_s: Array, values: Array, start_s: float, tolerance: float) -> float:
+    """Standard deviation of the value (T,) at which a held part rests before a motion that starts then.
+
+    It is that of the values at rest; `tolerance` where the gripper holds the part for too short a time to measure it.
+    """
+    rest = select_resting(times_s, values, start_s)
+    enough = len(rest) > 1 and (len(rest) - 1) * (times_s[1] - times_s[0]) >= _LEAST_REST_S
+    return float(np.std(rest)) if enough else tolerance
+
+
 def _level(values: Array, otherwise: float) -> float:
     return float(np.median(values)) if len(values) else otherwise
 
@@ -171,7 +183,7 @@ class TouchObservation:
     """
 
     times_s: Annotated[Array, "T"]
-    seen: Departures
+    seen: ChangeFractions
     noise: float
 
     __post_init__ = freeze_arrays

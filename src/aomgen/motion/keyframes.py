@@ -43,7 +43,7 @@ _CANDIDATES = 101
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Departures:
+class ChangeFractions:
     """Shares 0..1 of the part's picture that show another place; 0 outside the touch.
 
     Attributes:
@@ -96,13 +96,13 @@ def keep_touching(mask: NDArray[np.bool_], seed: NDArray[np.bool_]) -> NDArray[n
     return np.asarray(ndimage.binary_propagation(seed & mask, np.ones((3, 3)), mask), bool)
 
 
-def measure_departures(
+def measure_change_fractions(
     frames_srgb: NDArray[np.uint8],
     robot: NDArray[np.bool_],
     region: NDArray[np.bool_],
     touch: TouchInterval,
     reference_frames: int,
-) -> Departures:
+) -> ChangeFractions:
     """Compare every frame of the touch with the two states at its ends.
 
     Args:
@@ -120,9 +120,9 @@ def measure_departures(
     moved = before_seen & after_seen & (_change(before, after) > 0.5)
     footprint = keep_touching(ndimage.binary_closing(moved) | region, region)
     left, ahead = np.zeros(len(frames_srgb)), np.zeros(len(frames_srgb))
-    left[touch.frames] = _departures(frames, hidden, before, footprint & before_seen)
-    ahead[touch.frames] = _departures(frames, hidden, after, footprint & after_seen)
-    return Departures(left=left, ahead=ahead)
+    left[touch.frames] = _compute_change_fractions(frames, hidden, before, footprint & before_seen)
+    ahead[touch.frames] = _compute_change_fractions(frames, hidden, after, footprint & after_seen)
+    return ChangeFractions(left=left, ahead=ahead)
 
 
 def measure_change(
@@ -140,7 +140,7 @@ def measure_change(
 
 
 def find_interval(
-    times_s: Array, seen: Departures, way: GripperPath, touch: TouchInterval, pixel_m: float
+    times_s: Array, seen: ChangeFractions, way: GripperPath, touch: TouchInterval, pixel_m: float
 ) -> Interval:
     """First and last moment of the motion.
 
@@ -245,7 +245,7 @@ def _change(first: NDArray[np.float32], second: NDArray[np.float32]) -> NDArray[
     return np.clip((difference - LOW_CHANGE) / (HIGH_CHANGE - LOW_CHANGE), 0, 1)
 
 
-def _departures(
+def _compute_change_fractions(
     frames: NDArray[np.uint8],
     robot: NDArray[np.bool_],
     reference: NDArray[np.float32],

@@ -22,15 +22,15 @@ from aomgen.motion.inputs import (
     refine_touch,
 )
 from aomgen.motion.keyframes import (
-    Departures,
+    ChangeFractions,
     Interval,
     count_reference_frames,
     find_interval,
     find_part_region,
-    measure_departures,
+    measure_change_fractions,
     widen,
 )
-from aomgen.motion.motion_test import (
+from aomgen.motion.motion_detection import (
     MotionEvidence,
     PartIdentification,
     estimate_following,
@@ -70,7 +70,7 @@ class VideoObservations:
     signals: GripperSignals
     touch: TouchInterval
     way: GripperPath
-    seen: Departures
+    seen: ChangeFractions
     interval: Interval
 
     @staticmethod
@@ -101,7 +101,7 @@ class VideoObservations:
         touch = find_touch(signals)
         if not touch.gripped and demo.robot.hand_bodies:
             touch = refine_touch(touch, times, measure_surface_gaps(demo, times))
-        seen = measure_departures(images, masks, region, touch, count_reference_frames(times))
+        seen = measure_change_fractions(images, masks, region, touch, count_reference_frames(times))
         pixel_m = float(np.median(small.project(demo.points_moving)[1])) / small.fx
         return VideoObservations(
             camera=small,

@@ -22,7 +22,7 @@ from aomgen.core.values import Array, Vector3, freeze_arrays
 from aomgen.motion.joint_models import make_tangent_basis
 
 # How often a joint keeps to the rule: along a side of the part; along its edges, but elsewhere; neither.
-SIDE, ALONG, NEITHER = 0.75, 0.15, 0.1
+P_ON_EDGE, P_ALONG_EDGE, P_FREE = 0.75, 0.15, 0.1
 # Direction of a reconstructed box against the object: alignment tilts by 0.3 deg, yaw of a partly seen
 # footprint is off by 0.2 to 1.5 deg.
 DIRECTION_SD_RAD = float(np.radians(0.8))
@@ -41,7 +41,7 @@ _TAIL_PERCENT = 2.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class AxisHint:
+class AxisPrior:
     """One possibility for the joint's axis, world frame.
 
     Attributes:
@@ -84,13 +84,13 @@ class AxisHint:
 
 
 # The shape says nothing.
-ANYWHERE = AxisHint(
+UNIFORM_PRIOR = AxisPrior(
     axis=np.array([0.0, 0.0, 1.0]),
     axis_sd_rad=np.inf,
     at=np.zeros(3),
     across=np.zeros((0, 3)),
     across_sds_m=np.zeros(0),
-    probability=NEITHER,
+    probability=P_FREE,
 )
 
 
@@ -114,33 +114,33 @@ class PartShape:
         """Distance of the object's farthest corner from a point (3,), [m]."""
         return float(np.linalg.norm(self.corners - point, axis=1).max())
 
-    def hinges(self) -> list[AxisHint]:
+    def revolute_priors(self) -> list[AxisPrior]:
         """Possibilities for a revolute joint: four sides in each of three directions, or the direction alone."""
-        hints = [self._direction(k, ALONG / 3) for k in range(3)]
+        hints = [self._direction(k, P_ALONG_EDGE / 3) for k in range(3)]
         for k in range(3):
             for side in (axis for axis in range(3) if axis != k):
                 hints += [self._side(k, side, sign) for sign in (-1.0, 1.0)]
         return hints
 
-    def rails(self) -> list[AxisHint]:
+    def prismatic_priors(self) -> list[AxisPrior]:
         """Possibilities for a prismatic joint: along one of the three directions."""
-        return [self._direction(k, (SIDE + ALONG) / 3) for k in range(3)]
+        return [self._direction(k, (P_ON_EDGE + P_ALONG_EDGE) / 3) for k in range(3)]
 
-    def _direction(self, k: int, probability: float) -> AxisHint:
+    def _direction(self, k: int, probability: float) -> AxisPrior:
         axis = self.box.T_world_box[:3, k]
-        return replace(ANYWHERE, axis=axis, axis_sd_rad=DIRECTION_SD_RAD, probability=probability)
+        return replace(UNIFORM_PRIOR, axis=axis, axis_sd_rad=DIRECTION_SD_RAD, probability=probability)
 
-    def _side(self, k: int, side: int, sign: float) -> AxisHint:
+    def _side(self, k: int, side: int, sign: float) -> AxisPrior:
         depth = 3 - k - side
         R, half = self.box.T_world_box[:3, :3], self.box.half_extents
-        return AxisHint(
+        return AxisPrior(
             axis=R[:, k],
             axis_sd_rad=DIRECTION_SD_RAD,
             at=self.box.T_world_box[:3, 3] + sign * half[side] * R[:, side],
             across=R[:, [side, depth]].T,
             # Anywhere in the thickness: the deviation of an even spread.
             across_sds_m=np.array([SIDE_SD_M, np.hypot(half[depth] / np.sqrt(3), SIDE_SD_M)]),
-            probability=SIDE / 12,
+            probability=P_ON_EDGE / 12,
         )
 
 

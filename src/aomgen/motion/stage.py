@@ -17,7 +17,7 @@ from aomgen.io.atomic import write_json
 from aomgen.motion.estimate import MotionParams, estimate_motion, first_motion
 from aomgen.motion.estimates_file import ESTIMATES, REFUSED_MOTION, describe_estimates
 from aomgen.motion.inputs import MotionInput
-from aomgen.motion.motion_test import list_warnings
+from aomgen.motion.motion_detection import list_warnings
 from aomgen.motion.part_tracking import compute_log_likelihood_ratio
 from aomgen.results import Results
 

@@ -15,7 +15,7 @@ from aomgen.core.transforms import apply, invert
 from aomgen.core.values import Array, Vector3, freeze_arrays
 from aomgen.errors import InputError
 from aomgen.motion.inputs import MotionInput, read_gripper_signals
-from aomgen.motion.motion_test import MIN_ODDS
+from aomgen.motion.motion_detection import MIN_ODDS
 from aomgen.motion.part_shape import infer_direction
 from aomgen.paper.edge_joint import PairWeights, box_joint
 from aomgen.paper.mask_keyframes import PartMasks, Scores, Variant, flagged_frames, scored_frames

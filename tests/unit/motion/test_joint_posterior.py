@@ -37,7 +37,7 @@ def test_a_hand_that_slides_gives_way_unless_its_fingers_close_along_the_way() -
 
 def test_a_hand_that_holds_nothing_slides_evenly_without_telling() -> None:
     noise = NoisePrior()
-    free = noise.loosened()
+    free = noise.loosen()
     usual, loose = (dict(zip(SCALES, item.medians, strict=True)) for item in (noise, free))
     assert loose["straight"] > 10 * usual["straight"]
     assert loose["bar"] > 5 * usual["bar"]

@@ -11,13 +11,14 @@ from aomgen.motion.joint_value import (
     TouchObservation,
     ValueTrajectory,
     compute_path_values,
+    estimate_level_sd,
     follow_pushed_part,
     refine_interval,
     sample_at_frames,
     select_resting,
     smooth_within,
 )
-from aomgen.motion.keyframes import Departures
+from aomgen.motion.keyframes import ChangeFractions
 
 HINGE = np.array([0.6, 0.2, 0.0])
 NORMAL = np.array([-1.0, 0, 0])
@@ -186,7 +187,7 @@ def push_course(
     along, aside = (np.zeros((len(TIMES), 3)) for _ in range(2))
     along[:, 0] = values
     aside[:, 2] = 0.0 if aside_m is None else aside_m
-    picture = TouchObservation(times_s=FRAMES, seen=Departures(left=left, ahead=ahead), noise=0.004)
+    picture = TouchObservation(times_s=FRAMES, seen=ChangeFractions(left=left, ahead=ahead), noise=0.004)
     return follow_pushed_part(TIMES, values, (along + aside, aside), seen_s, LEAVE_M, picture)
 
 
@@ -218,3 +219,10 @@ def test_a_fist_that_slides_along_the_part_still_pushes_it() -> None:
     sliding = 0.3 * (HAND - HAND[0])
     found = push_course(PART * 6, 0.6 - PART * 6, (2.0, 6.0), aside_m=sliding)
     assert found.levels == pytest.approx((0.0, 0.1), abs=0.003)
+
+
+def test_a_value_at_rest_is_uncertain_where_the_gripper_closes_as_the_motion_begins() -> None:
+    values = np.interp(TIMES, [2, 6], [0, 1.0]) + 0.001 * np.sin(40 * TIMES)
+    assert estimate_level_sd(TIMES, values, 2.0, LEAVE_RAD) == pytest.approx(0.001 / np.sqrt(2), rel=0.1)
+    late = TIMES >= 1.85
+    assert estimate_level_sd(TIMES[late], values[late], 2.0, LEAVE_RAD) == LEAVE_RAD

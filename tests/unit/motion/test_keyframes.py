@@ -7,7 +7,13 @@ from numpy.typing import NDArray
 from aomgen.core.camera import Camera, look_at
 from aomgen.motion.ee_path import GripperPath
 from aomgen.motion.inputs import GripperSignals, TouchInterval, find_touch
-from aomgen.motion.keyframes import Departures, Interval, find_interval, find_part_region, measure_departures
+from aomgen.motion.keyframes import (
+    ChangeFractions,
+    Interval,
+    find_interval,
+    find_part_region,
+    measure_change_fractions,
+)
 
 COUNT, FPS = 90, 10.0
 TIMES = np.arange(COUNT, dtype=np.float64) / FPS
@@ -48,7 +54,7 @@ def way(start_s: float, end_s: float, length_m: float = 0.2) -> GripperPath:
 
 
 def found(frames: Film, hand: GripperPath, touch: TouchInterval = WHOLE) -> Interval:
-    return find_interval(TIMES, measure_departures(*frames, touch, 3), hand, touch, PIXEL_M)
+    return find_interval(TIMES, measure_change_fractions(*frames, touch, 3), hand, touch, PIXEL_M)
 
 
 @pytest.mark.parametrize(
@@ -63,7 +69,7 @@ def test_start_and_end_are_found_for_short_and_long_motions(start: float, end: f
 
 def test_a_part_that_only_grows_is_seen() -> None:
     growth = np.interp(TIMES, [3.0, 6.0], [0, 15])
-    seen = measure_departures(*film(np.full(COUNT, 22.0), growth=growth), WHOLE, 3)
+    seen = measure_change_fractions(*film(np.full(COUNT, 22.0), growth=growth), WHOLE, 3)
     assert seen.scores[45] > 0.1
     interval = find_interval(TIMES, seen, way(3.0, 6.0), WHOLE, PIXEL_M)
     assert interval.start_s == pytest.approx(3.0, abs=0.2)
@@ -73,8 +79,8 @@ def test_a_part_that_only_grows_is_seen() -> None:
 def test_the_film_backwards_gives_the_curves_exchanged() -> None:
     frames, robot, region = film(moves(3.0, 5.0))
     region = region | np.roll(region, 18, axis=1)
-    forwards = measure_departures(frames, robot, region, WHOLE, 3)
-    backwards = measure_departures(frames[::-1], robot[::-1], region, WHOLE, 3)
+    forwards = measure_change_fractions(frames, robot, region, WHOLE, 3)
+    backwards = measure_change_fractions(frames[::-1], robot[::-1], region, WHOLE, 3)
     assert backwards.left[::-1] == pytest.approx(forwards.ahead, abs=1e-6)
     assert backwards.scores[::-1] == pytest.approx(forwards.scores, abs=1e-6)
 
@@ -120,11 +126,11 @@ def test_a_hand_that_slides_before_the_part_follows_does_not_start_the_motion() 
 
 
 def test_the_moving_arm_alone_changes_nothing() -> None:
-    assert measure_departures(*film(np.full(COUNT, 22.0)), WHOLE, 3).scores.max() < 0.02
+    assert measure_change_fractions(*film(np.full(COUNT, 22.0)), WHOLE, 3).scores.max() < 0.02
 
 
 def test_frames_outside_the_touch_score_nothing() -> None:
-    seen = measure_departures(*film(moves(3.0, 5.0)), TouchInterval(first=25, last=70, gripped=True), 3)
+    seen = measure_change_fractions(*film(moves(3.0, 5.0)), TouchInterval(first=25, last=70, gripped=True), 3)
     assert seen.scores[:25].max() == 0
     assert seen.scores[71:].max() == 0
     assert seen.scores[40] > 0.2
@@ -133,7 +139,9 @@ def test_frames_outside_the_touch_score_nothing() -> None:
 def test_noise_is_measured_about_the_smooth_course_and_not_about_the_mean() -> None:
     rng = np.random.default_rng(1)
     left = np.interp(TIMES, [2, 7], [0, 0.6]) + rng.normal(size=COUNT) * 0.004
-    interval = find_interval(TIMES, Departures(left=left, ahead=left[::-1]), way(2.0, 7.0), WHOLE, PIXEL_M)
+    interval = find_interval(
+        TIMES, ChangeFractions(left=left, ahead=left[::-1]), way(2.0, 7.0), WHOLE, PIXEL_M
+    )
     assert interval.threshold < 0.02
 
 

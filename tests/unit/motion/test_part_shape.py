@@ -9,7 +9,7 @@ from aomgen.core.values import Array
 from aomgen.motion.ee_path import EePath, GraspGuess
 from aomgen.motion.joint_estimation import estimate_joint
 from aomgen.motion.joint_models import Revolute
-from aomgen.motion.part_shape import AxisHint, infer_direction, measure_shape
+from aomgen.motion.part_shape import AxisPrior, infer_direction, measure_shape
 from boxy_microwave import BODY, DOOR, R, box_points
 
 HANDLE = R @ [0.18, -0.2, 0.13]
@@ -25,13 +25,15 @@ def test_the_face_looks_forwards() -> None:
 
 def test_one_of_the_sides_is_the_hinge() -> None:
     shape = measure_shape(BODY, DOOR)
-    misfits = [np.abs(hint.residuals(R[:, 2], HINGE)).max() for hint in shape.hinges()]
+    misfits = [np.abs(hint.residuals(R[:, 2], HINGE)).max() for hint in shape.revolute_priors()]
     assert min(misfits) < 2
-    assert sum(hint.probability for hint in shape.hinges()) == pytest.approx(0.9)
+    assert sum(hint.probability for hint in shape.revolute_priors()) == pytest.approx(0.9)
 
 
 def test_a_drawer_may_run_forwards() -> None:
-    misfits = [np.abs(hint.residuals(FRONT, HANDLE)).max() for hint in measure_shape(BODY, DOOR).rails()]
+    misfits = [
+        np.abs(hint.residuals(FRONT, HANDLE)).max() for hint in measure_shape(BODY, DOOR).prismatic_priors()
+    ]
     assert min(misfits) < 3
 
 
@@ -46,7 +48,7 @@ def test_a_part_that_stands_open_has_its_own_box(lean: list) -> None:
 
 def test_a_hint_is_a_density_over_directions() -> None:
     """Summed over the sphere, both signs, exp(-r.r/2 + log density) is the hint's probability."""
-    hint = AxisHint(
+    hint = AxisPrior(
         axis=np.array([0.0, 0.6, 0.8]),
         axis_sd_rad=0.05,
         at=np.zeros(3),
@@ -91,9 +93,9 @@ def test_no_hinge_is_farther_away_than_the_object_reaches() -> None:
     door = Revolute(path=path, start=R[:, 2], reach_m=shape.reach_m(HANDLE))
     x = door.first()
     x[4] = 0.9 * door.reach_m
-    assert door.beliefs(x)[-1] == 0
+    assert door.prior_residuals(x)[-1] == 0
     x[4] = 2.0 * door.reach_m
-    assert door.beliefs(x)[-1] > 5
+    assert door.prior_residuals(x)[-1] > 5
 
 
 @pytest.mark.parametrize("ajar", [0.0, 0.5, 1.2, 2.6])
@@ -105,7 +107,7 @@ def test_another_door_of_the_object_that_stands_ajar_does_not_mislead(ajar: floa
     static = np.concatenate([BODY, box_points((0.22, -0.14, 0), (0.66, 0.2, 0.26), 5), swung])
     shape = measure_shape(static, DOOR)
     assert np.degrees(angle_between(shape.face_normal, FRONT)) < 2
-    assert min(np.abs(hint.residuals(R[:, 2], HINGE)).max() for hint in shape.hinges()) < 2
+    assert min(np.abs(hint.residuals(R[:, 2], HINGE)).max() for hint in shape.revolute_priors()) < 2
 
 
 def sheet(

@@ -9,7 +9,7 @@ from aomgen.core.gaussians import SH_C0, Gaussians, concatenate, gaussians_of
 from aomgen.core.values import Array
 from aomgen.errors import NoMotionError, WrongPromptError
 from aomgen.motion.inputs import GripperSignals
-from aomgen.motion.motion_test import (
+from aomgen.motion.motion_detection import (
     MIN_ODDS,
     CandidateEvidence,
     FollowingEstimate,
