@@ -197,6 +197,7 @@ def reasons() -> dict[str, str]:
         "too_jerky": f"a joint exceeds {ik.acceleration:g} rad/s^2 or {ik.jerk:g} rad/s^3, also when the motion is slowed down",
         "collision": f"robot and scene overlap by more than {contact.max_penetration_mm:g} mm",
         "self_collision": "two parts of the robot overlap",
+        "no_path": "the search finds no motion of the arm to the handle without a collision",
         "grip_collision": f"fingers and handle overlap by more than {contact.max_handle_penetration_mm:g} mm",
         "no_grip": f"a finger pad stays more than {contact.max_gap_mm:g} mm away from the handle",
         "no_grasp": "the asset offers no grasp",

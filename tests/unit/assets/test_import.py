@@ -193,7 +193,7 @@ def test_a_usd_with_two_joints_opens_the_named_one(tmp_path: Path) -> None:
     second.CreateBody0Rel().SetTargets([f"{root}/moving"])
     second.CreateBody1Rel().SetTargets([f"{root}/moving"])
     stage.Save()
-    with pytest.raises(AssetError, match=r"2 joints: joint.*lock"):
+    with pytest.raises(AssetError, match=r"2 joints: .*joint, .*lock"):
         read_usd(path)
     assert read_usd(path, "joint").joint.upper == pytest.approx(0.2)
 

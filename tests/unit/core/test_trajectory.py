@@ -45,7 +45,7 @@ def test_rows_of_a_derived_value_are_taken_of_all_that_changes_over_time() -> No
 
 
 def test_columns_of_different_lengths_are_refused() -> None:
-    with pytest.raises(ValueError, match=r"Trajectory.gripper has shape \(2,\)"):
+    with pytest.raises(ValueError, match=r"Trajectory\.gripper: has shape \(2,\)"):
         replace(PATH, gripper=[0.0, 1.0])
     with pytest.raises(ValueError, match="T_world_object"):
         SceneTrajectory(times_s=[0], joints=[[0]], gripper=[0], thetas=[0], T_world_object=np.eye(3))

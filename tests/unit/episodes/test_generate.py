@@ -280,8 +280,7 @@ def test_what_stands_in_the_scene_is_planned_and_verified_with(tmp_path):
     assert factory.asset(0).sized(1.0)[1].roles.obstacle.sum() == 1
     assert not factory.make(unit).committed
     rejection = read_rejection(results.folders["episodes"], unit)
-    assert rejection.reason == "collision"
-    assert "obstacles" in rejection.detail
+    assert rejection.reason in ("collision", "no_path")
 
 
 HOPELESS = {

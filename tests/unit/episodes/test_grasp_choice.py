@@ -6,7 +6,7 @@ from itertools import chain
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from aomgen.core.demonstration import Demonstration
@@ -53,6 +53,7 @@ def test_hands_that_turn_less_with_a_door_differ() -> None:
     assert difference(turned(30), turned(10, turn_ratio=0.7)) == pytest.approx(np.deg2rad(20) + 0.3)
 
 
+@settings(deadline=None)
 @given(st.lists(st.lists(st.sampled_from(range(0, 180, 15)), unique=True), max_size=8))
 def test_no_other_grasp_is_nearer_to_those_of_the_draws(working: list[list[float]]) -> None:
     chosen = choose_grasp([list(map(turned, angles)) for angles in working])

@@ -20,8 +20,8 @@ from aomgen.simulation.collision_check import (
     check_kinematics,
     holding_gripper,
     stalling_gripper,
-    table_overlap_m,
 )
+from aomgen.simulation.episode_scene import table_overlap_m
 from aomgen.simulation.judge import PassRule, judge
 from aomgen.simulation.replay import SimulatedRun, simulate
 from aomgen.simulation.scene import Scene, build_scene

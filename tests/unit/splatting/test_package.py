@@ -19,7 +19,7 @@ from aomgen.splatting import RigidParts, RenderSession, gaussians_from_points, p
 heavy = {"torch", "pycolmap", "mujoco", "pxr", "pydantic", "av", "pyarrow"} & set(sys.modules)
 assert not heavy, heavy
 ours = {name.split(".")[1] for name in sys.modules if name.startswith("aomgen.")}
-assert ours <= {"conventions", "core", "errors", "io", "splatting"}, ours
+assert ours <= {"conventions", "core", "errors", "io", "splatting", "version"}, ours
 """
 
 
