@@ -117,7 +117,7 @@ STAGES: tuple[Stage, ...] = (
         title="keyframes, contact, joint",
         needs=("capture", "structure", "gaussians", "alignment", "parts"),
         settings=("motion_method",),
-        version=24,
+        version=25,
         weight=9,
         function=_by_method(
             "motion_method",
