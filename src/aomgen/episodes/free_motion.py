@@ -56,7 +56,7 @@ def find_free_path(
     setup = og.SimpleSetup(space)
     # A share of the space's diagonal.
     space.setLongestValidSegmentFraction(RESOLUTION / space.getMaximumExtent())
-    setup.setStateValidityChecker(lambda state: bool(is_free(np.array([state[k] for k in range(size)]))))
+    setup.setStateValidityChecker(lambda state: bool(is_free(_joints(state, size))))
     setup.setStartAndGoalStates(_state(space, start), _state(space, goal), 1e-9)
     planner = og.RRTConnect(setup.getSpaceInformation())
     planner.setRange(EDGE)
@@ -69,7 +69,11 @@ def find_free_path(
     simplifier.reduceVertices(path)
     simplifier.partialShortcutPath(path)
     simplifier.smoothBSpline(path, SPLINE_PASSES)
-    return np.array([[state[k] for k in range(size)] for state in path.getStates()])
+    return np.stack([_joints(state, size) for state in path.getStates()])
+
+
+def _joints(state: Any, size: int) -> Array:
+    return np.array([state[k] for k in range(size)])
 
 
 def _state(space: Any, joints: Array) -> Any:

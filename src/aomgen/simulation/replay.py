@@ -155,7 +155,7 @@ class Simulation:
         """Where everything is now, as a trajectory of one sample."""
         now = _stack(self._scene, [_read_row(self._scene, self.data)])
         return Trajectory(
-            times_s=[self._tick / (self._fps * self._ticks)],
+            times_s=np.array([self._tick / (self._fps * self._ticks)]),
             joints=now["joints"],
             gripper=now["gripper"],
             thetas=now["thetas"],
