@@ -1,4 +1,4 @@
-"""Whether figures after a change are within the tolerances of those before it."""
+"""Judge whether figures after a change are within the tolerances of those before it."""
 
 import re
 from typing import Any, Final, NamedTuple

@@ -18,19 +18,20 @@ def main() -> None:
     files = {
         path.relative_to(ROOT).as_posix(): path.read_text("utf-8") for path in (ROOT / PACKAGE).rglob("*.py")
     }
-    before = read_release()
+    release = read_release()
+    before = measure(release) if release else {}
     for name, count in measure(files).items():
-        change = f"  ({count - measure(before)[name]:+d} since the last release)" if before else ""
+        change = f"  ({count - before[name]:+d} since the last release)" if before else ""
         print(f"{name:12} {count:6d}{change}")
-    long = [
+    problems = [
         f"{name}: {text.count(chr(10))} lines, limit {MAX_FILE_LINES}"
         for name, text in files.items()
         if text.count("\n") > MAX_FILE_LINES
     ]
     circle = find_circle(files)
     if circle:
-        long.append(f"modules import each other in a circle: {', '.join(circle)}")
-    sys.exit("\n".join(long) or 0)
+        problems.append(f"modules import each other in a circle: {', '.join(circle)}")
+    sys.exit("\n".join(problems) or 0)
 
 
 def measure(files: Mapping[str, str]) -> dict[str, int]:

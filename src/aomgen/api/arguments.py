@@ -5,11 +5,9 @@ from collections.abc import Collection, Iterable
 import numpy as np
 from numpy.typing import ArrayLike
 
+from aomgen.core.transforms import ROTATION_TOLERANCE, measure_rigidity
 from aomgen.core.values import Array
 from aomgen.errors import ConfigError, NonFiniteError, PoseError, ShapeError, UnknownNameError
-
-# Poses that other programs print with four digits pass.
-ROTATION_TOLERANCE = 1e-3
 
 
 def require_array(name: str, value: ArrayLike, shape: tuple[int | None, ...]) -> Array:
@@ -45,9 +43,7 @@ def require_poses(name: str, value: ArrayLike, *, single: bool = False) -> Array
     """
     poses = require_array(name, value, (4, 4) if single else (None, 4, 4))
     for index, T in enumerate(poses.reshape(-1, 4, 4)):
-        R = T[:3, :3]
-        deviation = float(np.abs(R @ R.T - np.eye(3)).max())
-        determinant = float(np.linalg.det(R))
+        determinant, deviation = measure_rigidity(T)
         last_row_off = float(np.abs(T[3] - [0, 0, 0, 1]).max())
         if deviation > ROTATION_TOLERANCE or determinant < 0 or last_row_off > ROTATION_TOLERANCE:
             raise PoseError(name, index, determinant, max(deviation, last_row_off))

@@ -13,8 +13,9 @@ from typing import Any
 
 from aomgen.api.arguments import require_count
 from aomgen.api.asset import Asset, asset_source
-from aomgen.api.run import ProgressOption, Run, bring_up_to_date, change_project
+from aomgen.api.run import Run, bring_up_to_date, change_project
 from aomgen.core.plan import EpisodePlan, FittedAsset, Rejection, Variation
+from aomgen.core.progress import Progress, silent
 from aomgen.core.project import Project
 from aomgen.core.verdict import Verdict
 from aomgen.datasets.formats import export_dataset
@@ -50,7 +51,7 @@ def generate(
     seed: int | None = None,
     out: str | Path | None = None,
     workers: int = 0,
-    progress: ProgressOption = False,
+    progress: Progress = silent,
     **choices: Any,
 ) -> Iterator[CommittedEpisode]:
     """Make verified, rendered episodes, and yield each one when it is on disk.
@@ -66,7 +67,7 @@ def generate(
         seed: Seed of all random choices; that of `run` when None.
         out: Folder of the new run; a folder below `run.folder` that is named after the request when None.
         workers: Processes; 0 for one per processor.
-        progress: See `reconstruct`.
+        progress: Receives the share done of a stage and a text.
         choices: Other fields of the project, for example `image_size=(256, 256)`.
 
     Yields:
@@ -137,7 +138,7 @@ def _link(source: str, target: str) -> None:
 
 
 def _generate(
-    project: Project, wanted: int, progress: ProgressOption, machine: Mapping[str, int]
+    project: Project, wanted: int, progress: Progress, machine: Mapping[str, int]
 ) -> Iterator[CommittedEpisode]:
     """Run the pipeline in a thread and yield what it commits."""
     folder = results_of(project, STAGES).folders["episodes"]
@@ -146,8 +147,7 @@ def _generate(
     def tell(share: float, text: str) -> None:
         if stopped.is_set():
             raise _Stopped
-        if callable(progress):
-            progress(share, text)
+        progress(share, text)
 
     def work() -> None:
         try:
@@ -172,7 +172,8 @@ def _generate(
                     made[asset] += 1
                     yielded.add(path)
                     yield read_episode(path)
-            over = over or sum(made.values()) == wanted * len(project.assets)
+            # An earlier call asked for more, which need not be made now; otherwise the stage is finished.
+            over = over or (wanted < project.poses and sum(made.values()) == wanted * len(project.assets))
         if failures:
             raise failures[0]
     finally:

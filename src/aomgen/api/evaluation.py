@@ -5,8 +5,8 @@ from pathlib import Path
 from typing import Any
 
 from aomgen.api.arguments import require_count, require_name
-from aomgen.api.run import ProgressOption, Run
-from aomgen.core.progress import silent
+from aomgen.api.run import Run
+from aomgen.core.progress import Progress, silent
 from aomgen.datasets.features import ACTION_SPACES, ActionSpace
 from aomgen.evaluation.draws import SuiteRequest, make_suite
 from aomgen.evaluation.evaluate import EvaluationRequest
@@ -28,7 +28,7 @@ def evaluate(
     size: tuple[int, int] | None = None,
     out: str | Path | None = None,
     workers: int = 0,
-    progress: ProgressOption = False,
+    progress: Progress = silent,
 ) -> dict[str, Any]:
     """Let a policy try sampled poses of a run's assets in simulation, and count how often it opens them.
 
@@ -44,7 +44,7 @@ def evaluate(
         size: Width and height of the images that the policy gets, [px]; as the run renders them when None.
         out: Folder of suite and rollouts; below the run's folder when None.
         workers: Processes; 0 for one per processor.
-        progress: A function that receives the share done and a text.
+        progress: Receives the share done and a text.
 
     Returns:
         `success_rate`, `interval_95` (Wilson), `successes`, `trials`, `failures` by reason, and all `rollouts`.
@@ -62,7 +62,6 @@ def evaluate(
     run.require_stage("replacement")
     require_name("actions", actions, ACTION_SPACES)
     require_name("visuals", visuals, VISUALS)
-    tell = progress if callable(progress) else silent
     folder = run.folder / EVALUATION_FOLDER if out is None else Path(out).resolve()
     count = require_count("workers", workers, 0) or run.results.workers
     request = SuiteRequest(
@@ -72,7 +71,7 @@ def evaluate(
         size=size,
     )
     name = f"{trials}-{seed}-{actions}"
-    suite = make_suite(run.results, folder / f"{name}.json", request, count, tell)
+    suite = make_suite(run.results, folder / f"{name}.json", request, count, progress)
     judged = EvaluationRequest(policy=policy, visuals=visuals)
     rollouts = folder / "-".join([name, re.sub(r"\W+", "-", policy), visuals])
-    return evaluate_policy(suite, run.results, rollouts, judged, count, tell)
+    return evaluate_policy(suite, run.results, rollouts, judged, count, progress)

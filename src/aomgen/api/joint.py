@@ -1,20 +1,19 @@
 """The joint of an articulated object from the path of the end effector that moved it."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Annotated
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from aomgen.api.arguments import ROTATION_TOLERANCE, require_array, require_poses, require_times
+from aomgen.api.arguments import require_array, require_poses, require_times
 from aomgen.core.joint import Joint, JointType
-from aomgen.core.transforms import apply
+from aomgen.core.transforms import ROTATION_TOLERANCE
 from aomgen.core.values import Array, freeze_arrays
 from aomgen.errors import ConfigError
 from aomgen.motion.ee_path import GraspGuess
-from aomgen.motion.joint_estimation import JointEstimate
 from aomgen.motion.joint_estimation import estimate_joint as estimate_from_path
-from aomgen.motion.joint_value import compute_path_values
+from aomgen.motion.joint_value import compute_path_value_sd, compute_path_values
 from aomgen.motion.part_shape import measure_shape
 
 # Normal deviate that 95 % of the probability lies within.
@@ -118,7 +117,7 @@ def estimate_joint(
         shape = measure_shape(static, moving)
     found = estimate_from_path(poses, hold, shape)
     thetas = compute_path_values(found.joint, poses, found.grasp_ee, 0)
-    sd = _value_sd(found, poses, thetas)
+    sd = compute_path_value_sd(found, poses, thetas)
     return JointFit(
         joint=found.joint,
         times_s=times,
@@ -129,19 +128,6 @@ def estimate_joint(
         log_evidence_ratio=found.margin / 2,
         grasp_ee=found.grasp_ee,
     )
-
-
-def _value_sd(found: JointEstimate, poses: Array, thetas: Array) -> Array:
-    """Standard deviation (T,) of the values: of the joint, of the grasp's unsteadiness, and of slip that grows."""
-    joint = found.joint
-    values = [
-        compute_path_values(replace(joint, axis=axis, origin=origin), poses, grasp, 0)
-        for axis, origin, grasp in zip(found.axes, found.origins, found.grasps, strict=True)
-    ]
-    arm = apply(poses[0], found.grasp_ee) - joint.origin
-    radius = float(np.linalg.norm(np.cross(arm, joint.axis))) if joint.type == "revolute" else 1.0
-    slip_sd = np.hypot(found.residual_m / radius, found.give_rate * thetas)
-    return np.hypot(np.std(values, axis=0), slip_sd)
 
 
 def _require_direction(name: str, value: ArrayLike) -> Array:

@@ -159,6 +159,7 @@ def run(
     Parameters are the fields of the stages' Params classes (`PARAMETERS` in pipeline/stages.py); a name that
     does not exist is answered with those that do. They are kept in the run's project.toml.
     """
+    from aomgen.api.run import change_project
     from aomgen.io.schema import merge, parse_setting
     from aomgen.pipeline.stages import find_project
 
@@ -167,7 +168,7 @@ def run(
     for setting in settings or ():
         params = merge(params, parse_setting(setting))
     machine = {"ray": ray} | ({"workers": workers} if workers else {})
-    run_project(type(found).model_validate(found.model_dump() | {"params": params}), until=until, **machine)
+    run_project(change_project(found, {"params": params}), until=until, **machine)
 
 
 # How often `aomgen status --watch` looks, [s].

@@ -9,6 +9,9 @@ from numpy.typing import ArrayLike
 
 from aomgen.core.values import Array
 
+# Rotations that are written with four digits pass, by `measure_rigidity`.
+ROTATION_TOLERANCE = 1e-3
+
 
 def transform(R: ArrayLike, t: ArrayLike) -> Array:
     """Stack of (4, 4) transforms from rotations (..., 3, 3) and translations (..., 3)."""
@@ -19,6 +22,12 @@ def transform(R: ArrayLike, t: ArrayLike) -> Array:
     T[..., :3, 3] = t
     T[..., 3, 3] = 1.0
     return T
+
+
+def measure_rigidity(T: ArrayLike) -> tuple[float, float]:
+    """Return the determinant of the upper left block of a matrix (4, 4), and the largest entry of R R^T - 1."""
+    R = np.asarray(T, np.float64)[:3, :3]
+    return float(np.linalg.det(R)), float(np.abs(R @ R.T - np.eye(3)).max())
 
 
 def invert(T: ArrayLike) -> Array:

@@ -101,9 +101,9 @@ def plan_episode(
     planner = Planner(fitted, demo, variation, scene, solver, params)
     motions = planner.list_motions(usual)
     found = planner.search(motions)
-    if usual is None or isinstance(found, Rejection):
-        return found if isinstance(found, Rejection) else found[1]
-    return planner.approach_usual(motions[0].grasp, *found)
+    if isinstance(found, Rejection):
+        return found
+    return found[1] if usual is None else planner.approach_usual(motions[0].grasp, *found)
 
 
 class Planner:

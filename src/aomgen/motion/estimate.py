@@ -9,14 +9,13 @@ from scipy.optimize import root_scalar
 from aomgen.core.joint import JointType
 from aomgen.core.motion import MotionCurve, MotionEstimate
 from aomgen.core.progress import Progress, silent
-from aomgen.core.transforms import apply
 from aomgen.core.values import Array
 from aomgen.errors import InputError
 from aomgen.motion.ee_path import measure_slip
 from aomgen.motion.inputs import MotionInput
 from aomgen.motion.joint_estimation import JointCandidates, JointParams, choose_type
 from aomgen.motion.joint_trajectory import RecoveredMotion, TouchRecovery, find_first_frame
-from aomgen.motion.joint_value import compute_path_values, find_motion_tolerance, sample_at_frames
+from aomgen.motion.joint_value import compute_path_value_sd, find_motion_tolerance, sample_at_frames
 from aomgen.motion.kinematic_prior import KinematicPrior
 from aomgen.motion.observations import VideoObservations
 from aomgen.motion.part_shape import infer_direction
@@ -219,17 +218,9 @@ def assemble(
 def _theta_sd(demo: MotionInput, recovered: RecoveredMotion, thetas: Array, frames: Array) -> Array:
     """Standard deviation (F,) of the values, [rad] or [m]: of the joint, the grasp, the clock and the level at rest."""
     estimate, trajectory = recovered.estimate, recovered.trajectory
-    joint, first = estimate.joint, trajectory.interval[0]
-    poses = demo.ee_poses_at(np.append(first, np.clip(frames, *trajectory.interval)))
-    draws = zip(estimate.axes, estimate.origins, estimate.grasps, strict=True)
-    values = [
-        compute_path_values(replace(joint, axis=axis, origin=origin), poses, grasp, 0, recovered.face_normal)
-        for axis, origin, grasp in draws
-    ]
-    offset = apply(poses[0], estimate.grasp_ee) - joint.origin
-    radius = float(np.linalg.norm(np.cross(offset, joint.axis))) if joint.type == "revolute" else 1.0
-    grasp_sd = np.hypot(estimate.residual_m / radius, estimate.give_rate * thetas)
+    poses = demo.ee_poses_at(np.append(trajectory.interval[0], np.clip(frames, *trajectory.interval)))
+    path_sd = compute_path_value_sd(estimate, poses, np.append(0.0, thetas), recovered.face_normal)[1:]
     speed = np.abs(np.interp(frames, trajectory.times_s, np.gradient(trajectory.values, trajectory.times_s)))
     clock_sd = np.where(thetas > 0, speed, 0.0) * demo.clock.sd_s
     level_sd = np.where(thetas > 0, recovered.level_sd, 0.0)
-    return np.sqrt(np.std(values, axis=0)[1:] ** 2 + grasp_sd**2 + clock_sd**2 + level_sd**2)
+    return np.sqrt(path_sd**2 + clock_sd**2 + level_sd**2)

@@ -5,7 +5,7 @@ hand meets the part and after it lets go it moves freely, in between the part is
 picture tells where on the hand's way that begins and ends.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Annotated
 
 import numpy as np
@@ -16,6 +16,7 @@ from aomgen.core.robust import robust_sd
 from aomgen.core.transforms import apply
 from aomgen.core.values import Array, freeze_arrays
 from aomgen.motion.ee_path import GripperPath, smooth
+from aomgen.motion.joint_estimation import JointEstimate
 from aomgen.motion.keyframes import STILL_M, ChangeFractions, detect_offset, detect_onset
 
 # Beyond this share of the radius the face passes too close to the axis to correct for sliding.
@@ -95,6 +96,31 @@ def compute_path_values(
     lean = side * np.arcsin(height / radii)
     values = turn - (lean - lean[reference])
     return np.asarray(values - values[reference], np.float64)
+
+
+def compute_path_value_sd(
+    estimate: JointEstimate, Ts_world_ee: Array, values: Array, face_normal: Array | None = None
+) -> Array:
+    """Standard deviation (T,) of joint values that follow from a path, [rad] or [m].
+
+    It combines the errors of axis, origin and held point, the unsteadiness of the grasp, and slip that grows with the
+    travel.
+
+    Args:
+        estimate: Joint with equally likely axes, origins and held points.
+        Ts_world_ee, face_normal: As in `compute_path_values`; the first pose has value 0.
+        values: Joint values (T,) at the poses.
+    """
+    joint = estimate.joint
+    draws = zip(estimate.axes, estimate.origins, estimate.grasps, strict=True)
+    likely = [
+        compute_path_values(replace(joint, axis=axis, origin=origin), Ts_world_ee, grasp, 0, face_normal)
+        for axis, origin, grasp in draws
+    ]
+    arm = apply(Ts_world_ee[0], estimate.grasp_ee) - joint.origin
+    radius = float(np.linalg.norm(np.cross(arm, joint.axis))) if joint.type == "revolute" else 1.0
+    slip_sd = np.hypot(estimate.residual_m / radius, estimate.give_rate * values)
+    return np.hypot(np.std(likely, axis=0), slip_sd)
 
 
 def smooth_within(values: Array, step_s: float, window_s: float, tolerance: float) -> Array:

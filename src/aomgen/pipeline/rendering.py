@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from aomgen.conventions import BACKGROUND, PART_LABELS
 from aomgen.core.camera import Camera
+from aomgen.core.transforms import ROTATION_TOLERANCE, measure_rigidity
 from aomgen.core.values import Array
 from aomgen.errors import ConfigError, MissingFileError, UnknownNameError
 from aomgen.io.artifact import load_artifact
@@ -23,8 +24,6 @@ CAMERA_KEYS = ("T_world_cam", "fx", "fy", "cx", "cy", "width", "height")
 STATE_KEYS = ("joints", "gripper", "theta", "T_world_object")
 # Larger images and focal lengths are typing errors, [px].
 MAX_PX = 16_384
-# Four digits written by hand still are a rotation.
-ROTATION_TOLERANCE = 1e-3
 
 
 def open_twin(out: Path) -> tuple[Twin, RobotModel]:
@@ -154,8 +153,8 @@ def _pose(data: dict[str, Any], name: str, where: Path) -> Array:
         raise ConfigError(where, f"'{name}' is not a matrix of numbers", remedy) from error
     if T.shape != (4, 4):
         raise ConfigError(where, f"'{name}' has shape {T.shape}", remedy)
-    R = T[:3, :3]
-    rigid = np.allclose(R @ R.T, np.eye(3), atol=ROTATION_TOLERANCE) and np.linalg.det(R) > 0
+    determinant, deviation = measure_rigidity(T)
+    rigid = determinant > 0 and deviation <= ROTATION_TOLERANCE
     if not (rigid and np.array_equal(T[3], [0, 0, 0, 1])):
         raise ConfigError(where, f"'{name}' is not a rotation with a translation", remedy)
     return T

@@ -57,7 +57,7 @@ class FrameParams:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Candidate:
+class FrameCandidate:
     """A frame that may be chosen: the sharpest of its short span.
 
     Attributes:
@@ -112,7 +112,7 @@ def extract_frames(
     return _paths(folder, sorted(wanted))
 
 
-def choose_frames(candidates: list[Candidate], params: FrameParams) -> list[int]:
+def choose_frames(candidates: list[FrameCandidate], params: FrameParams) -> list[int]:
     """Numbers of the frames to keep, ascending; see the top of this file."""
     if not candidates:
         return []
@@ -151,7 +151,7 @@ def _near(sharpness: Array, middle: int) -> Array:
     return sharpness * (1 - 0.1 * distance)
 
 
-def _select_moved(candidates: list[Candidate], params: FrameParams) -> tuple[list[int], Array]:
+def _select_moved(candidates: list[FrameCandidate], params: FrameParams) -> tuple[list[int], Array]:
     """Places in `candidates` at which the view has moved on by a step each, and the way up to each.
 
     The way is the sum of the motions, as shares of the width; a view that was lost counts as the
@@ -172,13 +172,13 @@ def _select_moved(candidates: list[Candidate], params: FrameParams) -> tuple[lis
     return wanted, np.array(ways)
 
 
-def _candidates(video: Path, progress: Progress) -> Iterator[Candidate]:
+def _candidates(video: Path, progress: Progress) -> Iterator[FrameCandidate]:
     total = probe_video(video).frames
-    best: Candidate | None = None
+    best: FrameCandidate | None = None
     for index, (time_s, frame) in enumerate(decode_frames(video)):
         progress(index / total, "looking for sharp frames")
         gray = _gray(frame, SHARPNESS_WIDTH)
-        found = Candidate(
+        found = FrameCandidate(
             index=index,
             time_s=time_s,
             sharpness=sharpness_of(gray),
