@@ -98,7 +98,7 @@ def resimilated(scene: Scene, scale: float, R: Array, rng: np.random.Generator) 
         other_boxes=[_moved_box(box, S_new_recon) for box in scene.other_boxes],
         points_recon=apply(S_new_recon, scene.points_recon),
         S_world_recon=scene.S_world_recon @ np.linalg.inv(S_new_recon),
-        errors=scene.errors and scene.errors.seen_from(S_new_recon),
+        errors=scene.errors and scene.errors.view_from(S_new_recon),
     )
 
 
@@ -214,8 +214,8 @@ def _shake_cameras(scene: Scene, rng: np.random.Generator) -> Scene:
             T = camera.T_world_cam.copy()
             T[:3, :3] = matrix_from_rotvec(rng.normal(0, np.radians(0.05), 3)) @ T[:3, :3]
             T[:3, 3] += rng.normal(0, 0.0012 / scale, 3)
-            shaken[key] = camera.moved(T)
-        return camera.moved(shaken[key].T_world_cam)
+            shaken[key] = camera.move(T)
+        return camera.move(shaken[key].T_world_cam)
 
     return replace(
         scene,

@@ -10,7 +10,7 @@ from aomgen.core.progress import silent
 from aomgen.paper.methods import run_alignment, run_parts
 from aomgen.parts.label import MotionEvidence
 from aomgen.results import Results
-from aomgen.twin.twin import Twin
+from aomgen.twin.twin import TwinModel
 from benchmarks.table import as_table
 
 PREFIX = "paper."
@@ -45,7 +45,7 @@ def with_parts(results: Results, folder: Path, evidence: MotionEvidence) -> tupl
     return replace(results, folders={**results.folders, "parts": folder}), seconds
 
 
-def bound_twin(results: Results) -> Twin:
+def bound_twin(results: Results) -> TwinModel:
     """The scan of a run bound to its bodies, nothing refined."""
     return bind_scan(results.scene, results.parts, results.motion.joint, results.configuration)
 

@@ -20,7 +20,7 @@ from aomgen.pipeline.rendering import render_twin
 from aomgen.pipeline.runner import TIMINGS, results_of
 from aomgen.pipeline.stages import STAGES
 from aomgen.results import Results
-from aomgen.twin.twin import Twin, TwinState
+from aomgen.twin.twin import TwinModel, TwinState
 from benchmarks.accuracy import score_estimates
 from benchmarks.alignment_methods import bound_twin, paper_figures, with_paper_alignment, with_parts
 from benchmarks.images import TrueMasks, pooled_ious, score_replay, score_scan
@@ -64,12 +64,12 @@ def run_accuracy(
     return dict(sorted(figures.items()))
 
 
-def _score(results: Results, estimates: dict[str, Any], truth: Truth, twin: Twin) -> dict[str, Any]:
+def _score(results: Results, estimates: dict[str, Any], truth: Truth, twin: TwinModel) -> dict[str, Any]:
     name, robot = results.demo_camera, results.robot
     video, structure, capture = results.videos[name], results.structure, results.capture
     figures = score_estimates(estimates, truth, robot, video.times_s, name)
     cameras = {
-        image: structure.cameras_recon[image].moved(T)
+        image: structure.cameras_recon[image].move(T)
         for image, T in estimates["scan"].items()
         if T is not None
     }
@@ -81,7 +81,7 @@ def _score(results: Results, estimates: dict[str, Any], truth: Truth, twin: Twin
     masks = truth.folder / "masks"
     scan_masks = TrueMasks(folder=masks / "scan", lens=structure.scan_lens)
     scanned, scan_ious = score_scan(capture, cameras, twin.scan_state, scan_masks, render)
-    camera = structure.demo_cameras_recon[name].moved(estimates["demo_cameras"][name])
+    camera = structure.demo_cameras_recon[name].move(estimates["demo_cameras"][name])
     joints, gripper = capture.joint_log.at(video.times_s + estimates["clock_offset_s"])
     theta = estimates["theta"] or {"times_s": [0.0], "values": [0.0]}
     thetas = np.interp(video.times_s, theta["times_s"], theta["values"])

@@ -78,7 +78,7 @@ def run_environment(
 
 def resized(world: World, size: tuple[int, int]) -> World:
     """The same trials, drawn in another size."""
-    cameras = {name: camera.resized(*size) for name, camera in world.suite.cameras.items()}
+    cameras = {name: camera.resize(*size) for name, camera in world.suite.cameras.items()}
     return World(replace(world.suite, cameras=cameras, drawn_size=size), world.factory.results)
 
 
@@ -98,7 +98,7 @@ def _psnrs(factory: EpisodeFactory, path: Path) -> list[float]:
     opened, variation = factory.asset(unit.asset), factory.variation(unit)
     fitted, _ = opened.sized(variation.scale)
     cameras = factory.place.cameras
-    twin, layers, soft = opened.seen(variation, cameras)
+    twin, layers, soft = opened.show_variation(variation, cameras)
     scene, robot = factory.results.episode_scene, factory.results.robot
     carried = robot.camera_paths(episode.joints, episode.gripper)
     paths = {name: path for name, path in carried.items() if name in episode.cameras}

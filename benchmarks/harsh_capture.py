@@ -13,7 +13,7 @@ from aomgen.capture.read import read_capture
 from aomgen.core.lens import Lens, resample_labels, resampler
 from aomgen.core.recording import JointLog, Recording
 from aomgen.core.values import Array
-from aomgen.io.atomic import staged_folder, write_bytes, write_text
+from aomgen.io.atomic import stage_folder, write_bytes, write_text
 from aomgen.io.images import encode_jpeg, encode_png, read_image, read_labels
 from aomgen.io.video import encode_video, read_video
 from synthetic.world import joints_csv
@@ -54,7 +54,7 @@ def degrade_capture(source: Path, target: Path, rng: np.random.Generator) -> Non
     capture = read_capture(source)
     source_pixels = _source_pixels(_lens(capture))
     bend = resampler(source_pixels)
-    with staged_folder(target) as folder:
+    with stage_folder(target) as folder:
         for path in capture.scan_images:
             image = bend(_moved(read_image(path), rng))
             write_bytes(folder / "scan" / path.name, encode_jpeg(_recolored(image, rng), JPEG_QUALITY))

@@ -73,7 +73,7 @@ def draw_world(seed: int, joint_type: JointType | None = None, travel: float | N
     moving, static = _reconstructed(box, rng, misled=misled)
     T_world = _anywhere(rng)
     return JointWorld(
-        joint=joint.moved(T_world),
+        joint=joint.move(T_world),
         held_world=apply(T_world, box.handle),
         Ts_world_ee=T_world @ Ts_world_ee,
         thetas=thetas,

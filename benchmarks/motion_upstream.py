@@ -138,7 +138,7 @@ def draw_misplacement(
     T_given_cam[:3, :3] /= scale
     return Misplacement(
         S_given_world=S,
-        camera=moved.moved(T_given_cam),
+        camera=moved.move(T_given_cam),
         clock_s=1e-3 * upstream.clock_ms * rng.standard_normal(),
     )
 
@@ -151,7 +151,7 @@ def _moved(upstream: Upstream, camera: Camera, middle: Array, rng: np.random.Gen
     tilt = upstream.camera_px / camera.fx * rng.standard_normal(2)
     roll = np.deg2rad(upstream.roll_deg) * rng.standard_normal()
     R = matrix_from_rotvec(turn) @ camera.T_world_cam[:3, :3] @ matrix_from_rotvec(np.array([*tilt, roll]))
-    return camera.moved(transform(R, center))
+    return camera.move(transform(R, center))
 
 
 def mislabelled(

@@ -18,7 +18,7 @@ from aomgen.core.gaussians import Gaussians
 from aomgen.core.recording import JointLog
 from aomgen.errors import ConfigError
 from aomgen.io.artifact import npz_bytes, read_json, read_npz
-from aomgen.io.atomic import staged_folder, write_bytes, write_json
+from aomgen.io.atomic import stage_folder, write_bytes, write_json
 from aomgen.io.video import encode_video, read_video
 from aomgen.motion.inputs import MotionInput as MotionInput
 from aomgen.robots.loading import load_robot
@@ -112,7 +112,7 @@ def _make(category: str, seed: int, kind: Kind, place: Path) -> None:
     labels = mislabelled(surface.points, surface.labels, upstream, rng)
     gaussians = raw_gaussians(surface, middle, upstream, rng)
     gaussians = learned(gaussians, recorded.scan_cameras, recorded.scan_images, rng)
-    scene = gaussians.transformed(off.S_given_world)
+    scene = gaussians.transform(off.S_given_world)
     arrays: dict[str, NDArray] = {name: getattr(scene, name) for name in _GAUSSIANS} | {"labels": labels}
     arrays |= {name: getattr(video.schedule.log, name) for name in ("times_s", "joints", "gripper")}
     truth: dict[str, NDArray] = {"labels": surface.labels, "film_labels": np.stack(video.labels)}
@@ -123,7 +123,7 @@ def _make(category: str, seed: int, kind: Kind, place: Path) -> None:
         "clock_offset_s": video.schedule.clock_offset_s + off.clock_s,
         "clock_sd_s": 1e-3 * upstream.clock_sd_ms,
     }
-    with staged_folder(place) as staging:
+    with stage_folder(place) as staging:
         write_bytes(staging / _VIDEO, encode_video(video.frames, recorded.fps, crf=17))
         write_bytes(staging / _ARRAYS, npz_bytes(arrays))
         write_bytes(staging / "truth" / TRUE_ARRAYS, npz_bytes(truth))
@@ -154,7 +154,7 @@ def load_motion_world(place: Path) -> MotionWorld:
                 joints=arrays["joints"],
                 gripper=arrays["gripper"],
                 joint_names=robot.joint_names,
-            ).shifted(clock.offset_s),
+            ).shift(clock.offset_s),
             robot=robot,
             scene=Gaussians(**{name: arrays[name] for name in _GAUSSIANS}),
             labels=arrays["labels"],

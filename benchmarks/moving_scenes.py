@@ -110,4 +110,4 @@ def touched_tiles(gaussians: Gaussians, camera: Camera) -> NDArray[np.bool_]:
 def moved(scene: MovingScene, frame: int) -> Gaussians:
     """The moving Gaussians at a frame, world frame; harmonics turn along."""
     Ts = scene.Ts_world_part(frame)
-    return concatenate([scene.moving.select(scene.parts == part).transformed(T) for part, T in enumerate(Ts)])
+    return concatenate([scene.moving.select(scene.parts == part).transform(T) for part, T in enumerate(Ts)])

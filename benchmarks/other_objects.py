@@ -111,7 +111,7 @@ def make_oven(rng: np.random.Generator) -> ArticulatedAsset:
 def _add_oven_body(body: LinkBuilder, s: SimpleNamespace, color: Color, rng: np.random.Generator) -> None:
     w, y0, y1, wall, z0, z1 = s.width / 2, -s.depth / 2, s.depth / 2, s.wall, s.plinth, s.height
     below = z1 - s.strip
-    sheet = textures.brushed_metal if rng.random() < 0.5 else textures.speckled
+    sheet = textures.make_brushed_metal if rng.random() < 0.5 else textures.make_speckles
     shell = {
         # The plinth stands back, as the opened door's lower edge turns into the room before it.
         "plinth": box(-w, w, y0, y1, 0.0, z0),
@@ -141,7 +141,7 @@ def _add_cavity(body: LinkBuilder, s: SimpleNamespace, rng: np.random.Generator)
     """Dark lining and a rack."""
     w, y0, y1, thin = s.width / 2 - s.wall, -s.depth / 2, s.depth / 2 - s.wall, 0.001
     z0, z1 = s.plinth, s.height - s.strip
-    enamel = textures.speckled(rng, (0.22, 0.22, 0.24), 256)
+    enamel = textures.make_speckles(rng, (0.22, 0.22, 0.24), 256)
     hollow = lining((-w, w), (y0, y1), (z0 + thin, z1 - thin))
     body.shell("cavity", hollow, Material(texture_srgb=enamel, roughness=0.4))
     z = (z0 + z1) / 2
@@ -155,9 +155,9 @@ def _add_oven_door(
 ) -> None:
     w, z0, z1, frame = s.width / 2, s.plinth, s.door_top, s.frame
     y = (s.front, s.front + s.door)
-    sheet = Material(texture_srgb=textures.brushed_metal(rng, color), roughness=0.35, metallic=0.4)
+    sheet = Material(texture_srgb=textures.make_brushed_metal(rng, color), roughness=0.35, metallic=0.4)
     glass = Material(texture_srgb=textures.window(rng), roughness=0.1)
-    steel = Material(texture_srgb=textures.brushed_metal(rng, (0.78, 0.78, 0.80), 256), metallic=0.8)
+    steel = Material(texture_srgb=textures.make_brushed_metal(rng, (0.78, 0.78, 0.80), 256), metallic=0.8)
     name = Material(texture_srgb=textures.nameplate(rng, color), roughness=0.35)
     door.shell("frame", window_frame((-w, w), y, (z0, z1), frame), sheet)
     size, up, inset = 2 * (w - frame), (0, 0, z1 - z0 - 2 * frame), 0.2 * s.door
@@ -180,7 +180,7 @@ def make_cupboard(rng: np.random.Generator) -> ArticulatedAsset:
         Material(texture_srgb=textures.wood(rng, pick_color(rng, "wood")), roughness=0.55),
         pick_color(rng, "paint"),
     )
-    metal = textures.brushed_metal(rng, pick_color(rng, "metal"), 256)
+    metal = textures.make_brushed_metal(rng, pick_color(rng, "metal"), 256)
     s.metal = Material(texture_srgb=metal, metallic=0.8, roughness=0.3)
     body, drawer, door = LinkBuilder("cupboard"), LinkBuilder("drawer"), LinkBuilder("door")
     _add_boards(body, s, wood, rng)
@@ -213,7 +213,7 @@ def _add_boards(body: LinkBuilder, s: SimpleNamespace, wood: Material, rng: np.r
     body.print("label_left", "left", (-w, 0.05, z0 + 0.09), (0.08, 0.05), plate)
     body.print("label_right", "right", (w, -0.03, z0 + 0.12), (0.08, 0.05), plate)
     for key, x in (("plates_left", -0.08), ("plates_right", 0.08)):
-        glaze = textures.speckled(rng, rng.uniform(0.4, 0.9, 3), 128)
+        glaze = textures.make_speckles(rng, rng.uniform(0.4, 0.9, 3), 128)
         radius, count, low = rng.uniform(0.05, 0.065), int(rng.integers(3, 7)), z0 + board
         ends = [((x, 0.02, low + 0.011 * i), (x, 0.02, low + 0.011 * i + 0.008)) for i in range(count)]
         surface = Material(texture_srgb=glaze, roughness=0.3)
@@ -240,7 +240,7 @@ def _add_door(door: LinkBuilder, s: SimpleNamespace, paint: Color, rng: np.rando
     w, front = s.width / 2, s.start - s.front
     # A finger's breadth below the drawer's front, so that neither rubs the other.
     low, top = s.feet, s.shelf - 0.004 - GAP
-    sheet = Material(texture_srgb=textures.speckled(rng, paint), roughness=0.5)
+    sheet = Material(texture_srgb=textures.make_speckles(rng, paint), roughness=0.5)
     art = Material(texture_srgb=textures.stickers(rng, paint, 320, 320, 5), roughness=0.6)
     door.boxes("door", {"door": box(-w + 0.002, w - 0.002, front, s.start, low, top)}, sheet)
     free, size = -1.0 if s.right else 1.0, 0.55 * min(2 * w, top - low)

@@ -186,7 +186,7 @@ class PolicyData:
         if test.moved_m:
             suite, _ = open_suite(self.suite(replace(test, moved_m=0.0)))
             cameras = moved_cameras(suite.cameras, test.moved_m)
-            write_suite(path, replace(suite, cameras=cameras).sealed())
+            write_suite(path, replace(suite, cameras=cameras).seal())
             return path
         project = open_results(self.run(test.world)).project
         # Uniform over the paper's places, whatever else the training varies.

@@ -18,7 +18,7 @@ from aomgen.errors import ConfigError, EstimationError, ReconstructionError
 from aomgen.io.artifact import load_artifact, save_artifact
 from aomgen.motion.estimate import estimate_motion
 from aomgen.motion.inputs import MotionInput
-from aomgen.replacement.correspondence import RecordedContact, recorded_contact
+from aomgen.replacement.correspondence import RecordedContact, describe_contact
 from aomgen.replacement.fitting import FitParams, fit_asset
 from aomgen.results import ASSET_USD, resample_demonstration
 from aomgen.simulation.judge import PassRule
@@ -110,7 +110,7 @@ def recorded_motion(
     support = _support(given, demo)
     moving, static = (surface_points(given.scene, given.labels, label) for label in (MOVING, STATIC))
     recorded = RecordedObject(moving_points_world=moving, static_points_world=static, support=support)
-    return demo, support, recorded_contact(demo, recorded, motion.direction), fps
+    return demo, support, describe_contact(demo, recorded, motion.direction), fps
 
 
 def _fitted(given: MotionInput, category: str, number: int, direction: Direction) -> Recovered:

@@ -90,9 +90,9 @@ def score_views(
     ious = []
     with AssetRenderer(asset, max(SIZES)) as renderer:
         for view in views:
-            posed = concatenate([static, moving.transformed(asset.joint.motion(view.theta))])
+            posed = concatenate([static, moving.transform(asset.joint.motion(view.theta))])
             for size in SIZES:
-                sized = MeshView(camera=view.camera.resized(size, size), theta=view.theta)
+                sized = MeshView(camera=view.camera.resize(size, size), theta=view.theta)
                 true, cover = _truth(renderer, sized)
                 drawn = render(posed, sized.camera)
                 near = binary_dilation(cover > 0, iterations=AROUND_PX)

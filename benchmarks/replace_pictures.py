@@ -19,7 +19,7 @@ from aomgen.io.artifact import load_artifact
 from aomgen.replacement.stage import BACKGROUND_FOLDER
 from aomgen.results import Results
 from aomgen.simulation.scene_renderer import SceneRenderer
-from aomgen.twin.twin import Twin
+from aomgen.twin.twin import TwinModel
 from benchmarks.replace_rooms import CONDITIONS, RoomTruth
 from synthetic.layout import build_world
 
@@ -61,21 +61,21 @@ class RoomPictures:
         return self.results.fitted_assets[0]
 
     @cached_property
-    def twin(self) -> Twin:
+    def twin(self) -> TwinModel:
         """With the asset."""
-        return load_artifact(self.results.asset_folder(0), "twin", Twin)
+        return load_artifact(self.results.asset_folder(0), "twin", TwinModel)
 
     @cached_property
-    def background(self) -> Twin:
+    def background(self) -> TwinModel:
         """Without an object."""
-        return load_artifact(self.results.folders["replacement"] / BACKGROUND_FOLDER, "twin", Twin)
+        return load_artifact(self.results.folders["replacement"] / BACKGROUND_FOLDER, "twin", TwinModel)
 
     @cached_property
     def cameras(self) -> dict[str, Camera]:
         """Of the scan and fixed, where they truly were, and the episodes' new viewpoint."""
         names = sorted(self.truth.answers["scan"])
         chosen = [names[int(share * (len(names) - 1))] for share in VIEWS]
-        side = self.results.episode_scene.cameras[NEW_CAMERA].resized(*CONDITIONS.size)
+        side = self.results.episode_scene.cameras[NEW_CAMERA].resize(*CONDITIONS.size)
         recorded = {name: self.truth.camera(name) for name in [*chosen, self.results.demo_camera]}
         return {**recorded, NEW_CAMERA: side}
 
@@ -96,7 +96,7 @@ class RoomPictures:
         }
 
     def draw(
-        self, shot: Shot, *, twin: Twin | None = None, shadow: bool = True
+        self, shot: Shot, *, twin: TwinModel | None = None, shadow: bool = True
     ) -> dict[str, NDArray[np.uint8]]:
         """What the twin, or another one, shows each camera, (H, W, 3)."""
         twin = twin or self.twin

@@ -20,7 +20,7 @@ from aomgen.errors import UnknownNameError
 from aomgen.pipeline.runner import results_of
 from aomgen.pipeline.stages import STAGES
 from aomgen.splatting.metrics import psnr, ssim
-from aomgen.twin.twin import Twin, TwinState, render_state
+from aomgen.twin.twin import TwinModel, TwinState, render_state
 from benchmarks.images import masked_psnr
 from benchmarks.replace_pictures import RoomPictures, SeenGeometry, see_geometry
 from benchmarks.replace_rooms import CONDITIONS, ROOMS, RoomTruth
@@ -86,7 +86,7 @@ def _grown_box(mask: NDArray[np.bool_]) -> tuple[slice, slice]:
     return found[0], found[1]
 
 
-def _unlit(twin: Twin) -> Twin:
+def _unlit(twin: TwinModel) -> TwinModel:
     """The object in its own colors at the brightness of a white sky, whatever the light of the room."""
     if twin.relit is None:
         raise ValueError("the twin's object is not lit")

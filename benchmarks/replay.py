@@ -15,7 +15,7 @@ from aomgen.core.transforms import apply
 from aomgen.episodes.ik import IkSolver, ik_solver
 from aomgen.episodes.planning import PlanParams, plan_episode
 from aomgen.episodes.record import episode_of
-from aomgen.episodes.variations import Ranges, scaled_fit
+from aomgen.episodes.variations import Ranges, scale_fit
 from aomgen.evaluation.evaluate import interval_95
 from aomgen.io.artifact import read_json
 from aomgen.io.atomic import write_json
@@ -86,12 +86,12 @@ def measure(folder: Path, category: str, sweep: Sweep, seed: int, index: int) ->
     variation = replace(drawn, scale=1.0)
     demo, fitted, usd = recovered.demo, recovered.fitted, folder / category / ASSET_USD
     if drawn.scale != 1.0:
-        fitted = scaled_fit(fitted, drawn.scale)
+        fitted = scale_fit(fitted, drawn.scale)
         scene = episode_scene(robot, fitted, demo, recovered.support, bolted=True)
         usd = place / ASSET_USD
         write_usd(fitted.asset, usd)
     rng = np.random.default_rng([seed, index])
-    placed = scene.placed(variation.placed(fitted))
+    placed = scene.place_at(variation.place_at(fitted))
     params = PlanParams(fps=recovered.fps)
     plan = plan_episode(fitted, demo, variation, scene, solver, params)
     row: dict[str, Any] = {

@@ -47,7 +47,7 @@ def upright(gaussians: Gaussians, up: str) -> Gaussians:
         return gaussians
     T = np.eye(4)
     T[:3, :3] = Rotation.from_rotvec(np.pi / 2 * np.array(QUARTER_TURNS[up])).as_matrix()
-    return gaussians.transformed(T)
+    return gaussians.transform(T)
 
 
 if __name__ == "__main__":

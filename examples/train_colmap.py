@@ -62,7 +62,7 @@ def load(path: Path, camera: Camera, max_side: int) -> tuple[Camera, np.ndarray]
         image = image.resize(
             (round(image.width / factor), round(image.height / factor)), Image.Resampling.BOX
         )
-        camera = camera.resized(*image.size)
+        camera = camera.resize(*image.size)
     return camera, np.asarray(image)
 
 

@@ -47,7 +47,7 @@ class SceneLayout:
     @property
     def joint_world(self) -> Joint:
         """The object's joint in the world frame."""
-        return self.asset.joint.moved(self.T_world_object)
+        return self.asset.joint.move(self.T_world_object)
 
 
 def draw_layout(asset: ArticulatedAsset, rng: np.random.Generator) -> SceneLayout:

@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 
 from aomgen.assets.mjcf import COLLIDER_GROUP, add_visual_mesh
 from aomgen.assets.procedural.shapes import Material, box, boxes_mesh, panel
-from aomgen.assets.procedural.textures import brushed_metal
+from aomgen.assets.procedural.textures import make_brushed_metal
 from aomgen.core.mesh import Mesh
 from aomgen.core.transforms import quat_from_matrix
 from aomgen.core.values import Matrix4, freeze_arrays
@@ -97,8 +97,8 @@ def make_room_meshes(room: Room, things: list[TabletopObject], rng: np.random.Ge
     floor = Material(texture_srgb=printed_textures.tiles(rng), tile_m=3.0)
     wall = Material(texture_srgb=printed_textures.plaster(rng), tile_m=3.0)
     top = Material(texture_srgb=printed_textures.table_top(rng), tile_m=1.5, roughness=0.5)
-    dark = Material(texture_srgb=brushed_metal(rng, (0.23, 0.23, 0.25), 256), tile_m=1.0)
-    steel = Material(texture_srgb=brushed_metal(rng, (0.60, 0.60, 0.62), 512), tile_m=0.4)
+    dark = Material(texture_srgb=make_brushed_metal(rng, (0.23, 0.23, 0.25), 256), tile_m=1.0)
+    steel = Material(texture_srgb=make_brushed_metal(rng, (0.60, 0.60, 0.62), 512), tile_m=0.4)
     x0, x1, y0, y1 = room.table
     z, down, back = room.table_z, room.floor_z, room.wall_y
     legs = [

@@ -17,7 +17,7 @@ from aomgen.assets.procedural.shapes import (
     panel,
     rod,
 )
-from aomgen.assets.procedural.textures import plastic, speckled
+from aomgen.assets.procedural.textures import make_speckles, plastic
 from aomgen.core.mesh import Mesh
 from synthetic import printed_textures
 
@@ -113,7 +113,7 @@ def _mug(name: str, solid: AlignedBox, rng: np.random.Generator) -> list[Mesh]:
     (x0, y0, z0), (x1, y1, z1) = solid.lower, solid.upper
     radius, height = (y1 - y0) / 2, z1 - z0
     x, y = x0 + radius, (y0 + y1) / 2
-    glaze = Material(texture_srgb=speckled(rng, pick_color(rng, "mug"), 256), roughness=0.3)
+    glaze = Material(texture_srgb=make_speckles(rng, pick_color(rng, "mug"), 256), roughness=0.3)
     coffee = Material(color_srgb=(0.16, 0.09, 0.05))
     low, high = z0 + 0.25 * height, z0 + 0.8 * height
     wall, grip = x + 0.95 * radius, x1 - 0.005

@@ -20,7 +20,7 @@ from aomgen.core.recording import JointLog
 from aomgen.core.values import Array
 from aomgen.errors import ConfigError
 from aomgen.io.artifact import save_artifact
-from aomgen.io.atomic import staged_folder, write_bytes, write_json, write_text
+from aomgen.io.atomic import stage_folder, write_bytes, write_json, write_text
 from aomgen.io.images import encode_jpeg, encode_png
 from aomgen.io.robot_xml import read_robot_xml
 from aomgen.io.video import encode_video
@@ -86,7 +86,7 @@ def make_capture(
     recording = record(
         robot, performance, conditions or Conditions(), rng, renderer=renderer, progress=progress
     )
-    with staged_folder(folder) as staging:
+    with stage_folder(folder) as staging:
         source = f'model = "{DEFAULT_ROBOT}"'
         if file is not None and root is not None:
             copied = copy_robot_files(file, robot_references(file, root), staging / "robot")

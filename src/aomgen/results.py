@@ -28,7 +28,7 @@ from aomgen.io.schema import override
 from aomgen.io.video import Video, probe_video
 from aomgen.robots.loading import choose_robot
 from aomgen.robots.robot import RobotConfiguration, RobotModel
-from aomgen.twin.twin import Twin, TwinState
+from aomgen.twin.twin import TwinModel, TwinState
 
 # Where stages leave their values: `save_artifact(folder, <name of the stage>, value)`, and these files.
 GAUSSIANS_FILE = "gaussians.ply"
@@ -164,7 +164,7 @@ class Results:
         Raises:
             SyncError: The clock offset is unknown.
         """
-        return self.capture.joint_log.shifted(self.fixed_camera.require_clock().offset_s)
+        return self.capture.joint_log.shift(self.fixed_camera.require_clock().offset_s)
 
     @cached_property
     def scan_cameras(self) -> dict[str, Camera]:
@@ -175,7 +175,7 @@ class Results:
     @cached_property
     def gaussians(self) -> Gaussians:
         """The trained Gaussians, world frame."""
-        return self.gaussians_recon.transformed(self.alignment.S_world_recon)
+        return self.gaussians_recon.transform(self.alignment.S_world_recon)
 
     # After parts.
 
@@ -187,7 +187,7 @@ class Results:
     @cached_property
     def scene(self) -> Gaussians:
         """The trained Gaussians as the parts stage cut them, world frame."""
-        return self.parts.cut.applied(self.gaussians)
+        return self.parts.cut.apply(self.gaussians)
 
     # After motion.
 
@@ -219,9 +219,9 @@ class Results:
     # After twin and replacement.
 
     @cached_property
-    def twin(self) -> Twin:
+    def twin(self) -> TwinModel:
         """The recorded scene, posable."""
-        return load_artifact(self.folders["twin"], "twin", Twin)
+        return load_artifact(self.folders["twin"], "twin", TwinModel)
 
     @cached_property
     def episode_scene(self) -> EpisodeScene:

@@ -6,7 +6,7 @@ import sys
 from pathlib import Path
 
 from aomgen.io import atomic
-from aomgen.io.atomic import remove_staging, staged_folder, write_text
+from aomgen.io.atomic import remove_staging, stage_folder, write_text
 
 
 def die_at(step: int) -> None:
@@ -25,7 +25,7 @@ def die_at(step: int) -> None:
 
 def fill(path: Path, text: str) -> None:
     """Replace a folder by one with two files."""
-    with staged_folder(path) as folder:
+    with stage_folder(path) as folder:
         for name in "ab":
             write_text(folder / name, text)
 

@@ -10,7 +10,7 @@ from aomgen.assets.mjcf import add_asset, holding_friction
 from aomgen.core.asset import ArticulatedAsset
 from aomgen.core.plan import FittedAsset
 from aomgen.core.transforms import apply
-from aomgen.replacement.correspondence import recorded_contact
+from aomgen.replacement.correspondence import describe_contact
 from aomgen.replacement.fitting import FitParams, fit_asset
 from recordings import PLACE, SCALE, YAW, recording
 
@@ -91,7 +91,7 @@ def stays_where_left(asset: ArticulatedAsset, theta: float) -> None:
 def is_found_again(asset: ArticulatedAsset) -> None:
     """The scale and place of a recorded asset are recovered from the recording of its motion."""
     demo, recorded = recording(asset, noise_m=0.001)
-    contact = recorded_contact(demo, recorded, "opening")
+    contact = describe_contact(demo, recorded, "opening")
     assert np.rad2deg(abs(contact.front.yaw - YAW)) < 2.0
     result = fit_asset(asset, contact, demo.joint.type, "object", FitParams())
     assert isinstance(result, FittedAsset)

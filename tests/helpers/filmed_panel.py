@@ -90,7 +90,7 @@ def world(
     gains = np.ones(len(TIMES_S)) if gains is None else gains
     frames = np.stack(
         [
-            render(concatenate([wall, panel.transformed(joint.motion(theta))]), CAMERA, threads=1).rgb
+            render(concatenate([wall, panel.transform(joint.motion(theta))]), CAMERA, threads=1).rgb
             for theta in thetas
         ]
     )

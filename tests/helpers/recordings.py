@@ -21,8 +21,8 @@ def recording(
     """A hand that carries a scaled asset's handle, at uneven speed."""
     rng = np.random.default_rng(0)
     T = transform(matrix_from_rotvec(np.array([0.0, 0.0, YAW])), PLACE)
-    sized = asset.transformed(similarity(scale, np.eye(3), np.zeros(3)))
-    joint = sized.joint.moved(T)
+    sized = asset.transform(similarity(scale, np.eye(3), np.zeros(3)))
+    joint = sized.joint.move(T)
     times = np.arange(60) / 10
     travel = 1.0 if joint.type == "revolute" else 0.16
     thetas = travel * np.clip((times - 2) / 3, 0, 1) ** 1.5

@@ -62,7 +62,7 @@ def opening(
         thetas=thetas,
         start_s=pull,
         end_s=release - 0.1,
-        joint=fitted.asset.joint.moved(fitted.T_world_asset),
+        joint=fitted.asset.joint.move(fitted.T_world_asset),
         grasp_ee=np.zeros(3),
         ee_turn_ratio=0.0,
     )

@@ -52,7 +52,7 @@ def toy_plan(
         offset_ee: Of the hand from the handle, in its own frame, [m].
         closed: Gripper value before the hold; 0 is open.
     """
-    joint = asset.joint.moved(T_world_object)
+    joint = asset.joint.move(T_world_object)
     held = apply(T_world_object, asset.handle_point)
     points = np.array([apply(joint.motion(theta), held) for theta in thetas])
     turns = np.zeros(len(thetas)) if joint.type == "prismatic" else turn * thetas

@@ -30,7 +30,7 @@ from aomgen.robots.robot import RobotModel
 from aomgen.saved_units import unit_name
 from aomgen.splatting.surfels import surfels_of
 from aomgen.twin.binding import with_object
-from aomgen.twin.twin import Twin, TwinState, body_list
+from aomgen.twin.twin import TwinModel, TwinState, body_list
 from toy_drawer import SUPPORT, fitted_drawer, opening
 
 SURFELS = 300
@@ -100,7 +100,7 @@ def toy_run(
         fx=60, fy=60, cx=32, cy=24, width=SIZE[0], height=SIZE[1],
         T_world_cam=look_at((0.6, -1.4, 1.0), (0.75, -0.2, 0.2)),
     )  # fmt: skip
-    other = camera.moved(look_at((0.2, 1.2, 1.0), (0.75, -0.2, 0.2)))
+    other = camera.move(look_at((0.2, 1.2, 1.0), (0.75, -0.2, 0.2)))
     light = hemisphere_light([0.8, 0.8, 0.8], [0.2, 0.2, 0.2])
     plane = transform(np.eye(3), np.array([0.0, 0.0, SUPPORT.height]))
     folders["replacement"].mkdir(parents=True)
@@ -159,13 +159,13 @@ def elsewhere(results: ToyResults, out: Path, **machine: Any) -> ToyResults:
     return replace(results, project=project, out=out, folders={**results.folders, **made}, **machine)
 
 
-def _table(robot: RobotModel, T_world_object: np.ndarray) -> Twin:
+def _table(robot: RobotModel, T_world_object: np.ndarray) -> TwinModel:
     """A twin of a bare table, and an arm that nobody sees."""
     rng, count = np.random.default_rng(1), 400
     means = np.column_stack(
         [rng.uniform(0.2, 1.4, count), rng.uniform(-0.8, 0.6, count), np.full(count, SUPPORT.height)]
     )
-    return Twin(
+    return TwinModel(
         robot=robot.name,
         gaussians=gaussians_of(
             means=means,

@@ -53,7 +53,7 @@ class Contract:
     def leaves(self, gaussians: GaussianTensors) -> GaussianTensors:
         return mapped(gaussians, self.leaf)
 
-    def moved(self, gaussians: GaussianTensors) -> GaussianTensors:
+    def move(self, gaussians: GaussianTensors) -> GaussianTensors:
         return mapped(gaussians, lambda tensor: tensor.to(self.device))
 
     def leaf(self, tensor: torch.Tensor) -> torch.Tensor:
@@ -189,7 +189,7 @@ def test_median_depth_and_largest_contribution(contract: Contract) -> None:
     on_device = PartTensors(
         indices=parts.indices.to(contract.device), Ts_world_part=parts.Ts_world_part.to(contract.device)
     )
-    have = contract.draw(contract.moved(gaussians), camera, options, parts=on_device)
+    have = contract.draw(contract.move(gaussians), camera, options, parts=on_device)
     exact, pose = mapped(gaussians, torch.Tensor.double), torch.tensor(camera.T_cam_world)
     parts = replace(parts, Ts_world_part=parts.Ts_world_part.double())
     want, blend = reference.render(exact, camera, options, pose, parts, contract.rules)
@@ -209,7 +209,7 @@ def test_median_depth_and_largest_contribution(contract: Contract) -> None:
 def test_any_number_of_features(contract: Contract, features: int) -> None:
     camera, gaussians = make_camera(33, 20), make_gaussians(60, 0, features)
     options = replace(OPTIONS, sh_degree=0)
-    have = contract.draw(contract.moved(gaussians), camera, options)
+    have = contract.draw(contract.move(gaussians), camera, options)
     assert have.median_depth is None
     assert have.max_id is None
     exact, pose = mapped(gaussians, torch.Tensor.double), torch.tensor(camera.T_cam_world)
@@ -226,7 +226,7 @@ def test_a_lower_degree_ignores_the_rest(contract: Contract) -> None:
     leaves = contract.leaves(gaussians)
     have = contract.draw(leaves, camera, options)
     have.rgb.sum().backward()
-    want = contract.draw(contract.moved(replace(gaussians, sh=gaussians.sh[:, :4])), camera, options)
+    want = contract.draw(contract.move(replace(gaussians, sh=gaussians.sh[:, :4])), camera, options)
     close(have.rgb, want.rgb.cpu(), contract.image_tolerance)
     assert leaves.sh.grad[:, 4:].abs().max() == 0
     assert leaves.sh.grad[:, :4].abs().max() > 0
@@ -310,7 +310,7 @@ def test_contribution_weights(contract: Contract, count: int) -> None:
 def test_bad_scenes_are_refused(contract: Contract) -> None:
     if not isinstance(contract.draw, GsplatRasterizer):
         pytest.skip("the engine's refusals are tested with its C interface")
-    gaussians = contract.moved(make_gaussians(9, degree=1))
+    gaussians = contract.move(make_gaussians(9, degree=1))
     camera, options = make_camera(), replace(OPTIONS, sh_degree=1)
     draw = contract.draw
     with pytest.raises(BackendError, match="SH degree 2 of 4 coefficients"):
@@ -336,7 +336,7 @@ def test_engine_and_gsplat_learn_the_same(contract: Contract) -> None:
     if isinstance(contract.draw, CpuRasterizer):
         pytest.skip("compared with itself")
     count, size, scale = (20_000, (640, 480), 0.25) if contract.device == "cuda" else (600, (120, 80), 1.0)
-    camera, gaussians = make_camera().resized(*size), make_gaussians(count, features=0)
+    camera, gaussians = make_camera().resize(*size), make_gaussians(count, features=0)
     logits = gaussians.logit_opacities + 2 * (gaussians.logit_opacities > 2)
     assert (logits.sigmoid() > 0.99).double().mean() > 0.1
     scales = gaussians.log_scales + np.log(scale)

@@ -216,14 +216,14 @@ def elsewhere(demo: MotionInput, T: Array) -> MotionInput:
         demo,
         camera=replace(demo.camera, T_world_cam=T @ demo.camera.T_world_cam),
         robot=moved_robot(demo.robot, T),
-        scene=demo.scene.transformed(T),
+        scene=demo.scene.transform(T),
     )
 
 
 def backwards(demo: MotionInput, joint: Joint) -> MotionInput:
     """Film, log and gripper backwards, and the scene as it would be scanned before that."""
     log, film, moving = demo.log, demo.video, demo.labels == MOVING
-    gone = demo.scene.select(moving).transformed(joint.motion(joint.upper))
+    gone = demo.scene.select(moving).transform(joint.motion(joint.upper))
     return replace(
         demo,
         video=replace(film, frames_srgb=film.frames_srgb[::-1]),
@@ -273,7 +273,7 @@ def test_contacts_are_where_the_hand_is_when_the_answered_motion_begins() -> Non
 def test_where_the_world_stands_changes_nothing(kind: str, lean: tuple[float, float]) -> None:
     T = transform(matrix_from_rotvec([*lean, 2.0]), np.array([0.7, -0.4, 0.3]))
     here, there = opened(kind), estimate_motion(elsewhere(world(kind), T), QUICK)
-    seen_here = there.joint.moved(invert(T))
+    seen_here = there.joint.move(invert(T))
     assert (there.joint.type, there.direction) == (here.joint.type, here.direction)
     assert angle_between(seen_here.axis, here.joint.axis) < np.radians(0.05)
     assert (there.start_s, there.end_s) == (here.start_s, here.end_s)

@@ -93,11 +93,11 @@ def test_joint_motion_keeps_the_axis_and_moves_with_its_frame():
     S = similarity(2.0, ROTATIONS[9].as_matrix(), [1, 2, 3])
     point = np.array([0.5, -0.2, 0.4])
     assert np.allclose(
-        apply(S, apply(joint.motion(0.8), point)), apply(joint.moved(S).motion(0.8), apply(S, point))
+        apply(S, apply(joint.motion(0.8), point)), apply(joint.move(S).motion(0.8), apply(S, point))
     )
     slide = Joint(type="prismatic", axis=[1, 0, 0.0], origin=[0, 0, 0.0], lower=0, upper=0.3)
     assert np.allclose(
-        apply(S, apply(slide.motion(0.1), point)), apply(slide.moved(S).motion(0.2), apply(S, point))
+        apply(S, apply(slide.motion(0.1), point)), apply(slide.move(S).motion(0.2), apply(S, point))
     )
 
 
@@ -109,7 +109,7 @@ def test_camera_projects_its_rays_back_to_pixel_centres():
     pixels, depths = camera.project(points.reshape(-1, 3))
     assert np.allclose(depths, 2.5)
     assert np.allclose(pixels.reshape(240, 320, 2)[10, 20], [20.5, 10.5])
-    half = camera.resized(160, 120)
+    half = camera.resize(160, 120)
     assert np.allclose(half.project(points[10, 20][None])[0], [[10.25, 5.25]])
 
 

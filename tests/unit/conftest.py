@@ -22,7 +22,7 @@ from aomgen.robots.loading import load_robot
 from aomgen.robots.robot import RobotModel
 from aomgen.splatting.surfels import Surfels, surfels_of
 from aomgen.twin.binding import bind
-from aomgen.twin.twin import Twin, TwinState
+from aomgen.twin.twin import TwinModel, TwinState
 from broken_captures import write_small
 from diffuse_shading import shaded_srgb
 from small_robot import urdf_text
@@ -37,7 +37,7 @@ class ToyScene:
     robot: RobotModel
     gaussians: Gaussians
     labels: np.ndarray
-    twin: Twin
+    twin: TwinModel
     light: Light
     asset: ArticulatedAsset
     surfels: tuple[Surfels, Surfels]
@@ -46,7 +46,7 @@ class ToyScene:
 
 def lit(surfels: Surfels, light: Light, R_world_body: np.ndarray) -> Gaussians:
     """Surfels with the colors that the light gives them."""
-    colors = shaded_srgb(surfels.albedo_linear, surfels.transfer, light.seen_from(R_world_body))
+    colors = shaded_srgb(surfels.albedo_linear, surfels.transfer, light.view_from(R_world_body))
     return surfels.gaussians.with_sh(((colors - 0.5) / SH_C0)[:, None])
 
 
@@ -106,7 +106,7 @@ def toy_scene(robot: RobotModel) -> ToyScene:
     T = transform(matrix_from_rotvec(np.array([0, 0, 0.3 - np.pi / 2])), np.array([0.65, -0.1, 0.0]))
     asset = make_asset("microwave", 3)
     surfels = (surfels_of(asset.static.meshes, 5000, rng), surfels_of(asset.moving.meshes, 4000, rng))
-    static, moving = (lit(s, light, T[:3, :3]).transformed(T) for s in surfels)
+    static, moving = (lit(s, light, T[:3, :3]).transform(T) for s in surfels)
     table = sheet(24_000, (-0.2, -0.9), (1.2, 0.8), 2, 0.0, TABLE_SRGB, rng)
     wall = sheet(6_000, (-1.5, 0.0), (1.5, 1.4), 0, 1.3, np.array([0.7, 0.7, 0.75]), rng)
     gaussians = concatenate([arm, static, moving, table, wall])
@@ -114,7 +114,7 @@ def toy_scene(robot: RobotModel) -> ToyScene:
     labels = np.repeat(np.array([ROBOT, STATIC, MOVING, BACKGROUND], np.uint8), counts)
     robot_bodies = np.concatenate([bodies, np.full(sum(counts[1:]), -1, np.int32)])
     state = TwinState(joints=joints, gripper=0.0, theta=0.0, T_world_object=T)
-    twin = bind(gaussians, labels, robot_bodies, robot, asset.joint.moved(T), state)
+    twin = bind(gaussians, labels, robot_bodies, robot, asset.joint.move(T), state)
     pose = look_at((-0.4, -0.9, 0.7), (0.5, -0.05, 0.1))
     camera = Camera(fx=150, fy=150, cx=80, cy=60, width=160, height=120, T_world_cam=pose)
     return ToyScene(

@@ -108,7 +108,7 @@ def align(
         )
     cameras = [view.camera_recon for view in scan.views]
     S_unit_recon = unit_frame([camera.center for camera in cameras], cameras[0].T_world_cam)
-    scan = scan.seen_from(S_unit_recon)
+    scan = scan.view_from(S_unit_recon)
     scan = replace(scan, views=[limit_width(view, WIDTH) for view in scan.views])
     width = max(view.camera_recon.width for view in scan.views)
     height = max(view.camera_recon.height for view in scan.views)
@@ -133,7 +133,7 @@ def align(
         residual_px_of_view={
             name: float(np.median(own)) for name, own in residuals.items() if len(own) >= 10
         },
-        ee_sd_m=_ee_sd_m(evidence, scan.errors and scan.errors.seen_from(S)),
+        ee_sd_m=_ee_sd_m(evidence, scan.errors and scan.errors.view_from(S)),
     )
     if not result.ee_sd_m <= MAX_SD_M:
         raise AlignmentError(
@@ -167,7 +167,7 @@ def _likeliest(
         raise AlignmentError(STAGE, "no start puts the robot into the images", "check the robot prompts")
     first, S = best[0]
     if not first.lift >= MIN_LIFT / 2:
-        raise _unconfirmed(first)
+        raise _make_confidence_error(first)
     others = [other.support for other, T in best[1:] if _distance(S, T, drawing.configuration) > DISTINCT_M]
     return S, max(others, default=0.0)
 
@@ -208,7 +208,7 @@ def _refine_starts(
     return sorted(ranked, key=lambda item: -item[0].support)
 
 
-def _unconfirmed(found: Confirmation) -> AlignmentError:
+def _make_confidence_error(found: Confirmation) -> AlignmentError:
     return AlignmentError(
         STAGE,
         f"the images confirm {found.support:.0%} of the robot's outline, and {found.chance:.0%} of "
@@ -219,7 +219,7 @@ def _unconfirmed(found: Confirmation) -> AlignmentError:
 
 def _refuse_unconfirmed(found: Confirmation, runner_up: float, configuration: RobotConfiguration) -> None:
     if not found.lift >= MIN_LIFT:
-        raise _unconfirmed(found)
+        raise _make_confidence_error(found)
     if not found.support - runner_up >= MIN_MARGIN:
         raise AlignmentError(
             STAGE,

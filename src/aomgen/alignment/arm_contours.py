@@ -90,7 +90,7 @@ class ArmContour:
         """The contour for a nearby camera pose, joint zeros and log time, to first order."""
         turned = np.einsum("j,cjd->cd", zeros_rad - self.zeros_rad, self.turns)
         points = self.contour.points + (log_time_s - self.log_time_s) * self.velocities + turned
-        return self.contour.moved(points, camera)
+        return self.contour.move(points, camera)
 
 
 def read_gray_frames(video: Video, frames: NDArray[np.int64], width: int) -> GrayFrames:

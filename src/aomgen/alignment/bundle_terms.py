@@ -151,7 +151,7 @@ class Bundle:
                 offset_s=item.clock.offset_s + float(np.clip(own[OFFSET], -0.1, 0.1)),
                 rate=item.clock.rate + float(np.clip(own[RATE], -0.02, 0.02)),
             )
-            camera = item.camera.moved(invert(D) @ item.camera.T_world_cam)
+            camera = item.camera.move(invert(D) @ item.camera.T_world_cam)
             cameras[name] = CameraState(camera=camera, clock=clock, bias_px=item.bias_px + float(own[_BIAS]))
         return replace(
             x,
@@ -271,14 +271,14 @@ def _camera_priors(
     seen = np.flatnonzero((depths > 0) & np.all((pixels > 0) & (pixels < size), axis=1))
     chosen = seen[:: max(1, len(seen) // _STRUCTURE_POINTS)]
 
-    def moved_px(x: BundleSolution) -> Array:
+    def move_px(x: BundleSolution) -> Array:
         points = apply(x.S_world_recon, points_recon[chosen])
         return (x.cameras[name].camera.project(points)[0] - pixels[chosen]).ravel()
 
     if len(chosen):
         # Six degrees of freedom, each known to `_STRUCTURE_SD_PX`.
         sd = _STRUCTURE_SD_PX * np.sqrt(2 * len(chosen) / 6)
-        terms.append(ResidualTerm(name=f"{name} in structure", residual=moved_px, sd=sd))
+        terms.append(ResidualTerm(name=f"{name} in structure", residual=move_px, sd=sd))
     if item.T_world_cam is not None:
         T = item.T_world_cam
         sds = np.repeat([CALIBRATION_SD_RAD, CALIBRATION_SD_M], 3)

@@ -218,18 +218,18 @@ def find_wrist_rotation(
 
     names = {view.name for view in views}
 
-    def confirmed(evidence: list[ViewEvidence]) -> tuple[float, int]:
+    def confirm(evidence: list[ViewEvidence]) -> tuple[float, int]:
         seen = [view.confirmed[view.segments == hand] for view in evidence if view.name in names]
         points = np.concatenate(seen) if seen else np.zeros(0, np.bool_)
         return (float(points.mean()), len(points)) if len(points) else (0.0, 0)
 
-    def turned(turn_deg: float) -> RobotDrawing:
+    def turn(turn_deg: float) -> RobotDrawing:
         joints = drawing.configuration.joints.copy()
         joints[-1] += np.radians(turn_deg)
         return replace(drawing, configuration=replace(drawing.configuration, joints=joints))
 
-    own, count = confirmed(logged)
-    shares = [confirmed(collect_evidence(S, views, turned(turn), contour_points))[0] for turn in TURNS_DEG]
+    own, count = confirm(logged)
+    shares = [confirm(collect_evidence(S, views, turn(turn), contour_points))[0] for turn in TURNS_DEG]
     best = int(np.argmax(shares))
     if count == 0 or shares[best] <= own:
         return WristRotation(turn_rad=0.0, gain=0.0, gain_sd=0.0)

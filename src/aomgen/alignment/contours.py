@@ -52,7 +52,7 @@ class Contour:
     points: Array
     share: float
 
-    def moved(self, points: Array, camera: Camera) -> "Contour":
+    def move(self, points: Array, camera: Camera) -> "Contour":
         """The contour after robot or camera moved a little: its points are there now; normals are kept."""
         return replace(self, points=points, pixels=camera.project(points)[0] + 0.5 * self.normals)
 

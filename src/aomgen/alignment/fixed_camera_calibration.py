@@ -100,7 +100,7 @@ def calibrate_fixed_cameras(
         clocks[name] = _first_clock(scene, item)
     views = [limit_width(view, params.width) for view in scene.views]
     sizes = [view.camera_recon for view in views] + [
-        item.camera_recon.narrowed(params.width) for item in videos.values()
+        item.camera_recon.narrow(params.width) for item in videos.values()
     ]
     width, height = max(camera.width for camera in sizes), max(camera.height for camera in sizes)
     with robot_drawing(scene.configuration, width, height) as drawing:
@@ -123,7 +123,7 @@ def calibrate_fixed_cameras(
         progress(0.6, "refining cameras and clocks")
         problem, found = adjust_validated(problem)
     cameras = {
-        name: _fixed_camera(name, item, problem.cameras[name], clocks[name], found)
+        name: _make_fixed_camera(name, item, problem.cameras[name], clocks[name], found)
         for name, item in videos.items()
     }
     progress(1.0, "; ".join(f"camera '{name}': {item.note}" for name, item in cameras.items()))
@@ -152,7 +152,7 @@ def _evidence(
     S: Array, item: FixedCameraVideo, clock: Clock | SyncError, arm: LoggedRobot, params: BundleParams
 ) -> CameraEvidence:
     """A camera with frames to fit and frames to validate, if enough of them show the arm."""
-    small = item.camera_recon.narrowed(params.width)
+    small = item.camera_recon.narrow(params.width)
     unused = CameraEvidence(
         camera_recon=small,
         frames=NO_FRAMES,
@@ -176,7 +176,7 @@ def _evidence(
     return replace(unused, rejected=reason)
 
 
-def _fixed_camera(
+def _make_fixed_camera(
     name: str,
     item: FixedCameraVideo,
     evidence: CameraEvidence,
@@ -187,7 +187,7 @@ def _fixed_camera(
     state = found.cameras[name]
     camera = start = camera_in_world(found.S_world_recon, item.camera_recon)
     if used or calibrated:
-        camera = item.camera_recon.moved(state.camera.T_world_cam)
+        camera = item.camera_recon.move(state.camera.T_world_cam)
     moved_mm, moved_deg = _apart(camera, start.T_world_cam)
     figures = {"moved_mm": moved_mm, "moved_deg": moved_deg}
     note = "refined on the moving arm" if used else "as the scan placed it"
@@ -243,7 +243,7 @@ def refuse_gross(name: str, T_world_cam: Array, camera: Camera, robot_world: Arr
 
     def shift_share(T: Array) -> float:
         """Median shift of the robot in the image, as share of its width; infinite when it is behind."""
-        there, depths = camera.moved(T).project(robot_world)
+        there, depths = camera.move(T).project(robot_world)
         shifts = np.linalg.norm(there - camera.project(robot_world)[0], axis=1)
         return float(np.median(shifts)) / camera.width if np.median(depths) > 0 else float("inf")
 

@@ -100,7 +100,7 @@ class Scan:
 
     __post_init__ = freeze_arrays
 
-    def seen_from(self, S_other_recon: Array) -> "Scan":
+    def view_from(self, S_other_recon: Array) -> "Scan":
         """The same in another frame."""
         return Scan(
             views=[
@@ -112,7 +112,7 @@ class Scan:
                 for box in self.boxes
             ],
             points_recon=apply(S_other_recon, self.points_recon),
-            errors=self.errors and self.errors.seen_from(S_other_recon),
+            errors=self.errors and self.errors.view_from(S_other_recon),
         )
 
 

@@ -178,7 +178,7 @@ def _contour_term(
 
 
 def _seen(contour: Contour, S: Array, camera_recon: Camera) -> Contour:
-    return contour.moved(contour.points, camera_in_world(S, camera_recon))
+    return contour.move(contour.points, camera_in_world(S, camera_recon))
 
 
 def move_similarity(S: Array, step: Array, pivot: Array) -> Array:
@@ -221,7 +221,7 @@ def limit_width(view: AlignmentImage, width: int) -> AlignmentImage:
     """Reduce a view to at most `width` pixels."""
     if view.camera_recon.width <= width:
         return view
-    camera = view.camera_recon.narrowed(width)
+    camera = view.camera_recon.narrow(width)
     image = resize(view.image_srgb, camera.width, camera.height)
     return replace(view, camera_recon=camera, image_srgb=image)
 

@@ -49,7 +49,7 @@ class CameraErrors:
 
     __post_init__ = freeze_arrays
 
-    def seen_from(self, S_other_frame: Array) -> "CameraErrors":
+    def view_from(self, S_other_frame: Array) -> "CameraErrors":
         """The same errors in the axes and units of another frame."""
         scale, R, _ = similarity_parts(S_other_frame)
         one = np.zeros((6, 6))

@@ -49,7 +49,7 @@ class _StageLines(ABC):
         self._spent += seconds
         self._spent_weight += stage.weight
         self._hide()
-        self._say(finished_line(stage, seconds, figures))
+        self._say(format_finished_line(stage, seconds, figures))
 
     def warn(self, stage: Stage, sentence: str) -> None:
         """A finished stage has something to say about its input."""
@@ -160,7 +160,7 @@ def display() -> TerminalDisplay | PlainDisplay:
     return TerminalDisplay() if Console().is_terminal else PlainDisplay()
 
 
-def finished_line(stage: Stage, seconds: float, figures: dict[str, Any]) -> Text:
+def format_finished_line(stage: Stage, seconds: float, figures: dict[str, Any]) -> Text:
     """Seconds, title and figures of a finished stage, colored where there is a limit."""
     line = Text(f"  {seconds:5.1f}s {stage.title}")
     for number, reading in enumerate(read_figures(stage.name, figures)):

@@ -12,7 +12,7 @@ from aomgen.core.joint import Joint
 from aomgen.errors import ConfigError
 from aomgen.pipeline.rendering import render_twin
 from aomgen.robots.robot import RobotModel
-from aomgen.twin.twin import Twin as TwinModel
+from aomgen.twin.twin import TwinModel as TwinModel
 from aomgen.twin.twin import TwinState
 
 
@@ -115,5 +115,5 @@ class Twin:
         """
         joints = require_array("state.joints", state.joints, (len(self.robot.joint_names),))
         require_poses("camera.T_world_cam", camera.T_world_cam, single=True)
-        view = camera if size is None else camera.resized(*size)
+        view = camera if size is None else camera.resize(*size)
         return render_twin(self.model, self.robot, view, replace(state, joints=joints))

@@ -28,14 +28,14 @@ from aomgen.twin.shadow import (
     MOVES,
     STANDS,
     DirectionalLight,
-    cast_directional_shadow,
+    compute_directional_shadow,
     intersect_surface,
     remove_shadow,
     silhouette,
     spread_directions,
     surface_share,
 )
-from aomgen.twin.twin import Twin, posed, shadow_roles
+from aomgen.twin.twin import TwinModel, pose_twin, shadow_roles
 
 # Images that are compared; a half of them to find the lamp, the other to judge it.
 PICTURES: Final = 16
@@ -101,7 +101,7 @@ class SurfaceObservations:
 
 
 def find_directional_light(
-    twin: Twin, robot: RobotModel, view: PosedImages, T_world_plane: Array
+    twin: TwinModel, robot: RobotModel, view: PosedImages, T_world_plane: Array
 ) -> DirectionalLight | None:
     """Find the directional light of a scene; None when no direction explains the video.
 
@@ -120,14 +120,14 @@ def find_directional_light(
     directions = directions[directions @ up > MIN_SINE]
 
     def score(images: SurfaceObservations) -> Callable[[Array], float]:
-        return lambda direction: explained_variance(images, images.dark(direction[None]))
+        return lambda direction: measure_explained_variance(images, images.dark(direction[None]))
 
     # Some of the images tell the first directions apart.
     first = max(directions, key=score(fitted.part(slice(0, None, FIRST_EVERY))))
     best = _refine_direction(first, score(fitted))
     wide = {width: spread_directions(best, width) for width in WIDTHS}
-    width = max(wide, key=lambda width: explained_variance(fitted, fitted.dark(wide[width])))
-    if explained_variance(unseen, unseen.dark(wide[width])) < MIN_EXPLAINED:
+    width = max(wide, key=lambda width: measure_explained_variance(fitted, fitted.dark(wide[width])))
+    if measure_explained_variance(unseen, unseen.dark(wide[width])) < MIN_EXPLAINED:
         return None
     shade = estimate_shadow_color(observed, observed.dark(wide[width]))
     if shade is None or not ((shade > 0) & (shade < 1)).all():
@@ -135,9 +135,9 @@ def find_directional_light(
     return DirectionalLight(direction=best, width=width, T_world_plane=T_world_plane, shade=shade)
 
 
-def remove_baked_shadow(twin: Twin, robot: RobotModel, lamp: DirectionalLight) -> Twin:
+def remove_baked_shadow(twin: TwinModel, robot: RobotModel, lamp: DirectionalLight) -> TwinModel:
     """Remove the baked shadow: surface colors become those in light, and shadows are cast by the twin."""
-    world = posed(twin, robot, twin.scan_state)
+    world = pose_twin(twin, robot, twin.scan_state)
     points = np.array(world.means, np.float64)
     roles = shadow_roles(twin, robot)
     on_it = surface_share(lamp.T_world_plane, points) * (twin.bodies == 0)
@@ -145,7 +145,7 @@ def remove_baked_shadow(twin: Twin, robot: RobotModel, lamp: DirectionalLight) -
     turns = np.arange(8) * np.pi / 4
     circle = EDGE_M * np.stack([np.cos(turns), np.sin(turns)], 1) @ lamp.T_world_plane[:3, :2].T
     shifted = points + np.concatenate([np.zeros((1, 3)), circle])[:, None]
-    around = on_it * cast_directional_shadow(world, roles, lamp.directions, shifted)
+    around = on_it * compute_directional_shadow(world, roles, lamp.directions, shifted)
     dark, darkest = around[0], around.max(0)
     # A wide lamp has no edges to be beside.
     unsure = (darkest - around.min(0) > 1 - CORE) & (not lamp.width)
@@ -179,7 +179,7 @@ def _level(gaussians: Gaussians) -> Array:
     return np.maximum(0.5 + SH_C0 * gaussians.sh[:, 0].astype(np.float64), DARK).mean(1)
 
 
-def explained_variance(observed: SurfaceObservations, dark: Array) -> float:
+def measure_explained_variance(observed: SurfaceObservations, dark: Array) -> float:
     """Share of the variance of brightness over time that shadows (T, N), 0..1, account for; 0 for none.
 
     Every place has its own color, so both are compared without their means over time.
@@ -198,14 +198,14 @@ def _refine_direction(direction: Array, score: Callable[[Array], float]) -> Arra
     side /= np.linalg.norm(side)
     across = np.stack([side, np.cross(direction, side)])
 
-    def turned(tangents: Array) -> Array:
+    def turn(tangents: Array) -> Array:
         turned = direction + tangents @ across
         return turned / np.linalg.norm(turned)
 
     simplex = FIRST_STEP * np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])
     options = {"initial_simplex": simplex, "xatol": LAST_STEP, "fatol": np.inf}
-    found = minimize(lambda tangents: -score(turned(tangents)), [0, 0], method="Nelder-Mead", options=options)
-    return turned(found.x)
+    found = minimize(lambda tangents: -score(turn(tangents)), [0, 0], method="Nelder-Mead", options=options)
+    return turn(found.x)
 
 
 def estimate_shadow_color(observed: SurfaceObservations, dark: Array) -> Array | None:
@@ -226,7 +226,7 @@ def estimate_shadow_color(observed: SurfaceObservations, dark: Array) -> Array |
     return 1 - (1 - np.exp(np.median(mean[0] - mean[1], 0))) / deepest
 
 
-def raise_plane(T_world_plane: Array, twin: Twin, camera: Camera) -> Array:
+def raise_plane(T_world_plane: Array, twin: TwinModel, camera: Camera) -> Array:
     """Move a surface (4, 4) along its normal to where a camera sees it.
 
     Centers of trained Gaussians lie below the surface that they paint.
@@ -245,7 +245,7 @@ def raise_plane(T_world_plane: Array, twin: Twin, camera: Camera) -> Array:
 
 
 def _observe_surface(
-    twin: Twin, robot: RobotModel, view: PosedImages, T_world_plane: Array
+    twin: TwinModel, robot: RobotModel, view: PosedImages, T_world_plane: Array
 ) -> SurfaceObservations | None:
     """Places of the surface in some images of a video; None when it is hardly seen."""
     count = len(view.states)
@@ -256,7 +256,7 @@ def _observe_surface(
     points, belongs = intersect_surface(T_world_plane, camera, np.asarray(scene.median_depth, np.float64))
     moving, free = [], []
     for index in chosen:
-        world = posed(twin, robot, view.states[index])
+        world = pose_twin(twin, robot, view.states[index])
         covered = render(world, camera, features=(~still)[:, None].astype(np.float32)).features
         moving.append(world.select(roles == MOVES))
         free.append(binary_erosion(np.asarray(covered)[..., 0] < COVERED, iterations=CONTOUR_PX))
@@ -275,5 +275,5 @@ def _observe_surface(
         logs=logs,
         seen=seen,
         moving=tuple(moving),
-        fixed=posed(twin, robot, view.states[0]).select(roles == STANDS),
+        fixed=pose_twin(twin, robot, view.states[0]).select(roles == STANDS),
     )

@@ -22,7 +22,7 @@ from aomgen.core.values import Array
 from aomgen.io.images import resize
 from aomgen.robots.robot import RobotModel
 from aomgen.splatting.rasterizer import render
-from aomgen.twin.twin import PART, Twin, body_poses, posed_by
+from aomgen.twin.twin import PART, TwinModel, body_poses, pose_bodies
 
 # Images are compared in this width, where small errors of the joint value are below a pixel.
 WIDTH_PX = 320
@@ -69,7 +69,7 @@ class _Shot:
     free: NDArray[np.bool_]
 
 
-def add_drawer_interior(twin: Twin, robot: RobotModel, view: PosedImages) -> Twin:
+def add_drawer_interior(twin: TwinModel, robot: RobotModel, view: PosedImages) -> TwinModel:
     """Add walls and bottom behind the front of a drawer to a bound scan, with colors from the demonstration.
 
     The twin stays as it is when the part does not slide out of its body, or when no interior explains the video
@@ -95,10 +95,10 @@ def add_drawer_interior(twin: Twin, robot: RobotModel, view: PosedImages) -> Twi
         error = _error(images, shots, regions)
         if error < best_error:
             best, best_error = discs.with_sh(((colors - 0.5) / SH_C0)[:, None]), error
-    return twin if best is None else twin.extended(best, twin.body(PART), MOVING)
+    return twin if best is None else twin.extend(best, twin.body(PART), MOVING)
 
 
-def _front(twin: Twin, travel_m: float) -> _Front | None:
+def _front(twin: TwinModel, travel_m: float) -> _Front | None:
     """None for what is no drawer: parts that turn, slide along their body or into it; level axes only."""
     outward = np.asarray(twin.joint.axis, np.float64)
     up = np.array([0.0, 0.0, 1.0]) - outward[2] * outward
@@ -116,18 +116,18 @@ def _front(twin: Twin, travel_m: float) -> _Front | None:
     return _Front(axes=axes, low=low, high=high, travel_m=travel_m)
 
 
-def _shots(twin: Twin, robot: RobotModel, view: PosedImages, travel_m: float) -> list[_Shot]:
+def _shots(twin: TwinModel, robot: RobotModel, view: PosedImages, travel_m: float) -> list[_Shot]:
     opened = [k for k, state in enumerate(view.states) if state.theta >= OPEN_SHARE * travel_m]
     thetas = np.array([view.states[k].theta for k in opened])
     # Frames of different openings: the same image twice says nothing new.
     wanted = np.linspace(OPEN_SHARE * travel_m, travel_m, FRAMES)
     chosen = sorted({opened[int(np.argmin(np.abs(thetas - value)))] for value in wanted}) if opened else []
-    small = view.camera.narrowed(WIDTH_PX)
+    small = view.camera.narrow(WIDTH_PX)
     shots = []
     for k in chosen:
         Ts = body_poses(twin, robot, view.states[k])
         arm = (twin.labels == ROBOT)[:, None].astype(np.float32)
-        drawn = render(posed_by(twin, Ts), small, features=arm, with_ids=True)
+        drawn = render(pose_bodies(twin, Ts), small, features=arm, with_ids=True)
         hidden = binary_dilation(np.asarray(drawn.features)[..., 0] > 0.2, iterations=CONTOUR_PX)
         depth = np.where(drawn.alpha > 0.5, np.asarray(drawn.median_depth), np.inf)
         shots.append(
@@ -177,7 +177,7 @@ def _discs(front: _Front, inset: float, height: float, spacing_m: float) -> Gaus
 
 def _ids(discs: Gaussians, shot: _Shot) -> NDArray[np.int64]:
     """Which disc each pixel (H, W) of a shot shows, -1 for none."""
-    drawn = render(discs.transformed(shot.T_world_part), shot.camera, with_ids=True)
+    drawn = render(discs.transform(shot.T_world_part), shot.camera, with_ids=True)
     shown = (drawn.alpha > 0.5) & (np.asarray(drawn.median_depth) < shot.drawn_depth)
     return np.where(shown, np.asarray(drawn.max_id), -1).astype(np.int64)
 

@@ -27,7 +27,7 @@ from aomgen.splatting.differentiable import CpuRasterizer, GaussianTensors, Part
 from aomgen.splatting.optimizer import RATES, Parameters, gaussians_of, parameter_rates, parameters_of
 from aomgen.splatting.training import one_torch_thread
 from aomgen.twin.relighting import Relit
-from aomgen.twin.twin import Twin, TwinState, body_poses, posed_by, shadow_roles
+from aomgen.twin.twin import TwinModel, TwinState, body_poses, pose_bodies, shadow_roles
 
 # Gaussians move this much in a step, [px] of the usual image at the robot.
 STEP_PX: Final = 0.1
@@ -66,8 +66,8 @@ class _View:
 
 
 def refine_twin(
-    twin: Twin, robot: RobotModel, views: Sequence[PosedImages], rng: np.random.Generator
-) -> Twin:
+    twin: TwinModel, robot: RobotModel, views: Sequence[PosedImages], rng: np.random.Generator
+) -> TwinModel:
     """Fit the Gaussians of the twin to images in a random order; with none it stays as it is.
 
     Shape, specular term and the colors of what is not relit are shared by all joint configurations. Colors of
@@ -94,7 +94,7 @@ def refine_twin(
     return replace(twin, gaussians=gaussians, relit=relit)
 
 
-def _scan_orientations(twin: Twin, robot: RobotModel) -> dict[int, int]:
+def _scan_orientations(twin: TwinModel, robot: RobotModel) -> dict[int, int]:
     """Which remembered orientation of every body is nearest to the scan's."""
     Ts = body_poses(twin, robot, twin.scan_state)
     return {
@@ -104,7 +104,7 @@ def _scan_orientations(twin: Twin, robot: RobotModel) -> dict[int, int]:
 
 
 def _prepare_view(
-    twin: Twin,
+    twin: TwinModel,
     robot: RobotModel,
     nearest: dict[int, int],
     camera: Camera,
@@ -121,12 +121,12 @@ def _prepare_view(
     return _View(camera=camera, image_srgb=image_srgb, Ts_world_body=Ts, colors_srgb=colors, recall=recall)
 
 
-def _with_shadows(view: _View, twin: Twin, roles: NDArray[np.uint8]) -> _View:
+def _with_shadows(view: _View, twin: TwinModel, roles: NDArray[np.uint8]) -> _View:
     """A view whose drawn image is darkened by the shadows of its joint configuration."""
     light = twin.directional_light
     if light is None:
         return view
-    surface, taken = light.shadow_seen(posed_by(twin, view.Ts_world_body), roles, view.camera)
+    surface, taken = light.shadow_seen(pose_bodies(twin, view.Ts_world_body), roles, view.camera)
     edge = maximum_filter(taken, EDGE_PX) - minimum_filter(taken, EDGE_PX) > EDGE_STEP
     return replace(view, shade=light.factors(surface * taken), unsure=edge & (surface > 0.5))
 
@@ -141,7 +141,7 @@ def _add_corrections(relit: Relit, nearest: dict[int, int], difference: Array) -
     return replace(relit, residuals=tuple(remembered))
 
 
-def _fit(twin: Twin, views: list[_View], rate_means: float, rng: np.random.Generator) -> Parameters:
+def _fit(twin: TwinModel, views: list[_View], rate_means: float, rng: np.random.Generator) -> Parameters:
     """Fitted Gaussians in their bodies' frames; the constant terms of relit ones are differences in color.
 
     Args:

@@ -22,7 +22,7 @@ from aomgen.core.mesh import Mesh, face_normals_areas
 from aomgen.robots.robot import RobotModel
 from aomgen.splatting.surfels import Surfels, surfels_of
 from aomgen.twin.relighting import Relit
-from aomgen.twin.twin import Twin
+from aomgen.twin.twin import TwinModel
 
 # Discs lie this far apart in the images, [px], within limits that keep episodes fast.
 SPACING_PX: Final = 2.0
@@ -38,8 +38,8 @@ MIN_OBSERVATIONS: Final = 200
 
 
 def replace_robot_gaussians(
-    twin: Twin, robot: RobotModel, views: Sequence[PosedImages], rng: np.random.Generator
-) -> Twin:
+    twin: TwinModel, robot: RobotModel, views: Sequence[PosedImages], rng: np.random.Generator
+) -> TwinModel:
     """Replace the scanned Gaussians of the robot by surfels on its model.
 
     Views are of the scan and of the demonstration, in one exposure. The twin, as bound from the scan, stays as it is
@@ -127,7 +127,7 @@ def _plain_mesh(robot: RobotModel, index: int) -> Mesh:
     )
 
 
-def _with_cover(twin: Twin, cover: RobotDiscs) -> Twin:
+def _with_cover(twin: TwinModel, cover: RobotDiscs) -> TwinModel:
     """The twin with discs, in an even light, in the place of scanned Gaussians near the model."""
     kept = ~((twin.labels == ROBOT) & (twin.bodies > 0)) | _is_attached(twin, cover)
     rest = twin.select(kept)
@@ -139,10 +139,10 @@ def _with_cover(twin: Twin, cover: RobotDiscs) -> Twin:
         light_of=cover.materials,
         lights=tuple(Light(radiance_sh=np.eye(9, 3)) for _ in range(int(cover.materials.max()) + 1)),
     )
-    return rest.extended(cover.gaussians, cover.bodies, ROBOT, relit=relit)
+    return rest.extend(cover.gaussians, cover.bodies, ROBOT, relit=relit)
 
 
-def _is_attached(twin: Twin, cover: RobotDiscs) -> NDArray[np.bool_]:
+def _is_attached(twin: TwinModel, cover: RobotDiscs) -> NDArray[np.bool_]:
     """Scanned Gaussians (N,) of a link that the model does not have."""
     attached = np.zeros(len(twin.gaussians), bool)
     for body in np.unique(cover.bodies):

@@ -27,7 +27,7 @@ from aomgen.robots.robot import RobotConfiguration, RobotModel
 from aomgen.twin.binding import bind, object_frame
 from aomgen.twin.shadow import DirectionalLight
 from aomgen.twin.support import find_support
-from aomgen.twin.twin import Twin, TwinState, posed, render_state
+from aomgen.twin.twin import TwinModel, TwinState, pose_twin, render_state
 
 # More images tell little more, and take as long again.
 MAX_SCAN_IMAGES = 80
@@ -53,7 +53,7 @@ def run(results: Results, folder: Path, progress: Progress) -> dict[str, Any]:
     }
 
 
-def bind_scan(scene: Gaussians, parts: Parts, joint: Joint, configuration: RobotConfiguration) -> Twin:
+def bind_scan(scene: Gaussians, parts: Parts, joint: Joint, configuration: RobotConfiguration) -> TwinModel:
     """The scan, Gaussians in the world frame, bound to the bodies that carry it, in the scan's state."""
     static, moving = (surface_points(scene, parts.labels, label) for label in (STATIC, MOVING))
     state = TwinState(
@@ -65,7 +65,7 @@ def bind_scan(scene: Gaussians, parts: Parts, joint: Joint, configuration: Robot
     return bind(scene, parts.labels, parts.robot_bodies, configuration.robot, joint, state)
 
 
-def pose_scan_images(results: Results, twin: Twin) -> list[PosedImages]:
+def pose_scan_images(results: Results, twin: TwinModel) -> list[PosedImages]:
     """Scan images that are not held out, evenly chosen."""
     withheld = set(held_out(list(results.scan_images)))
     usable = [name for name in results.scan_images if name in results.scan_cameras and name not in withheld]
@@ -86,7 +86,7 @@ def select_training_frames(images: int, frames: int) -> NDArray[np.int64]:
     return np.unique(np.linspace(0, frames - 1, count).astype(np.int64))
 
 
-def pose_demo_video(results: Results, twin: Twin) -> PosedImages:
+def pose_demo_video(results: Results, twin: TwinModel) -> PosedImages:
     """The first fixed camera's video, as the scan would have exposed it, evenly chosen."""
     video = results.videos[results.demo_camera]
     camera = results.fixed_camera.camera
@@ -100,8 +100,8 @@ def pose_demo_video(results: Results, twin: Twin) -> PosedImages:
 
 
 def refine_appearance(
-    twin: Twin, robot: RobotModel, views: Sequence[PosedImages], progress: Progress
-) -> Twin:
+    twin: TwinModel, robot: RobotModel, views: Sequence[PosedImages], progress: Progress
+) -> TwinModel:
     """The twin as all pictures show it, those of the scan, and last of a fixed camera.
 
     The robot's Gaussians are replaced by surfels of its model, the moving shadow is separated from the
@@ -117,9 +117,9 @@ def refine_appearance(
     return refine_twin(lit, robot, views, rng)
 
 
-def _lamp(twin: Twin, robot: RobotModel, view: PosedImages) -> DirectionalLight | None:
+def _lamp(twin: TwinModel, robot: RobotModel, view: PosedImages) -> DirectionalLight | None:
     """The lamp that throws shadows on what the object stands on; None when there is none or it stands on nothing."""
-    world = posed(twin, robot, twin.scan_state)
+    world = pose_twin(twin, robot, twin.scan_state)
     of_object = np.isin(twin.labels, (STATIC, MOVING))
     scene = twin.of_scene
     try:

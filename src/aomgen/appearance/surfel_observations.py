@@ -14,7 +14,7 @@ from aomgen.core.transforms import apply, invert
 from aomgen.core.values import Array, freeze_arrays
 from aomgen.robots.robot import RobotModel
 from aomgen.splatting.rasterizer import RigidParts
-from aomgen.twin.twin import Twin, TwinState, body_poses, moving_layer, static_layer
+from aomgen.twin.twin import TwinModel, TwinState, body_poses, moving_layer, static_layer
 
 # Margin around moving bodies where the scene behind them is compared, [px]: render and image differ by about this
 # much at contours.
@@ -59,7 +59,7 @@ class SurfelObservations:
     __post_init__ = freeze_arrays
 
 
-def observe_surfels(twin: Twin, robot: RobotModel, views: Sequence[PosedImages]) -> SurfelObservations:
+def observe_surfels(twin: TwinModel, robot: RobotModel, views: Sequence[PosedImages]) -> SurfelObservations:
     """Measure the color of every surfel in every image where it is visible.
 
     The twin's relit Gaussians, all of which move, are the surfels (M); whatever else is in it may hide them.
@@ -108,7 +108,7 @@ def match_exposure(view: PosedImages, drawn_srgb: Array, compared: NDArray[np.bo
     return replace(view, images_srgb=tuple(change_exposure(image, gains) for image in view.images_srgb))
 
 
-def pixel_size(robot: RobotModel, twin: Twin, views: Sequence[PosedImages]) -> float:
+def pixel_size(robot: RobotModel, twin: TwinModel, views: Sequence[PosedImages]) -> float:
     """Size of a pixel at the robot in the usual image, [m]."""
     places = body_poses(twin, robot, twin.scan_state)[1 : 1 + len(robot.body_names), :3, 3]
     sizes = [

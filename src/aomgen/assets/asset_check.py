@@ -87,7 +87,7 @@ def _stack_boxes(colliders: Sequence[BoxCollider]) -> tuple[Array, Array]:
     return np.array([box.T_asset_box for box in colliders]), np.array([box.half_extents for box in colliders])
 
 
-def _failed(*checks: tuple[bool, str]) -> list[str]:
+def _list_failures(*checks: tuple[bool, str]) -> list[str]:
     """Sentences of the checks that do not hold."""
     return [sentence for holds, sentence in checks if not holds]
 
@@ -101,7 +101,7 @@ def _check_sizes(asset: ArticulatedAsset) -> list[str]:
         return ["has vertices that are not finite"]
     size, foot = float((points.max(0) - points.min(0)).max()), points[:, 2].min()
     low, high = SIZE_RANGE
-    return _failed(
+    return _list_failures(
         (low <= size <= high, f"is {size:.3g} m large, want {low} to {high} m: check metersPerUnit"),
         (abs(foot) <= 0.005, f"stands at z = {foot:.3f} m, want 0"),
     )
@@ -120,7 +120,7 @@ def _check_joint(asset: ArticulatedAsset) -> list[str]:
         if radians
         else "; if it can open farther, import it with --limits"
     )
-    return _failed(
+    return _list_failures(
         (bool(abs(np.linalg.norm(joint.axis) - 1) <= 1e-6), "has a joint axis that is not a unit vector"),
         (
             joint.lower <= ROUNDING and joint.upper >= 0.0,
@@ -143,7 +143,7 @@ def _check_links(asset: ArticulatedAsset) -> list[str]:
     for link in (asset.static, asset.moving):
         names = [box.name for box in link.colliders]
         thick = all((box.half_extents > 0).all() for box in link.colliders)
-        problems += _failed(
+        problems += _list_failures(
             (link.mass > 0, f"link {link.name!r} has mass {link.mass}, want a positive one"),
             (bool(link.meshes), f"link {link.name!r} has no meshes"),
             (bool(names), f"link {link.name!r} has no colliders"),
@@ -248,7 +248,7 @@ def check_handle(asset: ArticulatedAsset) -> list[str]:
     gap = min(box.distance(ball) for box in (*asset.static.colliders, *others) for ball in balls)
     where = "on both sides of" if rim else "behind"
     mm = 1000
-    return _failed(
+    return _list_failures(
         (
             thickness <= MAX_HANDLE_THICKNESS,
             f"handle is {mm * thickness:.0f} mm thick, limit {mm * MAX_HANDLE_THICKNESS:.0f} mm: import it with a smaller "

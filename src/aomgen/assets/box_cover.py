@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
-from aomgen.assets.convex_parts import closed_surface, depth_in_hull, fit_box, is_sheet, split_convex
+from aomgen.assets.convex_parts import depth_in_hull, extract_closed_surface, fit_box, is_sheet, split_convex
 from aomgen.core.asset import BoxCollider
 from aomgen.core.mesh import Mesh, face_normals_areas
 from aomgen.core.values import Array
@@ -56,7 +56,7 @@ def _split(triangles: Array) -> list[Array]:
     corners = triangles.reshape(-1, 3)
     if _is_nearly_convex(triangles):
         return [corners]
-    surface = closed_surface(triangles)
+    surface = extract_closed_surface(triangles)
     if is_sheet(surface):
         return [corners]
     aligned = np.abs(surface.face_normals).max(1) > ALIGNED
@@ -111,7 +111,8 @@ def _cells(triangles: Array) -> list[tuple[Array, Array]]:
     np.minimum.at(low, index, points - BELOW_SURFACE)
     np.maximum.at(high, index, points + BELOW_SURFACE)
     return [
-        (low[block].reshape(-1, 3).min(0), high[block].reshape(-1, 3).max(0)) for block in _merged(filled)
+        (low[block].reshape(-1, 3).min(0), high[block].reshape(-1, 3).max(0))
+        for block in _merge_cells(filled)
     ]
 
 
@@ -146,7 +147,7 @@ def _dense_points(triangles: Array, spacing: float) -> Array:
     return np.concatenate(points)
 
 
-def _merged(filled: NDArray[np.bool_]) -> list[tuple[slice, ...]]:
+def _merge_cells(filled: NDArray[np.bool_]) -> list[tuple[slice, ...]]:
     """Cover of the filled cells by blocks (index slices), each grown greedily from its first free cell."""
     free, blocks = filled.copy(), []
     while free.any():

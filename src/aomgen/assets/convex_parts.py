@@ -30,7 +30,7 @@ LEAST_HALF_M: Final = 5e-4
 FLAT_M: Final = 1e-5
 
 
-def closed_surface(triangles: Array) -> trimesh.Trimesh:
+def extract_closed_surface(triangles: Array) -> trimesh.Trimesh:
     """The surface of triangles (F, 3, 3), drawn from one side, outward, and closed where little of it is open."""
     corners = triangles.reshape(-1, 3)
     surface = trimesh.Trimesh(corners, np.arange(len(corners)).reshape(-1, 3), process=False)

@@ -61,7 +61,7 @@ def import_model(
     else:
         known = ", ".join([*SUFFIXES, *usd_read.SUFFIXES])
         raise MalformedFileError(path, f"has suffix {suffix!r}", f"want one of {known}")
-    asset = asset if scale == 1.0 else asset.transformed(np.diag([scale] * 3 + [1.0]))
+    asset = asset if scale == 1.0 else asset.transform(np.diag([scale] * 3 + [1.0]))
     return replace(asset, category=category or asset.category)
 
 

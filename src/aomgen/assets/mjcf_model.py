@@ -134,7 +134,7 @@ def _link(
     for geom in np.flatnonzero(mine & colliding):
         colliders += _boxes(model, data, int(geom))
     mass = float(model.body_mass[bodies].sum())
-    return AssetLink(name=name, meshes=_numbered(meshes), colliders=tuple(colliders), mass=mass)
+    return AssetLink(name=name, meshes=_make_names_unique(meshes), colliders=tuple(colliders), mass=mass)
 
 
 def _boxes(model: mujoco.MjModel, data: mujoco.MjData, geom: int) -> list[BoxCollider]:
@@ -169,7 +169,7 @@ def _seen(model: mujoco.MjModel, urdf: bool) -> NDArray[np.bool_]:
     return shown | ((model.geom_bodyid == 0) & ~colliding & (model.geom_rgba[:, 3] > 0))
 
 
-def _numbered(meshes: list[Mesh]) -> tuple[Mesh, ...]:
+def _make_names_unique(meshes: list[Mesh]) -> tuple[Mesh, ...]:
     """Every name once."""
     names = Counter[str]()
     found = []

@@ -108,8 +108,8 @@ def complete(
                 f"colliders; {plausible.mass:.2f} kg are assumed"
             )
         links.append(plausible)
-    asset = find_handle(closed(replace(drawn, static=links[0], moving=links[1])))
-    return replace(to_asset_frame(cleared(asset)), notes=tuple(notes))
+    asset = find_handle(close(replace(drawn, static=links[0], moving=links[1])))
+    return replace(to_asset_frame(clear_path(asset)), notes=tuple(notes))
 
 
 def _with_plausible_mass(link: AssetLink) -> AssetLink:
@@ -119,7 +119,7 @@ def _with_plausible_mass(link: AssetLink) -> AssetLink:
     return link if plausible else replace(link, mass=FALLBACK_DENSITY * link.volume)
 
 
-def cleared(asset: ArticulatedAsset) -> ArticulatedAsset:
+def clear_path(asset: ArticulatedAsset) -> ArticulatedAsset:
     """The asset with static colliders cut back to where the moving ones pass; what is left thinner is dropped.
 
     Boxes overhang curved surfaces, and models that were drawn to be looked at are often in each other.
@@ -153,7 +153,7 @@ def _cut(box: BoxCollider, ways: list[Array]) -> BoxCollider:
     return replace(box, T_asset_box=T, half_extents=half)
 
 
-def closed(asset: ArticulatedAsset) -> ArticulatedAsset:
+def close(asset: ArticulatedAsset) -> ArticulatedAsset:
     """The asset turned to the limit of its joint at which it takes the least room, which becomes joint value 0.
 
     Files are drawn open or closed, with limits on either side; what is closed is nearly always a smaller box.
@@ -171,7 +171,7 @@ def closed(asset: ArticulatedAsset) -> ArticulatedAsset:
     value = float(min(limits[least], key=abs))
     turned = -1.0 if value == joint.upper else 1.0
     opening = replace(joint, axis=turned * joint.axis, lower=0.0, upper=joint.upper - joint.lower)
-    return replace(asset, moving=asset.moving.transformed(joint.motion(value)), joint=opening)
+    return replace(asset, moving=asset.moving.transform(joint.motion(value)), joint=opening)
 
 
 def to_asset_frame(asset: ArticulatedAsset) -> ArticulatedAsset:
@@ -196,4 +196,4 @@ def to_asset_frame(asset: ArticulatedAsset) -> ArticulatedAsset:
         offset[1] = -middle[1]
     offset[np.abs(offset) < 2e-3] = 0.0
     T = transform(R, offset)
-    return asset if np.allclose(T, np.eye(4), atol=1e-6) else asset.transformed(T)
+    return asset if np.allclose(T, np.eye(4), atol=1e-6) else asset.transform(T)

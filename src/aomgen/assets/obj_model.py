@@ -81,7 +81,7 @@ def read_obj_model(path: Path, joints_file: Path, joint_name: str) -> Articulate
     if limits is None:
         want = "lower_deg and upper_deg" if item.type == "revolute" else "lower and upper"
         raise AssetError(joints_file, f"gives joint '{item.name}' no limits", f"give it {want}")
-    static, moving = _sorted_meshes(_read_meshes(path), item.groups)
+    static, moving = _split_meshes(_read_meshes(path), item.groups)
     if not moving or not static:
         missing = "moves" if static else "stands still"
         raise AssetError(joints_file, f"has groups of which nothing {missing} in {path.name}", "correct them")
@@ -98,7 +98,7 @@ def read_obj_model(path: Path, joints_file: Path, joint_name: str) -> Articulate
         handle_axis=np.array([0.0, 0.0, 1.0]),
         credit=", ".join(filter(None, [entry.creator, entry.license])),
     )
-    return drawn.transformed(_Z_UP @ np.diag([entry.unit_to_m] * 3 + [1.0]))
+    return drawn.transform(_Z_UP @ np.diag([entry.unit_to_m] * 3 + [1.0]))
 
 
 def _entry(path: Path, joints_file: Path) -> ModelEntry:
@@ -146,21 +146,21 @@ def _find_textures(path: Path) -> dict[str, Path]:
             without them.
     """
     folder, found = path.parent, dict[str, Path]()
-    for library in _named(path, "mtllib"):
+    for library in _read_names(path, "mtllib"):
         file = find_inside(folder, [folder], [library], named_by=path)
-        for texture in [name for keyword in ("map_", "norm") for name in _named(file, keyword)]:
+        for texture in [name for keyword in ("map_", "norm") for name in _read_names(file, keyword)]:
             last = texture.split()[-1]
             found[last] = find_inside(folder, [folder], [texture, last], named_by=file)
     return found
 
 
-def _named(path: Path, keyword: str) -> list[str]:
+def _read_names(path: Path, keyword: str) -> list[str]:
     """What follows a keyword, or those that begin so, at the beginning of a line."""
     lines = [line.split(None, 1) for line in path.read_text("utf-8", errors="replace").splitlines()]
     return [words[1].strip() for words in lines if len(words) > 1 and words[0].startswith(keyword)]
 
 
-def _sorted_meshes(meshes: list[Mesh], groups: tuple[str, ...]) -> tuple[list[Mesh], list[Mesh]]:
+def _split_meshes(meshes: list[Mesh], groups: tuple[str, ...]) -> tuple[list[Mesh], list[Mesh]]:
     """Meshes that stand still and that move: those of groups that begin with one of the names."""
     static, moving = [], []
     for mesh in meshes:

@@ -159,11 +159,11 @@ def _find_texture(shader: Any, name: str, number: float) -> _Texture | None:
         node = UsdShade.Shader(source.source.GetPrim())
         file = _input(node, "file") if node else None
         if file is not None:
-            return _connected(node, file, name, str(source.sourceName))
+            return _read_uv_texture(node, file, name, str(source.sourceName))
     return None
 
 
-def _connected(node: Any, file: Any, name: str, output: str) -> _Texture:
+def _read_uv_texture(node: Any, file: Any, name: str, output: str) -> _Texture:
     """What an output of a UsdUVTexture gives a property."""
     if name == COLOR:
         return _Texture(file=file, channels="rgb")

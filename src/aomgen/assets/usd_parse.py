@@ -94,7 +94,7 @@ def _find_joint(
         raise AssetError(path, f"joint {prim.GetPath()} names no body", "set body0 and body1")
     rigid = {str(p.GetPath()) for p in prims if p.HasAPI(UsdPhysics.RigidBodyAPI)} | set(filter(None, bodies))
     joint = _metric_joint(stage, prim, child, bodies, to_metric, unit, path, limited)
-    return joint, frozenset(_moved_with(bodies[child], prims, prim)), frozenset(rigid)
+    return joint, frozenset(_find_rigid_group(bodies[child], prims, prim)), frozenset(rigid)
 
 
 def _target(relation: Any) -> str:
@@ -102,7 +102,7 @@ def _target(relation: Any) -> str:
     return str(targets[0]) if targets else ""
 
 
-def _moved_with(body: str, prims: list[Any], moving: Any) -> set[str]:
+def _find_rigid_group(body: str, prims: list[Any], moving: Any) -> set[str]:
     """The body and all that joints other than the moving one connect to it."""
     from pxr import UsdPhysics
 

@@ -87,7 +87,7 @@ def check_capture(capture: Recording) -> CheckedCapture:
         doubts += _shown_otherwise(capture.scan_video)
     robot = check_robot(capture)
     doubts += _log_beyond_limits(capture, robot) + list(capture.notes)
-    doubts += _guessed_robot(capture) + check_masks(capture) + prompt_warnings(capture.prompts)
+    doubts += _guess_robot(capture) + check_masks(capture) + prompt_warnings(capture.prompts)
     return CheckedCapture(
         robot=robot,
         scan_count=count,
@@ -97,7 +97,7 @@ def check_capture(capture: Recording) -> CheckedCapture:
     )
 
 
-def _guessed_robot(capture: Recording) -> list[str]:
+def _guess_robot(capture: Recording) -> list[str]:
     """A warning where no robot.toml says what the parts of the capture's robot are for."""
     file = capture.robot.model_file
     if file is None or find_description(file) is not None:

@@ -101,13 +101,13 @@ def common_size(images: tuple[Path, ...]) -> tuple[int, int]:
         if size != first:
             raise CalibrationError(
                 image,
-                f"is {size[0]} x {size[1]}, but {images[0].name} is {first[0]} x {first[1]}{_turned(images)}",
+                f"is {size[0]} x {size[1]}, but {images[0].name} is {first[0]} x {first[1]}{_describe_rotated(images)}",
                 "export all scan images at one size, upright",
             )
     return first
 
 
-def _turned(images: Sequence[Path]) -> str:
+def _describe_rotated(images: Sequence[Path]) -> str:
     """End of a sentence that names the images that EXIF turns; empty for none."""
     turned = []
     for path in images:
@@ -133,7 +133,7 @@ def check_scan(capture: Recording) -> tuple[int, list[str]]:
         return count, []
     blurs = {path.name: blur(read_grey(path)) for path in capture.scan_images}
     warnings = []
-    turned = _turned(capture.scan_images)
+    turned = _describe_rotated(capture.scan_images)
     if turned:
         width, height = capture.scan_size
         warnings.append(
@@ -231,12 +231,12 @@ def _left(grey: NDArray[np.floating], down: int, right: int) -> float:
     edge = half + 1
     height, width = grey.shape
 
-    def moved(steps: int) -> NDArray[np.floating]:
+    def move(steps: int) -> NDArray[np.floating]:
         y, x = edge + steps * down, edge + steps * right
         return grey[y : y + height - 2 * edge, x : x + width - 2 * edge]
 
-    fine = moved(1) - moved(0)
+    fine = move(1) - move(0)
     # The difference of two neighbouring averages is that of their ends.
-    coarse = (moved(half + 1) - moved(-half)) / TAPS
+    coarse = (move(half + 1) - move(-half)) / TAPS
     detail = float(np.sqrt(np.mean(fine**2)))
     return float(np.sqrt(np.mean(coarse**2))) / detail if detail > MIN_DETAIL else 1.0

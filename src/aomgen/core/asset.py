@@ -68,16 +68,14 @@ class AssetLink:
         corners = np.concatenate([box.corners for box in self.colliders])
         return corners.min(0), corners.max(0)
 
-    def transformed(self, S: ArrayLike) -> "AssetLink":
+    def transform(self, S: ArrayLike) -> "AssetLink":
         """Moved and scaled by a similarity (4, 4); the mass follows the volume."""
         scale, R, _ = similarity_parts(S)
         colliders = tuple(
-            replace(
-                box, T_asset_box=_moved_pose(S, R, box.T_asset_box), half_extents=box.half_extents * scale
-            )
+            replace(box, T_asset_box=_move_pose(S, R, box.T_asset_box), half_extents=box.half_extents * scale)
             for box in self.colliders
         )
-        meshes = tuple(mesh.transformed(S) for mesh in self.meshes)
+        meshes = tuple(mesh.transform(S) for mesh in self.meshes)
         return replace(self, meshes=meshes, colliders=colliders, mass=self.mass * scale**3)
 
 
@@ -127,20 +125,20 @@ class ArticulatedAsset:
             default=None,
         )
 
-    def transformed(self, S: ArrayLike) -> "ArticulatedAsset":
+    def transform(self, S: ArrayLike) -> "ArticulatedAsset":
         """Moved and scaled by a similarity (4, 4); masses follow the volume."""
         _, R, _ = similarity_parts(S)
         return replace(
             self,
-            static=self.static.transformed(S),
-            moving=self.moving.transformed(S),
-            joint=self.joint.moved(S),
+            static=self.static.transform(S),
+            moving=self.moving.transform(S),
+            joint=self.joint.move(S),
             handle_point=apply(S, self.handle_point),
             handle_axis=R @ self.handle_axis,
         )
 
 
-def _moved_pose(S: ArrayLike, R: Array, T_asset_box: Array) -> Array:
+def _move_pose(S: ArrayLike, R: Array, T_asset_box: Array) -> Array:
     T = np.eye(4)
     T[:3, :3] = R @ T_asset_box[:3, :3]
     T[:3, 3] = apply(S, T_asset_box[:3, 3])

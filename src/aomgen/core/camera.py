@@ -54,11 +54,11 @@ class Camera:
         """Camera centre (3,), world frame."""
         return self.T_world_cam[:3, 3]
 
-    def moved(self, T_world_cam: ArrayLike) -> "Camera":
+    def move(self, T_world_cam: ArrayLike) -> "Camera":
         """The same optics at another pose."""
         return replace(self, T_world_cam=T_world_cam)
 
-    def resized(self, width: int, height: int) -> "Camera":
+    def resize(self, width: int, height: int) -> "Camera":
         """The same view at another resolution."""
         sx, sy = width / self.width, height / self.height
         return replace(
@@ -71,14 +71,14 @@ class Camera:
             height=height,
         )
 
-    def cropped(self, left: int, top: int, side: int) -> "Camera":
+    def crop(self, left: int, top: int, side: int) -> "Camera":
         """The camera of a square of the image, [px]."""
         return replace(self, cx=self.cx - left, cy=self.cy - top, width=side, height=side)
 
-    def narrowed(self, width: int) -> "Camera":
+    def narrow(self, width: int) -> "Camera":
         """The same view, at most `width` pixels wide."""
         share = min(1.0, width / self.width)
-        return self.resized(round(self.width * share), max(1, round(self.height * share)))
+        return self.resize(round(self.width * share), max(1, round(self.height * share)))
 
     def project(self, points_world: ArrayLike) -> tuple[Array, Array]:
         """Pixels (N, 2) and depths (N,) of points (N, 3); points behind have depth <= 0."""
@@ -116,7 +116,7 @@ class CameraPath:
 
     def at(self, frame: int) -> Camera:
         """The camera at one frame."""
-        return self.camera.moved(self.Ts_world_cam[frame])
+        return self.camera.move(self.Ts_world_cam[frame])
 
     def batches(self, size: int) -> "list[CameraPath]":
         """It in parts of so many frames; the last may be shorter."""
@@ -160,4 +160,4 @@ def camera_in_world(S_world_recon: Array, camera_recon: Camera) -> Camera:
     T = np.eye(4)
     T[:3, :3] = R @ camera_recon.T_world_cam[:3, :3]
     T[:3, 3] = apply(S_world_recon, camera_recon.center)
-    return camera_recon.moved(T)
+    return camera_recon.move(T)

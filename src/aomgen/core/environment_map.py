@@ -46,7 +46,7 @@ class EnvironmentMap:
             sh += project_radiance(_unit(polar, longitudes), solid_angle, row)
         return Light(radiance_sh=sh)
 
-    def turned(self, angle_rad: float) -> "EnvironmentMap":
+    def turn(self, angle_rad: float) -> "EnvironmentMap":
         """Turned about the vertical, counterclockwise as seen from above; linear between columns."""
         shift = angle_rad * self.radiance_linear.shape[1] / (2 * np.pi)
         whole = int(np.floor(shift))
@@ -54,7 +54,7 @@ class EnvironmentMap:
         mixed = near + (shift - whole) * (far - near)
         return EnvironmentMap(radiance_linear=mixed.astype(np.float32))
 
-    def scaled(self, gain: float) -> "EnvironmentMap":
+    def scale_by(self, gain: float) -> "EnvironmentMap":
         """Made brighter by a factor."""
         return EnvironmentMap(radiance_linear=self.radiance_linear * np.float32(gain))
 

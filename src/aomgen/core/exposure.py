@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from aomgen.conventions import linear_from_srgb, srgb_from_linear
-from aomgen.core.robust import masked_median
+from aomgen.core.robust import compute_masked_median
 from aomgen.core.values import Array
 
 # Colors that are neither drowned in noise nor clipped, sRGB 0..1.
@@ -24,7 +24,7 @@ def fit_gains(seen_srgb: NDArray[np.floating], wanted_srgb: NDArray[np.floating]
     """Gains (3,) that bring seen colors (N, 3) to wanted ones, 0..1, by the median; 1 where none can be compared."""
     lower, upper = np.minimum(seen_srgb, wanted_srgb), np.maximum(seen_srgb, wanted_srgb)
     ratios = linear_from_srgb(wanted_srgb) / np.maximum(linear_from_srgb(seen_srgb), 1e-3)
-    gains, known = masked_median(ratios, (lower > _DARK) & (upper < _BRIGHT))
+    gains, known = compute_masked_median(ratios, (lower > _DARK) & (upper < _BRIGHT))
     return np.where(known, np.clip(gains, 1 / _MAX_GAIN, _MAX_GAIN), 1.0).astype(np.float64)
 
 
@@ -68,7 +68,7 @@ def match_frames(
     colors = frames_srgb[:, ::_STRIDE, ::_STRIDE][:, still]
     seen = ~hidden[:, ::_STRIDE, ::_STRIDE][:, still]
     chosen = np.linspace(0, len(colors) - 1, min(_SAMPLES, len(colors))).astype(int)
-    common, known = masked_median(colors[chosen], seen[chosen])
+    common, known = compute_masked_median(colors[chosen], seen[chosen])
     matched = np.empty_like(frames_srgb)
     errors = np.full(len(frames_srgb), np.inf)
     for k, frame in enumerate(frames_srgb):

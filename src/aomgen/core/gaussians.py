@@ -52,7 +52,7 @@ class Gaussians:
             sh=self.sh[which],
         )
 
-    def transformed(self, S: ArrayLike) -> "Gaussians":
+    def transform(self, S: ArrayLike) -> "Gaussians":
         """Moved by a rigid transform or similarity (4, 4); orientation and SH turn along."""
         scale, R, _ = similarity_parts(S)
         return gaussians_of(
@@ -69,7 +69,7 @@ class Gaussians:
             means=self.means, quats=self.quats, scales=self.scales, opacities=self.opacities, sh=sh
         )
 
-    def brightened(self, factors: ArrayLike) -> "Gaussians":
+    def brighten(self, factors: ArrayLike) -> "Gaussians":
         """The same shapes with sRGB colors times factors (N, 3) or (N, 1), as seen from anywhere."""
         factors = np.asarray(factors)
         sh = self.sh * factors[:, None]

@@ -49,7 +49,7 @@ class Joint:
         R = matrix_from_rotvec(thetas[..., None] * self.axis)
         return transform(R, self.origin - R @ self.origin)
 
-    def moved(self, T_to_from: ArrayLike) -> "Joint":
+    def move(self, T_to_from: ArrayLike) -> "Joint":
         """The same joint expressed in another frame (rigid (4, 4), or a similarity)."""
         T = np.asarray(T_to_from, np.float64)
         scale = float(np.linalg.norm(T[:3, 0]))

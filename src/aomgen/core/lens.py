@@ -110,7 +110,7 @@ class Lens:
             T_world_cam=np.asarray(T_world_cam, np.float64),
         )
 
-    def straightened(self, pixels: ArrayLike) -> Array:
+    def undistort(self, pixels: ArrayLike) -> Array:
         """Where image points (N, 2) lie in the straightened image, [px]."""
         return self.straight().pixels(self.rays(pixels)) if self.bends else np.array(pixels, np.float64)
 

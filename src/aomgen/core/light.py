@@ -38,11 +38,11 @@ class Light:
         """Irradiance over pi (N, 3) of unoccluded surfaces with unit normals (N, 3)."""
         return np.maximum(cosine_answer(normals_world) @ self.radiance_sh, 0)
 
-    def seen_from(self, R_world_body: ArrayLike) -> Array:
+    def view_from(self, R_world_body: ArrayLike) -> Array:
         """Coefficients (..., 9, 3) in the frames of bodies turned by (..., 3, 3)."""
-        return turned_radiance(self.radiance_sh, R_world_body)
+        return rotate_radiance(self.radiance_sh, R_world_body)
 
-    def scaled(self, gain: ArrayLike) -> "Light":
+    def scale_by(self, gain: ArrayLike) -> "Light":
         """The light made brighter by a factor, or by three, one for each channel."""
         return Light(radiance_sh=self.radiance_sh * np.asarray(gain, np.float64))
 
@@ -54,7 +54,7 @@ class Light:
         return Light(radiance_sh=self.radiance_sh - lamp)
 
 
-def turned_radiance(radiance_sh: ArrayLike, R_world_body: ArrayLike) -> Array:
+def rotate_radiance(radiance_sh: ArrayLike, R_world_body: ArrayLike) -> Array:
     """Coefficients (..., 9, C) in the frames of bodies turned by (..., 3, 3) of radiance (9, C), or one each, in the world's."""
     Rs_body_world = np.asarray(R_world_body, np.float64).swapaxes(-1, -2)
     radiance = np.asarray(radiance_sh)

@@ -51,7 +51,7 @@ class Mesh:
         """Whether something behind it shows."""
         return self.opacity < 1
 
-    def transformed(self, S: ArrayLike) -> "Mesh":
+    def transform(self, S: ArrayLike) -> "Mesh":
         """Moved by a rigid transform or a similarity (4, 4)."""
         return replace(self, vertices=apply(S, self.vertices))
 

@@ -28,7 +28,7 @@ class Cut:
 
     __post_init__ = freeze_arrays
 
-    def applied(self, gaussians: Gaussians) -> Gaussians:
+    def apply(self, gaussians: Gaussians) -> Gaussians:
         """All that is whole, in order, then the pieces."""
         return concatenate([gaussians.select(self._whole(len(gaussians))), self.pieces])
 

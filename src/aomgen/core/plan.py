@@ -168,7 +168,7 @@ class Variation:
     orbits: tuple[OrbitChange, ...] = ()
     push_m: float = 0.0
 
-    def placed(self, fitted: FittedAsset) -> Array:
+    def place_at(self, fitted: FittedAsset) -> Array:
         """Pose T_world_object (4, 4) of the asset in this variation."""
         T = fitted.T_world_asset
         pivot = apply(T, fitted.middle_asset)

@@ -40,7 +40,7 @@ class JointLog:
         columns = [np.interp(times, self.times_s, column) for column in self.joints.T]
         return np.stack(columns, -1), np.interp(times, self.times_s, self.gripper)
 
-    def shifted(self, offset_s: float) -> "JointLog":
+    def shift(self, offset_s: float) -> "JointLog":
         """The same log on a clock that this one is ahead of by an offset, [s]."""
         return replace(self, times_s=self.times_s - offset_s)
 

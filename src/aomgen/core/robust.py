@@ -20,7 +20,7 @@ def robust_sd(deviations: ArrayLike) -> float:
     return SD_OF_MAD * float(np.median(np.abs(deviations)))
 
 
-def masked_median(
+def compute_masked_median(
     values: NDArray[np.floating | np.integer], known: NDArray[np.bool_]
 ) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
     """Median (...) over the first axis of values (N, ...) where they are known, 0 where none is, and where one is.

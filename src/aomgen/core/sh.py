@@ -49,7 +49,7 @@ def sh_rotation(R: ArrayLike, degree: int) -> list[Array]:
     directions, because a band's basis functions span a space that rotation maps to itself.
     """
     R = np.asarray(R, np.float64)
-    directions, solvers = _sampled_bands(degree)
+    directions, solvers = _sample_bands(degree)
     turned = sh_basis(directions @ R, degree)  # basis at R^T d
     return [
         solver @ turned[..., band * band : (band + 1) ** 2] for band, solver in enumerate(solvers, start=1)
@@ -57,7 +57,7 @@ def sh_rotation(R: ArrayLike, degree: int) -> list[Array]:
 
 
 @cache
-def _sampled_bands(degree: int) -> tuple[Array, list[Array]]:
+def _sample_bands(degree: int) -> tuple[Array, list[Array]]:
     """Directions (32, 3), and for each band the pseudo-inverse of its basis there."""
     # Fixed directions, enough of them and generic, so that every band's system is well posed.
     directions = np.random.default_rng(7).normal(size=(32, 3))

@@ -39,7 +39,7 @@ def freeze_arrays(value: Any) -> None:
         ShapeError: A shape differs.
     """
     lengths: dict[str, int] = {}
-    for name, dtype, wanted in _declared(type(value)):
+    for name, dtype, wanted in _read_declared_arrays(type(value)):
         held = getattr(value, name)
         if held is None:
             continue
@@ -53,7 +53,7 @@ def freeze_arrays(value: Any) -> None:
 
 
 @cache
-def _declared(kind: type) -> list[tuple[str, Any, list[str]]]:
+def _read_declared_arrays(kind: type) -> list[tuple[str, Any, list[str]]]:
     """Name, element type (None: no array) and shape of every field that declares one."""
     found: list[tuple[str, Any, list[str]]] = []
     for field in fields(kind):

@@ -114,7 +114,7 @@ def _compare_pictures(
         audit.faults.append(f"episode {number} has cameras {sorted(found.pictures)}")
         return
     for camera, pictures in found.pictures.items():
-        likeness = list(_likenesses(pictures, _wanted(stored, item, camera)))
+        likeness = list(_likenesses(pictures, _render_reference(stored, item, camera)))
         least = min(likeness, default=0.0)
         if len(likeness) != len(item.episode) or not least >= MIN_PSNR_DB:
             audit.faults.append(
@@ -125,10 +125,12 @@ def _compare_pictures(
             audit.psnr_db, audit.least_like = least, f"{camera} of episode {number}"
 
 
-def _wanted(stored: StoredDataset, item: CommittedEpisode, camera: str) -> Iterator[NDArray[np.uint8]]:
+def _render_reference(
+    stored: StoredDataset, item: CommittedEpisode, camera: str
+) -> Iterator[NDArray[np.uint8]]:
     """An episode's pictures as the dataset could show them at best."""
     rendered = item.episode.cameras[camera]
-    view = rendered.resized(*stored.sizes[camera])
+    view = rendered.resize(*stored.sizes[camera])
     again = stored.video and (view.width, view.height) != (rendered.width, rendered.height)
     cameras = {**item.episode.cameras, camera: view}
     for picture in read_pictures(replace(item, episode=replace(item.episode, cameras=cameras)), camera):

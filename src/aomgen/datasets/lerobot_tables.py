@@ -59,7 +59,7 @@ def episode_columns(selection: Selection) -> list[dict[str, NDArray]]:
     for number, item in enumerate(selection.episodes):
         episode, count = item.episode, len(item.episode)
         columns = single_precision_columns(episode, selection.choices.actions)
-        table = {_stored_name(name, selection.choices.media): values for name, values in columns.items()}
+        table = {_make_stored_name(name, selection.choices.media): values for name, values in columns.items()}
         table["frame_index"] = np.arange(count)
         table["episode_index"] = np.full(count, number)
         table["index"] = np.arange(start, start + count)
@@ -69,7 +69,7 @@ def episode_columns(selection: Selection) -> list[dict[str, NDArray]]:
     return result
 
 
-def _stored_name(feature: str, media: Media) -> str:
+def _make_stored_name(feature: str, media: Media) -> str:
     """Without pictures the object's pose is something that policies observe."""
     return TOLD if feature == OBJECT_POSE and media == "none" else feature
 
@@ -159,7 +159,11 @@ def describe(selection: Selection, version: str) -> dict[str, Any]:
 def _features(selection: Selection) -> dict[str, Any]:
     item, choices = selection.episodes[0], selection.choices
     features: dict[str, Any] = {
-        _stored_name(name, choices.media): {"dtype": "float32", "shape": [len(names)], "names": list(names)}
+        _make_stored_name(name, choices.media): {
+            "dtype": "float32",
+            "shape": [len(names)],
+            "names": list(names),
+        }
         for name, names in feature_names(item.episode, choices.actions).items()
     }
     for name, camera in sorted(item.episode.cameras.items()) if choices.media != "none" else ():

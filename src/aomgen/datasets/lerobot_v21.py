@@ -29,7 +29,7 @@ from aomgen.datasets.lerobot_tables import (
     write_plain_json,
 )
 from aomgen.datasets.pictures import check_length, resize_videos
-from aomgen.datasets.selection import Choices, Selection, select_episodes, staged_dataset
+from aomgen.datasets.selection import Choices, Selection, select_episodes, stage_dataset
 from aomgen.io.atomic import scratch_folder, write_bytes, write_text
 from aomgen.io.episode_folder import CommittedEpisode
 from aomgen.io.video import probe_video
@@ -48,7 +48,7 @@ def write_lerobot_v21(
     selection = select_episodes(episode_folders, folder, choices)
     episodes: list[dict[str, Any]] = []
     statistics: list[dict[str, Any]] = []
-    with staged_dataset(folder, selection) as staging, scratch_folder(folder.parent) as scratch:
+    with stage_dataset(folder, selection) as staging, scratch_folder(folder.parent) as scratch:
         for item, columns in zip(selection.episodes, episode_columns(selection), strict=True):
             number = len(episodes)
             where: dict[str, Any] = {"episode_chunk": number // CHUNK_FILES, "episode_index": number}

@@ -34,7 +34,7 @@ from aomgen.datasets.lerobot_tables import (
     write_plain_json,
 )
 from aomgen.datasets.pictures import check_length, resize_videos
-from aomgen.datasets.selection import Choices, Selection, select_episodes, staged_dataset
+from aomgen.datasets.selection import Choices, Selection, select_episodes, stage_dataset
 from aomgen.io.atomic import scratch_folder, write_bytes
 from aomgen.io.episode_folder import CommittedEpisode
 from aomgen.io.video import concatenate_videos
@@ -73,7 +73,7 @@ def write_lerobot_v3(
     rows = [
         _episode_row(item.episode, table) for item, table in zip(selection.episodes, columns, strict=True)
     ]
-    with staged_dataset(folder, selection) as staging:
+    with stage_dataset(folder, selection) as staging:
         if choices.media == "video":
             counts = _write_videos(staging, selection, rows, progress)
             _write_data(staging, columns, rows)

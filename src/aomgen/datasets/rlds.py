@@ -23,7 +23,7 @@ from aomgen.core.values import Array
 from aomgen.datasets.array_record import require_array_record, write_array_record
 from aomgen.datasets.features import ActionSpace, feature_columns, last_targets
 from aomgen.datasets.pictures import read_pictures
-from aomgen.datasets.selection import Choices, Selection, select_episodes, staged_dataset
+from aomgen.datasets.selection import Choices, Selection, select_episodes, stage_dataset
 from aomgen.datasets.tfrecord import Feature, encode_example, records_bytes
 from aomgen.errors import ConfigError
 from aomgen.io.atomic import write_bytes, write_json
@@ -111,7 +111,7 @@ def write_rlds(
         require_array_record()
     selection = select_episodes(episode_folders, folder, choices)
     splits, done = [], 0
-    with staged_dataset(folder, selection) as staging:
+    with stage_dataset(folder, selection) as staging:
         home = staging / VERSION
         for split, episodes in selection.splits.items():
             shards = [episodes[i : i + SHARD_EPISODES] for i in range(0, len(episodes), SHARD_EPISODES)]

@@ -17,7 +17,7 @@ from aomgen.core.progress import Progress, silent
 from aomgen.core.values import Array
 from aomgen.datasets.features import feature_columns
 from aomgen.datasets.pictures import read_pictures
-from aomgen.datasets.selection import Choices, Selection, select_episodes, staged_dataset
+from aomgen.datasets.selection import Choices, Selection, select_episodes, stage_dataset
 from aomgen.errors import ConfigError
 from aomgen.io.episode_folder import CommittedEpisode
 
@@ -42,7 +42,7 @@ def write_robomimic(
         raise ConfigError("--val", "is 0", "robomimic wants a mask of demonstrations to validate on")
     selection = select_episodes(episode_folders, folder, choices)
     limits = action_limits(selection)
-    with staged_dataset(folder, selection) as staging, h5py.File(staging / FILE, "w") as file:
+    with stage_dataset(folder, selection) as staging, h5py.File(staging / FILE, "w") as file:
         data = file.create_group("data")
         data.attrs["total"] = selection.frames
         data.attrs["env_args"] = json.dumps(

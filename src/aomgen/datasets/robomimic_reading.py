@@ -34,7 +34,7 @@ def read_robomimic(folder: Path) -> StoredDataset:
         cameras = [name.removesuffix(IMAGE) for name in first if name.endswith(IMAGE)]
         shapes = {name: first[name + IMAGE].shape for name in cameras}
     except (KeyError, OSError, RuntimeError) as error:
-        raise _damaged(where, error) from error
+        raise _make_damage_error(where, error) from error
     if actions not in ACTION_SPACES:
         raise MalformedFileError(where, f"says action_space '{actions}'", suggest(actions, ACTION_SPACES))
     return StoredDataset(
@@ -44,7 +44,7 @@ def read_robomimic(folder: Path) -> StoredDataset:
     )
 
 
-def _damaged(where: Path, error: Exception) -> MalformedFileError:
+def _make_damage_error(where: Path, error: Exception) -> MalformedFileError:
     return MalformedFileError(where, f"is damaged or lacks a feature ({error})", REMEDY)
 
 
@@ -56,7 +56,7 @@ def _episodes(file: Any, where: Path, cameras: list[str]) -> Iterator[StoredEpis
                 for name in file[f"mask/{mask}"][:]:
                     yield _episode(file["data"][name.decode()], split, limits, cameras)
         except (KeyError, OSError, RuntimeError) as error:
-            raise _damaged(where, error) from error
+            raise _make_damage_error(where, error) from error
 
 
 def _episode(group: Any, split: str, limits: tuple[Any, Any], cameras: list[str]) -> StoredEpisode:

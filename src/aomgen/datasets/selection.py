@@ -10,7 +10,7 @@ import numpy as np
 
 from aomgen.datasets.features import ActionSpace
 from aomgen.errors import ConfigError, MissingFileError
-from aomgen.io.atomic import staged_folder, write_json
+from aomgen.io.atomic import stage_folder, write_json
 from aomgen.io.episode_folder import CommittedEpisode, read_episode
 
 # How a LeRobot dataset stores pictures: compressed videos, or PNG in its tables, which need no video decoder; or none, and
@@ -105,13 +105,13 @@ def select_episodes(episode_folders: Sequence[Path], dataset: Path, choices: Cho
 
 
 @contextmanager
-def staged_dataset(folder: Path, selection: Selection) -> Iterator[Path]:
+def stage_dataset(folder: Path, selection: Selection) -> Iterator[Path]:
     """A folder that becomes the dataset when the block ends without an error, marked as ours.
 
     Raises:
         StorageError: The disk refuses.
     """
-    with staged_folder(folder) as staging:
+    with stage_folder(folder) as staging:
         yield staging
         indices = {
             name: [item.episode.index for item in episodes] for name, episodes in selection.splits.items()
@@ -169,7 +169,7 @@ def require_smaller(size: tuple[int, int], drawn: tuple[int, int], what: str) ->
 def _resize_cameras(item: CommittedEpisode, size: tuple[int, int]) -> CommittedEpisode:
     for name, camera in item.episode.cameras.items():
         require_smaller(size, (camera.width, camera.height), f"what camera '{name}' rendered")
-    cameras = {name: camera.resized(*size) for name, camera in item.episode.cameras.items()}
+    cameras = {name: camera.resize(*size) for name, camera in item.episode.cameras.items()}
     return replace(item, episode=replace(item.episode, cameras=cameras))
 
 

@@ -29,7 +29,7 @@ REMEDY: Final = "export it again"
 Feature = list[bytes] | NDArray[Any]
 
 
-def masked_crc(data: bytes) -> int:
+def mask_crc(data: bytes) -> int:
     """The CRC-32C of some bytes as TFRecord stores it."""
     crc = google_crc32c.value(data)
     return ((crc >> MASK_TURN | crc << (32 - MASK_TURN)) + MASK_ADDED) & MAX_32
@@ -42,9 +42,9 @@ def records_bytes(records: Iterable[bytes]) -> bytes:
         length = struct.pack("<Q", len(record))
         parts += [
             length,
-            struct.pack("<I", masked_crc(length)),
+            struct.pack("<I", mask_crc(length)),
             record,
-            struct.pack("<I", masked_crc(record)),
+            struct.pack("<I", mask_crc(record)),
         ]
     return b"".join(parts)
 
@@ -63,20 +63,20 @@ def read_records(path: Path) -> Iterator[bytes]:
         number = 0
         while left:
             head = file.read(12)
-            length = _checked(path, number, head[:8], head[8:])
+            length = _check(path, number, head[:8], head[8:])
             (size,) = struct.unpack("<Q", length)
             # Before so much memory is taken.
             if not size + 16 <= left:
                 raise MalformedFileError(path, f"ends inside record {number}", REMEDY)
-            yield _checked(path, number, file.read(size), file.read(4))
+            yield _check(path, number, file.read(size), file.read(4))
             left -= size + 16
             number += 1
 
 
-def _checked(path: Path, number: int, data: bytes, crc: bytes) -> bytes:
+def _check(path: Path, number: int, data: bytes, crc: bytes) -> bytes:
     if len(crc) < 4:
         raise MalformedFileError(path, f"ends inside record {number}", REMEDY)
-    if struct.unpack("<I", crc) != (masked_crc(data),):
+    if struct.unpack("<I", crc) != (mask_crc(data),):
         raise MalformedFileError(path, f"record {number} does not match its CRC", REMEDY)
     return data
 
@@ -89,19 +89,18 @@ def encode_example(features: Mapping[str, Feature]) -> bytes:
             as whole numbers.
     """
     entries = (
-        _delimited(1, name.encode()) + _delimited(2, _encode_feature(value))
-        for name, value in features.items()
+        _delimit(1, name.encode()) + _delimit(2, _encode_feature(value)) for name, value in features.items()
     )
-    return _delimited(1, b"".join(_delimited(1, entry) for entry in entries))
+    return _delimit(1, b"".join(_delimit(1, entry) for entry in entries))
 
 
 def _encode_feature(value: Feature) -> bytes:
     if isinstance(value, list):
-        return _delimited(BYTES_LIST, b"".join(_delimited(1, item) for item in value))
+        return _delimit(BYTES_LIST, b"".join(_delimit(1, item) for item in value))
     if value.dtype.kind == "f":
-        return _delimited(FLOAT_LIST, _delimited(1, value.astype("<f4").tobytes()))
+        return _delimit(FLOAT_LIST, _delimit(1, value.astype("<f4").tobytes()))
     numbers = b"".join(_varint(int(number) & MAX_64) for number in value.ravel())
-    return _delimited(INT64_LIST, _delimited(1, numbers))
+    return _delimit(INT64_LIST, _delimit(1, numbers))
 
 
 def _varint(number: int) -> bytes:
@@ -114,7 +113,7 @@ def _varint(number: int) -> bytes:
     return bytes(result)
 
 
-def _delimited(field: int, data: bytes) -> bytes:
+def _delimit(field: int, data: bytes) -> bytes:
     return _varint(field << 3 | DELIMITED) + _varint(len(data)) + data
 
 

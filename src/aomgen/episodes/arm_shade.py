@@ -17,7 +17,7 @@ from aomgen.core.values import Array
 from aomgen.episodes.shading import DarkMaps, States
 from aomgen.robots.robot import RobotModel
 from aomgen.twin.plane_shadow import FILL, PlaneGrid
-from aomgen.twin.twin import Twin, body_poses
+from aomgen.twin.twin import TwinModel, body_poses
 
 # Cell of the map, [m], and how far around the robot's base it reaches.
 CELL, REACH = 0.05, 1.3
@@ -66,7 +66,7 @@ class ArmShade:
         T_world_plane: The surface it falls on.
     """
 
-    def __init__(self, twin: Twin, robot: RobotModel, T_world_plane: Array) -> None:
+    def __init__(self, twin: TwinModel, robot: RobotModel, T_world_plane: Array) -> None:
         self.T_world_plane = self.T_world_grid = T_world_plane
         self._to_plane, self._spheres = invert(T_world_plane), body_spheres(robot)
         lamp = twin.directional_light

@@ -22,15 +22,15 @@ from aomgen.episodes.grasps import Grasp
 from aomgen.episodes.ik import IkSolver, ik_solver
 from aomgen.episodes.ledger import Unit, object_folder, write_rejection
 from aomgen.episodes.planning import Planner, PlanParams, plan_episode
-from aomgen.episodes.pushes import pushed_joints
+from aomgen.episodes.pushes import push_joints
 from aomgen.episodes.reach_map import ReachMap, map_reach
 from aomgen.episodes.record import episode_of, store_episode
 from aomgen.episodes.render import ImageParams, render_episode, static_layers
 from aomgen.episodes.screening import Place
-from aomgen.episodes.variations import Ranges, draw, scaled_fit
+from aomgen.episodes.variations import Ranges, draw, scale_fit
 from aomgen.executors import Work
 from aomgen.io.artifact import file_digest, load_artifact
-from aomgen.io.atomic import staged_folder
+from aomgen.io.atomic import stage_folder
 from aomgen.io.episode_folder import episode_folder
 from aomgen.results import ASSET_USD, Results
 from aomgen.robots.reach import longest_reach
@@ -38,9 +38,9 @@ from aomgen.saved_units import unit_name
 from aomgen.simulation.episode_scene import episode_scene
 from aomgen.simulation.scene import Scene
 from aomgen.simulation.verify import verify_plan
-from aomgen.twin.plane_shadow import SoftShadow, cast_soft_shadow
-from aomgen.twin.twin import StaticLayer, Twin
-from aomgen.twin.variation import changed, light_gains, scaled
+from aomgen.twin.plane_shadow import SoftShadow, compute_soft_shadow
+from aomgen.twin.twin import StaticLayer, TwinModel
+from aomgen.twin.variation import change_appearance, light_gains, scale_object
 
 # Assets that a worker keeps open: the one it works on, and the next.
 OPEN_ASSETS: Final = 2
@@ -135,8 +135,8 @@ class EpisodeFactory:
     def screen(self, unit: Unit) -> tuple[Variation, Rejection | None]:
         """The variation of a draw, and why it is not worth trying, if it is not."""
         variation = self.variation(unit)
-        fitted = scaled_fit(self.results.fitted_assets[unit.asset], variation.scale)
-        return variation, self.place.screened(variation, fitted)
+        fitted = scale_fit(self.results.fitted_assets[unit.asset], variation.scale)
+        return variation, self.place.screen(variation, fitted)
 
     def variation(self, unit: Unit) -> Variation:
         """The variation of a draw."""
@@ -165,7 +165,7 @@ class EpisodeFactory:
     def plan(self, opened: "OpenAsset", variation: Variation) -> EpisodePlan | Rejection:
         """The plan for a variation of an asset."""
         fitted, scene = opened.sized(variation.scale)
-        with self._timed("plan"):
+        with self._measure_time("plan"):
             return self.plan_for(fitted, variation, scene, opened.usual_grasp)
 
     def plan_for(
@@ -214,11 +214,11 @@ class EpisodeFactory:
         if isinstance(plan, Rejection):
             return plan
         _, scene = opened.sized(variation.scale)
-        with self._timed("verify"):
+        with self._measure_time("verify"):
             return verify_plan(
                 plan,
                 scene,
-                commanded=pushed_joints(plan, self.solver),
+                commanded=push_joints(plan, self.solver),
                 limits=self._tier_a_limits(),
                 digests=opened.digests,
             )
@@ -244,8 +244,8 @@ class EpisodeFactory:
             results.alignment.joint_zeros_rad,
             paths,
         )
-        with self._timed("draw"):
-            twin, layers, soft = opened.seen(plan.variation, cameras)
+        with self._measure_time("draw"):
+            twin, layers, soft = opened.show_variation(plan.variation, cameras)
             frames = render_episode(
                 twin,
                 results.robot,
@@ -257,7 +257,7 @@ class EpisodeFactory:
                 paths=paths,
                 params=images,
             )
-        with self._timed("encode"):
+        with self._measure_time("encode"):
             store_episode(self.folder, episode, frames, images)
 
     def _object_usd(self, unit: Unit, plan: EpisodePlan, opened: "OpenAsset") -> Path:
@@ -265,7 +265,7 @@ class EpisodeFactory:
         if plan.variation.scale == 1.0:
             return opened.usd
         home = object_folder(self.folder, unit)
-        with staged_folder(home) as staging:
+        with stage_folder(home) as staging:
             write_for_replay(plan.fitted.asset, staging / ASSET_USD)
         return home / ASSET_USD
 
@@ -275,14 +275,14 @@ class EpisodeFactory:
             factory=self,
             number=number,
             fitted=self.results.fitted_assets[number],
-            twin=load_artifact(home, "twin", Twin),
+            twin=load_artifact(home, "twin", TwinModel),
             usd=home / ASSET_USD,
             digests=self.digests
             | {"asset": file_digest(home / ASSET_USD), "twin": file_digest(home / "twin.npz")},
         )
 
     @contextmanager
-    def _timed(self, part: str) -> Iterator[None]:
+    def _measure_time(self, part: str) -> Iterator[None]:
         start = time.process_time()
         yield
         self._seconds[part] = self._seconds.get(part, 0.0) + time.process_time() - start
@@ -295,7 +295,7 @@ class OpenAsset:
     factory: EpisodeFactory
     number: int
     fitted: FittedAsset
-    twin: Twin
+    twin: TwinModel
     usd: Path
     digests: Mapping[str, str]
 
@@ -307,26 +307,28 @@ class OpenAsset:
     @cached_property
     def sized(self) -> Callable[[float], tuple[FittedAsset, Scene]]:
         """Gives the asset at a size, and the scene to plan and verify it in; the last ones are kept."""
-        return lru_cache(OPEN_SIZES)(self._sized)
+        return lru_cache(OPEN_SIZES)(self._resize)
 
-    def _sized(self, scale: float) -> tuple[FittedAsset, Scene]:
-        fitted = scaled_fit(self.fitted, scale)
+    def _resize(self, scale: float) -> tuple[FittedAsset, Scene]:
+        fitted = scale_fit(self.fitted, scale)
         return fitted, self.factory.build_scene(fitted)
 
-    def seen(
+    def show_variation(
         self, variation: Variation, cameras: Mapping[str, Camera]
-    ) -> tuple[Twin, dict[str, StaticLayer], SoftShadow | None]:
+    ) -> tuple[TwinModel, dict[str, StaticLayer], SoftShadow | None]:
         """The twin as a variation shows it, what cameras see of what never moves, and the object's soft shadow.
 
         What the recording's light and cameras show is kept for the next episode.
         """
-        twin = changed(scaled(self.twin, variation.scale), variation.light, variation.material)
+        twin = change_appearance(
+            scale_object(self.twin, variation.scale), variation.light, variation.material
+        )
         own = self.factory.place.cameras
         usual = cameras.keys() == own.keys() and all(cameras[name] is own[name] for name in own)
         usual &= bool((light_gains(variation.light) == 1).all())
         layers = self._layers if usual else static_layers(twin, cameras, 1)
         soft = self._soft_shadow
-        return twin, layers, soft and soft.scaled(variation.scale, twin.joint.type == "prismatic")
+        return twin, layers, soft and soft.scale_by(variation.scale, twin.joint.type == "prismatic")
 
     @cached_property
     def _layers(self) -> dict[str, StaticLayer]:
@@ -334,7 +336,7 @@ class OpenAsset:
 
     @cached_property
     def _soft_shadow(self) -> SoftShadow | None:
-        return cast_soft_shadow(self.twin, self.factory.results.episode_scene.T_world_plane, 1)
+        return compute_soft_shadow(self.twin, self.factory.results.episode_scene.T_world_plane, 1)
 
 
 def open_grasping(results: Results, folder: Path) -> Callable[[int], WorkingGrasps]:

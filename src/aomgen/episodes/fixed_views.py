@@ -26,14 +26,14 @@ from aomgen.splatting.session import RenderSession, draw_outputs
 from aomgen.twin.plane_shadow import SoftShadow
 from aomgen.twin.shadow import FAR, intersect_surface, surface_share
 from aomgen.twin.thing_shadow import ThingShadow
-from aomgen.twin.twin import StaticLayer, Twin, moving_layer, posed_by, standing_bodies
+from aomgen.twin.twin import StaticLayer, TwinModel, moving_layer, pose_bodies, standing_bodies
 
 # Colors darker than this have no share to speak of, 0..1.
 DARK: Final = 1e-4
 
 
 def soft_shades(
-    twin: Twin, robot: RobotModel, T_world_object: Array, soft: SoftShadow | None, T_world_plane: Array
+    twin: TwinModel, robot: RobotModel, T_world_object: Array, soft: SoftShadow | None, T_world_plane: Array
 ) -> list[Shade]:
     """The shadows of the object where it stands, and of the robot, in soft light, if the object is lit."""
     if soft is None:
@@ -42,7 +42,7 @@ def soft_shades(
 
 
 def crisp_shade(
-    twin: Twin,
+    twin: TwinModel,
     robot: RobotModel,
     Ts_world_body: Array,
     seen_world: Array,
@@ -71,7 +71,7 @@ class FixedViews:
 
     def __init__(
         self,
-        twin: Twin,
+        twin: TwinModel,
         robot: RobotModel,
         Ts_world_body: Array,
         layers: Mapping[str, StaticLayer],
@@ -82,7 +82,7 @@ class FixedViews:
         self._threads = threads
         self._moving = moving_layer(twin.select(~stands[twin.bodies]))
         bodies = twin.select(stands[twin.bodies] & twin.moves)
-        world = posed_by(bodies, Ts_world_body)
+        world = pose_bodies(bodies, Ts_world_body)
         still = concatenate([twin.gaussians.select(~twin.moves), world])
         self._views = [_StillView(layer, world, still, threads) for layer in layers.values()]
         self.labels = np.concatenate([twin.labels[~twin.moves], bodies.labels, self._moving.labels])
@@ -107,7 +107,7 @@ class FixedViews:
         """Images (T, H, W, ...) of each camera by output, see `draw_outputs`."""
         dark = [shade.dark(states) for shade in self._shades]
         shaded = zip(self._views, self._pixels, strict=True)
-        darkened = [view.darkened(pixels, dark) for view, pixels in shaded] if dark else None
+        darkened = [view.darken(pixels, dark) for view, pixels in shaded] if dark else None
         motion = self._moving.motion(states.Ts_world_body)
         sessions = [view.session for view in self._views]
         return draw_outputs(sessions, self._moving.gaussians, motion, outputs, darkened, self._threads)
@@ -149,7 +149,7 @@ class _StillView:
         # Single pixels of an outline may lie behind it.
         self._taken = self.scene_share * median_filter(taken, 3)
 
-    def darkened(self, shaded: Sequence[ShadedPixels], dark: Sequence[DarkMaps]) -> NDArray[np.float32]:
+    def darken(self, shaded: Sequence[ShadedPixels], dark: Sequence[DarkMaps]) -> NDArray[np.float32]:
         """Factors (T, H, W) on the colors of the scene in shadows; at least one."""
         shape = self.layer.depth.shape
         taken = np.tile(self._taken.ravel(), (len(dark[0].shares), 1))

@@ -17,7 +17,7 @@ from aomgen.episodes.ledger import (
     REJECTED_FOLDER,
     Request,
     Unit,
-    ended_units,
+    list_ended_units,
     read_rejection,
     rejection_file,
     unit_of,
@@ -109,7 +109,7 @@ def generate(
     _remove_staging(folder)
     (folder / DRAWS_FILE).unlink(missing_ok=True)
     write_request(folder, request)
-    committed, rejected = ended_units(folder)
+    committed, rejected = list_ended_units(folder)
     quotas = [
         _Quota(asset, request.episodes, request.attempts, screen) for asset in range(len(request.assets))
     ]
@@ -151,7 +151,7 @@ def _remove_staging(folder: Path) -> None:
 def _forget_others(folder: Path, quotas: list[_Quota]) -> None:
     """Delete episodes, their objects and rejections beyond what is requested now."""
     asked = {Unit(asset=quota.asset, index=index) for quota in quotas for index in range(len(quota.draws))}
-    committed, rejected = ended_units(folder)
+    committed, rejected = list_ended_units(folder)
     for unit in committed - asked:
         remove_folder(episode_folder(folder, unit.number))
     for unit in rejected - asked:

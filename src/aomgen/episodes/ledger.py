@@ -122,7 +122,7 @@ def read_rejection(folder: Path, unit: Unit) -> Rejection:
         raise MalformedFileError(path, f"is no rejection ({error!r})", "delete it and run again") from error
 
 
-def ended_units(folder: Path) -> tuple[set[Unit], set[Unit]]:
+def list_ended_units(folder: Path) -> tuple[set[Unit], set[Unit]]:
     """Units whose episode is committed, and those that were rejected."""
     rejected = (folder / REJECTED_FOLDER).glob("[0-9]*.json")
     return {unit_of(path.name) for path in list_committed(folder)}, {unit_of(path.stem) for path in rejected}
@@ -143,7 +143,7 @@ def read_accounts(folder: Path) -> list[Account]:
     if not (folder / REQUEST_FILE).is_file():
         return []
     request = _read_request(folder / REQUEST_FILE)
-    committed, rejected = ended_units(folder)
+    committed, rejected = list_ended_units(folder)
     finished = (folder / DRAWS_FILE).is_file()
     skipped = [draw for draw in read_draws(folder) if draw["outcome"] == "skipped"] if finished else []
     accounts = []

@@ -46,7 +46,7 @@ def scene_shapes(scene: EpisodeScene, maps: Sequence[ReachMap]) -> list[Shape]:
         corners = np.array([low, (high[0], low[1]), high, (low[0], high[1])])
         shapes.append(Shape(points_world=corners, color=TABLE))
     for found in maps:
-        shapes += _reached_places(found, REACHED_OPACITY / len(maps))
+        shapes += _mark_reached_places(found, REACHED_OPACITY / len(maps))
     for box in scene.obstacles:
         corners = box.corners()[:, :2]
         shapes.append(Shape(points_world=corners[ConvexHull(corners).vertices], color=OBSTACLE))
@@ -87,10 +87,12 @@ def draw_map(shapes: Iterable[Shape]) -> str:
 def front_line(fitted: FittedAsset, variation: Variation, outcome: str) -> Shape:
     """From the middle of an object to before its front, in the color of what came of its draw."""
     ends = np.stack([fitted.middle_asset, fitted.middle_asset - [0.0, LINE_M, 0.0]])
-    return Shape(points_world=apply(variation.placed(fitted), ends)[:, :2], color=OUTCOMES[outcome], dot=True)
+    return Shape(
+        points_world=apply(variation.place_at(fitted), ends)[:, :2], color=OUTCOMES[outcome], dot=True
+    )
 
 
-def _reached_places(found: ReachMap, opacity: float) -> list[Shape]:
+def _mark_reached_places(found: ReachMap, opacity: float) -> list[Shape]:
     """A square about each place that is reached in some turn."""
     places, shares = found.places_world, found.reached.mean(2)
     gaps = [np.linalg.norm(np.diff(places, axis=axis), axis=-1).ravel() for axis in (0, 1)]

@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 from aomgen.core.camera import CameraPath
 from aomgen.core.values import Array
 from aomgen.episodes.fixed_views import crisp_shade
-from aomgen.episodes.shading import Shade, States, color_factors, shade_on_things, taken_light
+from aomgen.episodes.shading import Shade, States, color_factors, measure_occlusion, shade_on_things
 from aomgen.robots.robot import RobotModel
 from aomgen.splatting.session import Motion, RenderSession, draw_outputs
-from aomgen.twin.twin import Twin, moving_layer
+from aomgen.twin.twin import TwinModel, moving_layer
 
 # Crisp shadow is followed this far around where the camera is, [m].
 NEAR_PATH: Final = 1.5
@@ -34,7 +34,7 @@ class MovingView:
 
     def __init__(
         self,
-        twin: Twin,
+        twin: TwinModel,
         robot: RobotModel,
         Ts_world_body: Array,
         path: CameraPath,
@@ -47,7 +47,7 @@ class MovingView:
         self._shades, self._threads = [*shades, *cast], threads
         self._moving = moving_layer(_with_dark_things(twin, Ts_world_body, eyes_world, shades))
         nothing = twin.gaussians.select(np.zeros(0, np.int64))
-        self._session = RenderSession(nothing, path.camera.moved(np.eye(4)), threads=threads)
+        self._session = RenderSession(nothing, path.camera.move(np.eye(4)), threads=threads)
         self.labels = self._moving.labels
 
     def draw(self, states: States, path: CameraPath, outputs: Sequence[str]) -> dict[str, NDArray]:
@@ -73,12 +73,14 @@ class MovingView:
         scene = self._moving.bodies == 0
         for t, depth in enumerate(images["median_depth"]):
             shaded = zip(self._shades, dark, strict=True)
-            taken = sum(taken_light(shade, maps, t, path.at(t), depth) for shade, maps in shaded)
+            taken = sum(measure_occlusion(shade, maps, t, path.at(t), depth) for shade, maps in shaded)
             factors = np.where(scene[images["max_id"][t]], color_factors(np.asarray(taken)), 1)
             images["rgb8"][t] = np.rint(images["rgb8"][t] * factors[..., None])
 
 
-def _with_dark_things(twin: Twin, Ts_world_body: Array, eyes_world: Array, shades: Sequence[Shade]) -> Twin:
+def _with_dark_things(
+    twin: TwinModel, Ts_world_body: Array, eyes_world: Array, shades: Sequence[Shade]
+) -> TwinModel:
     """With the object's shadow on walls and things, if it throws one."""
     if not shades:
         return twin
@@ -86,4 +88,4 @@ def _with_dark_things(twin: Twin, Ts_world_body: Array, eyes_world: Array, shade
     still = twin.bodies == 0
     shadow = shade_on_things(twin, Ts_world_body, eyes_world, plane)
     factors[still] = shadow.factors(twin.gaussians.select(still), plane)
-    return replace(twin, gaussians=twin.gaussians.brightened(factors))
+    return replace(twin, gaussians=twin.gaussians.brighten(factors))

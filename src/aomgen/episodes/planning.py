@@ -120,8 +120,8 @@ class Planner:
     ) -> None:
         self.fitted, self.variation, self.solver = fitted, variation, solver
         self.shown, self.robot = DemonstratedMotion(demo), scene.robot
-        self.T_world_object = variation.placed(fitted)
-        self.scene = scene.placed(self.T_world_object, CLEARANCE_M)
+        self.T_world_object = variation.place_at(fitted)
+        self.scene = scene.place_at(self.T_world_object, CLEARANCE_M)
         allowed = params.kinematic.max_self_penetration_mm
         allowed += self_overlap_mm(self.scene, demo.joints[0], float(demo.gripper[0]))
         kinematic = replace(params.kinematic, max_self_penetration_mm=allowed)

@@ -19,7 +19,7 @@ PUSH_S, CALM_S = 1.0, 0.5
 DAMPING: Final = 0.05
 
 
-def pushed_joints(plan: EpisodePlan, solver: IkSolver) -> Array:
+def push_joints(plan: EpisodePlan, solver: IkSolver) -> Array:
     """The plan's joints (T, J) with smooth offsets before the contact, which move the hand by up to `variation.push_m`."""
     variation, joints = plan.variation, plan.joints.copy()
     frames, each = int(np.argmax(plan.phases == CONTACT)) - round(CALM_S * plan.fps), round(PUSH_S * plan.fps)

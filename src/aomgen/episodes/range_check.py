@@ -52,7 +52,7 @@ def check_ranges(factory: EpisodeFactory, folder: Path) -> None:
 
 
 def _reason(factory: EpisodeFactory, variation: Variation, fitted: FittedAsset, found: ReachMap) -> str:
-    rejection = factory.place.barred(variation, fitted)
+    rejection = factory.place.find_obstruction(variation, fitted)
     if rejection is not None:
         return rejection.reason
     return "" if found.may_reach(variation) else "out_of_reach"

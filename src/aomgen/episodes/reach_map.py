@@ -15,7 +15,7 @@ from aomgen.episodes.candidates import list_motions
 from aomgen.episodes.ik import IkSolver, find_arms, follow, walk
 from aomgen.episodes.planning import PlanParams
 from aomgen.episodes.retarget import DemonstratedMotion
-from aomgen.episodes.variations import Range, Ranges, scaled_fit
+from aomgen.episodes.variations import Range, Ranges, scale_fit
 from aomgen.robots.reach import longest_reach
 
 # Nodes are so far apart, [m] and [deg], or as far as so many nodes along each axis need.
@@ -76,7 +76,7 @@ def map_reach(
 
     Not checked: collisions, the way to the handle and back, joint margins, speed.
     """
-    fitted = scaled_fit(fitted, sum(ranges.scale) / 2)
+    fitted = scale_fit(fitted, sum(ranges.scale) / 2)
     shown = DemonstratedMotion(demo)
     motions = list_motions(fitted, shown, np.eye(4), solver.robot)
     knots = shown.from_closed(fitted)
@@ -87,7 +87,7 @@ def map_reach(
     grid = np.stack(np.meshgrid(x, y, np.deg2rad(yaw), indexing="ij"), -1)
     Ts_world_object = np.stack(
         [
-            Variation(seed=0, index=0, x=x, y=y, yaw=yaw, frame=ranges.frame).placed(fitted)
+            Variation(seed=0, index=0, x=x, y=y, yaw=yaw, frame=ranges.frame).place_at(fitted)
             for x, y, yaw in grid.reshape(-1, 3).tolist()
         ]
     )

@@ -52,7 +52,7 @@ def episode_of(
         Ts_world_ee_action=_ahead(plan.Ts_world_ee),
         phases=plan.phases,
         contacts=verified.contacts,
-        joint=asset.joint.moved(plan.T_world_object),
+        joint=asset.joint.move(plan.T_world_object),
         T_world_object=plan.T_world_object,
         cameras={**cameras, **moving},
         camera_poses={name: path.Ts_world_cam for name, path in paths.items()},

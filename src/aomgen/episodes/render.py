@@ -16,10 +16,10 @@ from aomgen.episodes.moving_view import MovingView
 from aomgen.episodes.shading import Shade, States
 from aomgen.io.video import Codec
 from aomgen.robots.robot import RobotModel
-from aomgen.twin.plane_shadow import SoftShadow, cast_soft_shadow
+from aomgen.twin.plane_shadow import SoftShadow, compute_soft_shadow
 from aomgen.twin.twin import (
     StaticLayer,
-    Twin,
+    TwinModel,
     static_layer,
     trajectory_body_poses,
 )
@@ -61,7 +61,7 @@ class CameraFrames:
 
 
 def render_episode(
-    twin: Twin,
+    twin: TwinModel,
     robot: RobotModel,
     trajectory: SceneTrajectory,
     layers: Mapping[str, StaticLayer],
@@ -79,14 +79,14 @@ def render_episode(
         layers: From `static_layers`, of the same twin.
         T_world_plane: The surface that the object's shadow falls on; None for no shadow.
         threads: As in `splatting.rasterizer.render`.
-        soft: From `cast_soft_shadow`, of the same twin and surface; None to find it here.
+        soft: From `compute_soft_shadow`, of the same twin and surface; None to find it here.
         paths: Cameras that move, by name.
         params: Which images.
     """
     states = states_of(twin, robot, trajectory)
     shades: list[Shade] = []
     if T_world_plane is not None:
-        soft = cast_soft_shadow(twin, T_world_plane, threads) if soft is None else soft
+        soft = compute_soft_shadow(twin, T_world_plane, threads) if soft is None else soft
         shades = soft_shades(twin, robot, trajectory.T_world_object, soft, T_world_plane)
     batches = [states.part(slice(k, k + BATCH)) for k in range(0, len(states.thetas), BATCH)]
     drawn: dict[str, CameraFrames] = {}
@@ -104,7 +104,7 @@ def render_episode(
     return drawn
 
 
-def states_of(twin: Twin, robot: RobotModel, trajectory: SceneTrajectory) -> States:
+def states_of(twin: TwinModel, robot: RobotModel, trajectory: SceneTrajectory) -> States:
     """Where the twin's bodies are in a trajectory."""
     moved = (trajectory.joints, trajectory.gripper, trajectory.thetas)
     Ts = trajectory_body_poses(twin, robot, *moved, trajectory.T_world_object)
@@ -136,7 +136,7 @@ def _frames(
 
 
 def static_layers(
-    twin: Twin, cameras: Mapping[str, Camera], threads: int | None = None
+    twin: TwinModel, cameras: Mapping[str, Camera], threads: int | None = None
 ) -> dict[str, StaticLayer]:
     """What each camera sees of the scene that never moves; the same for all episodes of a scene."""
     return {name: static_layer(twin, camera, threads) for name, camera in cameras.items()}

@@ -41,27 +41,27 @@ class Place:
     def views(self, variation: Variation, fitted: FittedAsset) -> dict[str, Camera]:
         """The cameras of an episode, world frame: the scene's, moved as drawn, and the added ones."""
         recorded = apply(fitted.T_world_asset, fitted.contact_asset)
-        now = apply(variation.placed(fitted), fitted.contact_asset)
+        now = apply(variation.place_at(fitted), fitted.contact_asset)
         changes = variation.orbits or (OrbitChange(),) * len(self.cameras)
         views = {
-            name: orbited(camera, recorded, change)
+            name: orbit_camera(camera, recorded, change)
             for (name, camera), change in zip(self.cameras.items(), changes, strict=False)
         }
         first = next(iter(self.cameras.values()))
         for number, change in enumerate(changes[len(self.cameras) :]):
-            aimed = first.moved(_aimed(first, now))
-            views[FREE_CAMERA.format(number)] = orbited(aimed, now, change)
+            aimed = first.move(_aim_camera(first, now))
+            views[FREE_CAMERA.format(number)] = orbit_camera(aimed, now, change)
         return views
 
-    def screened(self, variation: Variation, fitted: FittedAsset) -> Rejection | None:
+    def screen(self, variation: Variation, fitted: FittedAsset) -> Rejection | None:
         """Why a draw is not worth planning: what `barred` says, or "out_of_view"."""
-        barred = self.barred(variation, fitted)
+        barred = self.find_obstruction(variation, fitted)
         if barred is not None:
             return barred
-        T = variation.placed(fitted)
+        T = variation.place_at(fitted)
         held = _held(fitted, T)
         for name, camera in self.views(variation, fitted).items():
-            share = seen_share(camera, held, _corners(fitted, T))
+            share = measure_visible_share(camera, held, _corners(fitted, T))
             if not share >= LEAST_IN_VIEW:
                 return Rejection(
                     reason="out_of_view",
@@ -70,9 +70,9 @@ class Place:
                 )
         return None
 
-    def barred(self, variation: Variation, fitted: FittedAsset) -> Rejection | None:
+    def find_obstruction(self, variation: Variation, fitted: FittedAsset) -> Rejection | None:
         """Why an object cannot be used where it would stand: "outside_area", "off_table", "blocked" or "out_of_reach"."""
-        T = variation.placed(fitted)
+        T = variation.place_at(fitted)
         if self.ranges.polygon and not inside(self.ranges.polygon, np.array([variation.x, variation.y])):
             return Rejection(reason="outside_area", detail="the place lies beside the area given")
         over_m = self._overhang_m(fitted, T)
@@ -106,7 +106,7 @@ class Place:
         return float(max((low - corners).max(), (corners - high).max(), 0.0))
 
 
-def orbited(camera: Camera, target_world: Array, change: OrbitChange) -> Camera:
+def orbit_camera(camera: Camera, target_world: Array, change: OrbitChange) -> Camera:
     """A camera moved about a point (3,); the point stays where it is in the image."""
     if change == OrbitChange():
         return camera
@@ -115,10 +115,10 @@ def orbited(camera: Camera, target_world: Array, change: OrbitChange) -> Camera:
     tilted = matrix_from_rotvec(-change.tilt * camera.T_world_cam[:3, 0])
     R = turned @ tilted
     eye = target_world + change.distance * (R @ (camera.center - target_world))
-    return camera.moved(transform(R @ camera.T_world_cam[:3, :3], eye))
+    return camera.move(transform(R @ camera.T_world_cam[:3, :3], eye))
 
 
-def seen_share(camera: Camera, held_world: Array, corners_world: Array) -> float:
+def measure_visible_share(camera: Camera, held_world: Array, corners_world: Array) -> float:
     """Share 0..1 of the outline box of corners (N, 3) in the image; 0 where a held point (M, 3) is not in view."""
     size = np.array([camera.width, camera.height])
     pixels, depths = camera.project(held_world)
@@ -132,7 +132,7 @@ def seen_share(camera: Camera, held_world: Array, corners_world: Array) -> float
     return float(np.prod(within) / np.prod(high - low))
 
 
-def _aimed(camera: Camera, target_world: Array) -> Array:
+def _aim_camera(camera: Camera, target_world: Array) -> Array:
     """Pose (4, 4) of a camera shifted so that it shows a point (3,) in the middle of its image, from as far as before."""
     R = camera.T_world_cam[:3, :3]
     ray = R @ np.array(

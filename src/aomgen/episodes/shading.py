@@ -16,10 +16,10 @@ from aomgen.core.transforms import apply, invert
 from aomgen.core.values import Array
 from aomgen.robots.robot import RobotModel
 from aomgen.splatting.rasterizer import RigidParts
-from aomgen.twin.plane_shadow import PlaneGrid, SoftShadow, cast_on_plane
+from aomgen.twin.plane_shadow import PlaneGrid, SoftShadow, project_shadow
 from aomgen.twin.shadow import FAR, MOVES, STANDS, DirectionalLight, intersect_surface, silhouette
-from aomgen.twin.thing_shadow import ThingShadow, cast_on_things
-from aomgen.twin.twin import OBJECT, PART, Twin, posed_by, shadow_roles
+from aomgen.twin.thing_shadow import ThingShadow, compute_surrounding_shadow
+from aomgen.twin.twin import OBJECT, PART, TwinModel, pose_bodies, shadow_roles
 
 # Cell of a map of the robot's crisp shadow, [m]: about a pixel.
 CRISP_CELL = 0.004
@@ -70,7 +70,9 @@ class Shade(Protocol):
 class SoftShade:
     """The shadow that the object throws in the light from all around, but for a lamp's, which is left to `CrispShade`."""
 
-    def __init__(self, twin: Twin, T_world_object: Array, soft: SoftShadow, T_world_plane: Array) -> None:
+    def __init__(
+        self, twin: TwinModel, T_world_object: Array, soft: SoftShadow, T_world_plane: Array
+    ) -> None:
         self.T_world_plane, self.grid = T_world_plane, soft.grid
         self.T_world_grid = T_world_object @ soft.T_object_plane
         light, lamp, rest = _object_light(twin), twin.directional_light, 1.0
@@ -97,7 +99,7 @@ class CrispShade:
 
     def __init__(
         self,
-        twin: Twin,
+        twin: TwinModel,
         robot: RobotModel,
         Ts_world_body: Array,
         seen_world: Array,
@@ -116,30 +118,30 @@ class CrispShade:
         self.grid = _cells_over(apply(self._to_plane, seen_world)[:, :2], self._to_plane[:2, 3], cell)
         places = apply(light.T_world_plane, self.grid.points())
 
-        def lit_beside(chosen: NDArray[np.bool_]) -> Array:
+        def measure_light_beside(chosen: NDArray[np.bool_]) -> Array:
             """Share (K, rows, columns) of the light of each direction that some of what stands lets through."""
             poses = RigidParts(indices=twin.bodies[chosen], Ts_world_part=Ts_world_body)
             standing = twin.gaussians.select(chosen)
             return np.stack([1 - silhouette(standing, way, poses).at(places) for way in light.directions])
 
-        share = light.share / len(self._directions) * lit_beside((roles == STANDS) & ~new)
-        passed = lit_beside(new)
+        share = light.share / len(self._directions) * measure_light_beside((roles == STANDS) & ~new)
+        passed = measure_light_beside(new)
         self._still = (share * (1 - passed)).sum(0).astype(np.float32)
         self._shares = (share * passed).astype(np.float32)
 
     def dark(self, states: States) -> DarkMaps:
         """What it takes, in those cells where it may fall in any of the frames."""
         Ts = self._to_plane @ states.Ts_world_body
-        rows, columns = self._reached(Ts)
+        rows, columns = self._bound_shadows(Ts)
         window = self.grid.window(rows, columns)
         dark = np.tile(self._still[rows, columns], (len(Ts), 1, 1))
         for direction, share in zip(self._directions, self._shares, strict=True):
             ways = np.tile(direction, (len(Ts), 1))
-            cast = cast_on_plane(self._bodies, self._parts, Ts, ways, window, self._threads)
+            cast = project_shadow(self._bodies, self._parts, Ts, ways, window, self._threads)
             dark += share[rows, columns] * cast
         return DarkMaps(window, dark)
 
-    def _reached(self, Ts_plane_body: Array) -> tuple[slice, slice]:
+    def _bound_shadows(self, Ts_plane_body: Array) -> tuple[slice, slice]:
         """Rows and columns of the grid that hold all shadows, of bodies by their boxes; at least one of each."""
         slopes, grid = self._directions[:, :2] / self._directions[:, 2:], self.grid
         places = [apply(Ts_plane_body[:, None, body], corners) for body, corners in self._boxes.items()]
@@ -186,23 +188,27 @@ def _cells_over(places: Array, base: Array, cell: float) -> PlaneGrid:
     return PlaneGrid(low=(first - 1) * cell, cell=cell, columns=columns, rows=rows)
 
 
-def shade_on_things(twin: Twin, Ts_world_body: Array, eyes_world: Array, T_world_plane: Array) -> ThingShadow:
+def shade_on_things(
+    twin: TwinModel, Ts_world_body: Array, eyes_world: Array, T_world_plane: Array
+) -> ThingShadow:
     """The shadow of a lit object on walls and things, for one state: they lie behind it more than before its part."""
     bodies = [twin.body(OBJECT), twin.body(PART)]
-    body = posed_by(twin.select(np.isin(twin.bodies, bodies)), Ts_world_body)
+    body = pose_bodies(twin.select(np.isin(twin.bodies, bodies)), Ts_world_body)
     scene, lamp = twin.gaussians.select(twin.bodies == 0), twin.directional_light
-    return cast_on_things(scene, body, _object_light(twin), lamp, eyes_world, T_world_plane, THINGS)
+    return compute_surrounding_shadow(
+        scene, body, _object_light(twin), lamp, eyes_world, T_world_plane, THINGS
+    )
 
 
-def _object_light(twin: Twin) -> Light:
-    """What the object is lit by, which `cast_soft_shadow` has found to be lit."""
+def _object_light(twin: TwinModel) -> Light:
+    """What the object is lit by, which `compute_soft_shadow` has found to be lit."""
     relit = twin.relit
     if relit is None:
         raise ValueError("the twin's object is not lit")
     return relit.lights[relit.light_of[np.flatnonzero(twin.relit_bodies == twin.body(OBJECT))[0]]]
 
 
-def _lamp(twin: Twin) -> DirectionalLight:
+def _lamp(twin: TwinModel) -> DirectionalLight:
     if twin.directional_light is None:
         raise ValueError("the twin has no directional light")
     return twin.directional_light
@@ -248,7 +254,7 @@ def find_shaded_pixels(
     return ShadedPixels(pixels=seen[hit], share=share[seen[hit]], grid=shade.grid, lookup=lookup[hit])
 
 
-def taken_light(
+def measure_occlusion(
     shade: Shade, dark: DarkMaps, frame: int, camera: Camera, depth: NDArray[np.float32]
 ) -> NDArray[np.float32]:
     """Share (H, W) of the light on the surface that is taken in one frame, where a camera sees it at depth (H, W)."""

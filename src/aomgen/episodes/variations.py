@@ -216,7 +216,7 @@ def _variation(
     )
 
 
-def scaled_fit(fitted: FittedAsset, scale: float) -> FittedAsset:
+def scale_fit(fitted: FittedAsset, scale: float) -> FittedAsset:
     """A fitted asset of another size, which is held at the same place, seen from above, and opened as far.
 
     A slide's travel is scaled as its object is, but for a small one, which is opened as far as counts where it can be; a
@@ -234,7 +234,7 @@ def scaled_fit(fitted: FittedAsset, scale: float) -> FittedAsset:
         thetas = scale * thetas * max(1.0, min(least * (1 + 1e-6), most) / travel)
     return replace(
         fitted,
-        asset=fitted.asset.transformed(similarity(scale, np.eye(3), np.zeros(3))),
+        asset=fitted.asset.transform(similarity(scale, np.eye(3), np.zeros(3))),
         T_world_asset=transform(R, t + shift),
         contact_asset=scale * held,
         thetas=thetas,

@@ -73,7 +73,7 @@ class Targets:
         return self.last
 
 
-def planned_action(plan: EpisodePlan, frame: int, space: ActionSpace) -> Array:
+def choose_planned_action(plan: EpisodePlan, frame: int, space: ActionSpace) -> Array:
     """The action of a plan at a frame, which names what is to be reached at the next; after the end, where to stay."""
     now, ahead = (min(row, len(plan) - 1) for row in (frame, frame + 1))
     target, gripper = plan.Ts_world_ee[ahead], plan.gripper[ahead]

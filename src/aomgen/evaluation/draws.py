@@ -101,7 +101,7 @@ def make_suite(
         joint_names=results.robot.joint_names,
         fps=round(results.fps),
         action_space=request.action_space,
-        cameras={name: camera.resized(*(request.size or sizes[name])) for name, camera in cameras.items()},
+        cameras={name: camera.resize(*(request.size or sizes[name])) for name, camera in cameras.items()},
         drawn_size=sizes[next(iter(fixed_cameras(cameras, results.robot) or cameras))],
         max_frames=math.ceil(PATIENCE * max(item.frames for item in drawn)),
         seed=request.seed,
@@ -109,7 +109,7 @@ def make_suite(
         redrawn=dict(sum((Counter(item.redrawn) for item in drawn), Counter[str]()).most_common()),
         nearest=None,
     )
-    suite = replace(suite, nearest=require_apart(suite, results)).sealed()
+    suite = replace(suite, nearest=require_apart(suite, results)).seal()
     write_suite(path, suite)
     remove_folder(parts.folder)
     return suite
@@ -154,7 +154,7 @@ def draw_trial(factory: EpisodeFactory, request: SuiteRequest, number: int) -> D
     redrawn = Counter[str]()
     while redrawn.total() < MAX_TRIAL_DRAWS:
         variation = draw_independently(rng, request.seed, number, factory.params.ranges)
-        made = _certified(factory, asset, variation, training)
+        made = _verify_variation(factory, asset, variation, training)
         if isinstance(made, VerifiedEpisode):
             plan, settings = made.plan, draw_settings(made.plan.fitted.asset, request.seed, number)
             trial = Trial(
@@ -173,13 +173,13 @@ def draw_trial(factory: EpisodeFactory, request: SuiteRequest, number: int) -> D
     )
 
 
-def _certified(
+def _verify_variation(
     factory: EpisodeFactory, asset: int, variation: Variation, training: dict
 ) -> VerifiedEpisode | Rejection:
     """A draw's certificate, or why it is passed over."""
     opened = factory.asset(asset)
     fitted, _ = opened.sized(variation.scale)
-    found = nearest_pose(variation.placed(fitted), training)
+    found = nearest_pose(variation.place_at(fitted), training)
     if found is not None and not found[0].apart >= 1:
         return Rejection(reason="in_training", detail=f"stands as in episode {found[1]}")
-    return factory.place.screened(variation, fitted) or factory.certify(opened, variation)
+    return factory.place.screen(variation, fitted) or factory.certify(opened, variation)

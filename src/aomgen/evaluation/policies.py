@@ -11,7 +11,7 @@ from aomgen.core.values import Array
 from aomgen.datasets.features import feature_columns
 from aomgen.datasets.lerobot_tables import SOURCE
 from aomgen.errors import MissingFileError, UnknownNameError
-from aomgen.evaluation.actions import planned_action
+from aomgen.evaluation.actions import choose_planned_action
 from aomgen.evaluation.lerobot_policy import WEIGHTS, LerobotPolicy, checkpoint_folder
 from aomgen.evaluation.remote import SCHEMES, RemoteTask, open_remote
 from aomgen.evaluation.rollout import Rollout, World
@@ -65,7 +65,7 @@ class OracleReplay:
         """The plan's next action."""
         if self._plan is None:
             raise ValueError("act was called before reset")
-        action = planned_action(self._plan, self._frame, self._world.suite.action_space)
+        action = choose_planned_action(self._plan, self._frame, self._world.suite.action_space)
         self._frame += 1
         return action
 

@@ -99,7 +99,7 @@ class OpenpiServer:
             PolicyServerError: It went away, failed, or answers something else.
         """
         try:
-            self._connection.send(self._msgpack.packb(observation, default=_packed))
+            self._connection.send(self._msgpack.packb(observation, default=_pack))
         except self._failures as error:
             raise _away(self._where, error) from error
         return self._receive()
@@ -112,7 +112,7 @@ class OpenpiServer:
         if isinstance(message, str):
             raise PolicyServerError(self._where, f"failed: {_last_line(message)}", "see its log")
         try:
-            content = self._msgpack.unpackb(message, object_hook=_unpacked)
+            content = self._msgpack.unpackb(message, object_hook=_unpack)
         except (ValueError, TypeError, KeyError, self._msgpack.UnpackException) as error:
             raise _no_answer(self._where, "msgpack", error) from error
         if not isinstance(content, dict):
@@ -120,7 +120,7 @@ class OpenpiServer:
         return content
 
 
-def _packed(value: Any) -> Any:
+def _pack(value: Any) -> Any:
     if isinstance(value, np.ndarray):
         return {
             b"__ndarray__": True,
@@ -131,7 +131,7 @@ def _packed(value: Any) -> Any:
     raise TypeError(f"{type(value).__name__} cannot be sent")
 
 
-def _unpacked(content: dict[Any, Any]) -> Any:
+def _unpack(content: dict[Any, Any]) -> Any:
     if b"__ndarray__" in content:
         return read_array(content[b"data"], content[b"dtype"], content[b"shape"])
     return content[b"data"] if b"__npgeneric__" in content else content
@@ -165,7 +165,7 @@ class OpenvlaServer:
         """
         connection = http.client.HTTPConnection(self._address, timeout=ANSWER_S)
         try:
-            body = json.dumps(payload, default=_encoded)
+            body = json.dumps(payload, default=_encode)
             connection.request("POST", "/act", body, {"Content-Type": "application/json"})
             answer = connection.getresponse()
             status, text = answer.status, answer.read(MAX_ANSWER)
@@ -178,7 +178,7 @@ class OpenvlaServer:
                 self._where, f"answers HTTP {status} to POST /act", "start deploy.py there"
             )
         try:
-            content = json.loads(text, object_hook=_decoded)
+            content = json.loads(text, object_hook=_decode)
         except (ValueError, TypeError, KeyError, RecursionError) as error:
             raise _no_answer(self._where, "JSON", error) from error
         if isinstance(content, str):
@@ -186,14 +186,14 @@ class OpenvlaServer:
         return content
 
 
-def _encoded(value: Any) -> Any:
+def _encode(value: Any) -> Any:
     if isinstance(value, np.ndarray):
         data = base64.b64encode(value.tobytes()).decode()
         return {"__numpy__": data, "dtype": value.dtype.str, "shape": value.shape}
     raise TypeError(f"{type(value).__name__} cannot be sent")
 
 
-def _decoded(content: dict[str, Any]) -> Any:
+def _decode(content: dict[str, Any]) -> Any:
     if "__numpy__" in content:
         data = base64.b64decode(content["__numpy__"], validate=True)
         return read_array(data, content["dtype"], content["shape"])

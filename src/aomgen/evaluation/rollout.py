@@ -36,7 +36,7 @@ class World:
     def __init__(self, suite: Suite, results: Results, visuals: Visuals = "splat") -> None:
         self.suite, self.visuals = suite, visuals
         fixed = fixed_cameras(suite.cameras, results.robot)
-        drawn = {name: camera.resized(*suite.drawn_size) for name, camera in fixed.items()}
+        drawn = {name: camera.resize(*suite.drawn_size) for name, camera in fixed.items()}
         self.factory = EpisodeFactory(results, results.folders["episodes"], drawn)
         self.carried = tuple(name for name in suite.cameras if name not in fixed)
         # From the first to the last of them it takes that long.
@@ -71,14 +71,14 @@ class Rollout:
         self.world, self.number, self.trial = world, number, world.suite.trials[number]
         self._opened = world.factory.asset(self.trial.asset)
         self.fitted, scene = self._opened.sized(self.trial.variation.scale)
-        self.T_world_object = self.trial.variation.placed(self.fitted)
-        self._scene = scene.placed(self.T_world_object)
+        self.T_world_object = self.trial.variation.place_at(self.fitted)
+        self._scene = scene.place_at(self.T_world_object)
         start = np.append(self.trial.joints, self.trial.gripper)
         self._targets = Targets(world.suite.action_space, world.factory.solver, start)
         self._simulation = Simulation(
             self._scene, world.suite.fps, start, self.trial.setting, self.fitted.start_theta
         )
-        self.reached: Trajectory = self._simulation.reached()
+        self.reached: Trajectory = self._simulation.read_state()
         self.frame, self._held = 0, 0
         self.fail_reason: str | None = None
 
@@ -121,16 +121,16 @@ class Rollout:
             self.fail_reason = BAD_ACTION
             return
         self._simulation.follow(target)
-        lost = self._simulation.diverged()
+        lost = self._simulation.check_divergence()
         if lost:
             self.fail_reason = lost.reason
             return
-        self.reached = self._simulation.reached()
+        self.reached = self._simulation.read_state()
         self._held = self._held + 1 if self.opening_share >= PassRule().target_share else 0
         if self._held >= self.world.held_frames or self.frame >= suite.max_frames:
-            self.fail_reason = self._judged()
+            self.fail_reason = self._find_refusal()
 
-    def _judged(self) -> str:
+    def _find_refusal(self) -> str:
         """Why the certificate would be refused; empty where it would be given."""
         result = judge(self._simulation.run(), self.fitted, self._scene, self.trial.setting, PassRule())
         if isinstance(result, Rejection):

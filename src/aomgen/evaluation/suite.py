@@ -15,7 +15,7 @@ from aomgen.core.transforms import rotvec_from_matrix
 from aomgen.core.values import Array, freeze_arrays
 from aomgen.core.verdict import Setting
 from aomgen.datasets.features import ActionSpace
-from aomgen.episodes.variations import scaled_fit
+from aomgen.episodes.variations import scale_fit
 from aomgen.errors import ConfigError, MalformedFileError
 from aomgen.evaluation.actions import action_size
 from aomgen.io.artifact import load_artifact, read_json, save_artifact
@@ -110,7 +110,7 @@ class Suite:
         """How many numbers an action has."""
         return action_size(self.action_space, len(self.joint_names))
 
-    def sealed(self) -> "Suite":
+    def seal(self) -> "Suite":
         """The suite with its digest."""
         content = asdict(replace(self, digest=""))
         text = json.dumps(content, sort_keys=True, allow_nan=False, default=_plain)
@@ -156,7 +156,7 @@ def read_suite(path: Path) -> Suite:
     """
     require_json(path)
     suite = load_artifact(path.parent, path.stem, Suite)
-    if suite.sealed().digest != suite.digest:
+    if suite.seal().digest != suite.digest:
         raise MalformedFileError(path, "does not match its digest", REMEDY)
     if not suite.trials:
         raise MalformedFileError(path, "holds no trial", REMEDY)
@@ -241,7 +241,7 @@ def require_apart(suite: Suite, results: Results) -> PoseDistance | None:
     poses, smallest = training_poses(results), None
     for number, trial in enumerate(suite.trials):
         fitted = results.fitted_assets[trial.asset]
-        found = nearest_pose(trial.variation.placed(scaled_fit(fitted, trial.variation.scale)), poses)
+        found = nearest_pose(trial.variation.place_at(scale_fit(fitted, trial.variation.scale)), poses)
         if found is None:
             return None
         distance, name = found

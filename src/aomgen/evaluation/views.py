@@ -47,9 +47,9 @@ class SplatViews:
         variation: Variation,
         carried: tuple[str, ...] = (),
     ) -> None:
-        self._robot, self._T = factory.results.robot, variation.placed(fitted)
+        self._robot, self._T = factory.results.robot, variation.place_at(fitted)
         self._cameras = factory.place.cameras
-        self._twin, layers, soft = opened.seen(variation, self._cameras)
+        self._twin, layers, soft = opened.show_variation(variation, self._cameras)
         shades = soft_shades(
             self._twin, self._robot, self._T, soft, factory.results.episode_scene.T_world_plane
         )
@@ -99,7 +99,7 @@ class SimulatorViews:
         carried: tuple[str, ...] = (),
     ) -> None:
         results, place = factory.results, factory.place
-        T, self._cameras, self._robot = variation.placed(fitted), place.cameras, results.robot
+        T, self._cameras, self._robot = variation.place_at(fitted), place.cameras, results.robot
         self._carried = {name: self._robot.cameras[name].view for name in carried}
         self._scene = build_scene(results.robot, fitted.asset, T, place.support, visual=True)
         self._scene.model.geom_group[self._scene.roles.table] = VISUAL_GROUP
@@ -109,7 +109,7 @@ class SimulatorViews:
             (camera.width, camera.height) for camera in (*self._cameras.values(), *self._carried.values())
         ]
         self._renderer = SceneRenderer(self._scene, tuple(np.max(sizes, 0).tolist()))
-        self._twin, layers, _ = opened.seen(variation, self._cameras)
+        self._twin, layers, _ = opened.show_variation(variation, self._cameras)
         self._walls = {name: self._wall(layer) for name, layer in layers.items()}
 
     def draw(self, reached: Trajectory) -> Images:

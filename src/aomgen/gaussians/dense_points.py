@@ -16,8 +16,8 @@ from aomgen.gaussians.background import dominant_planes, explain, far_shell
 from aomgen.gaussians.depth_fusion import (
     DepthMap,
     Samples,
-    confirmed_depth,
-    confirmed_samples,
+    confirm_depth,
+    confirm_samples,
     count_confirmations,
     plane_sweep,
     thin,
@@ -115,12 +115,12 @@ def densify(
     progress(0.76, "comparing depth maps")
     with ThreadPoolExecutor(params.threads) as pool:
         votes = list(pool.map(lambda one: count_confirmations(one, maps), maps))
-    surfaces = confirmed_samples(maps, votes).with_points(_sparse(structure, names, views))
+    surfaces = confirm_samples(maps, votes).with_points(_sparse(structure, names, views))
     progress(0.85, "continuing planes")
     planes = dominant_planes(thin(surfaces, params.target_points // 8).points_recon)
     filled, rays = explain(maps, votes, planes)
     kept = thin(surfaces.with_points(filled), params.target_points)
-    view_depths = [confirmed_depth(one, own) for one, own in zip(maps, votes, strict=True)]
+    view_depths = [confirm_depth(one, own) for one, own in zip(maps, votes, strict=True)]
     kept = kept.select(~in_free_space(kept.points_recon, view_depths))
     centers = np.array([camera.center for camera, _ in views])
     shell = far_shell(rays, kept.points_recon, centers, params.shell_points)
@@ -186,7 +186,7 @@ def nearest_depth(structure: Structure, names: list[str]) -> Array:
 def _limit_width(camera: Camera, image: NDArray[np.uint8], width: int) -> tuple[Camera, NDArray[np.uint8]]:
     if width >= camera.width:
         return camera, image
-    small = camera.narrowed(width)
+    small = camera.narrow(width)
     return small, resize(image, small.width, small.height)
 
 

@@ -174,14 +174,14 @@ def join_samples(parts: list[Samples]) -> Samples:
     return Samples(**{name: np.concatenate([getattr(p, name) for p in parts]) for name in SAMPLE_FIELDS})
 
 
-def confirmed_depth(depth_map: DepthMap, votes: NDArray[np.int32]) -> ViewDepth:
+def confirm_depth(depth_map: DepthMap, votes: NDArray[np.int32]) -> ViewDepth:
     """Depth of a view where its neighbours confirm it (H, W); NaN elsewhere."""
     known = (votes >= MIN_CONFIRMATIONS) & (depth_map.inverse_depth > depth_map.step)
     depth = np.where(known, 1.0 / np.maximum(depth_map.inverse_depth, depth_map.step), np.nan)
     return ViewDepth(camera=depth_map.camera, depth=depth.astype(np.float32))
 
 
-def confirmed_samples(maps: list[DepthMap], votes: list[NDArray[np.int32]]) -> Samples:
+def confirm_samples(maps: list[DepthMap], votes: list[NDArray[np.int32]]) -> Samples:
     """Samples of every pixel whose depth at least `MIN_CONFIRMATIONS` neighbours share."""
     return join_samples([_samples(depth_map, own) for depth_map, own in zip(maps, votes, strict=True)])
 
@@ -266,7 +266,7 @@ def contrast_detail(image_srgb: NDArray[np.uint8]) -> Array:
 
 def _points(depth_map: DepthMap) -> Array:
     inverse = np.maximum(depth_map.inverse_depth, 0.25 * depth_map.step)
-    rays_cam = depth_map.camera.moved(np.eye(4)).directions()
+    rays_cam = depth_map.camera.move(np.eye(4)).directions()
     return apply(depth_map.camera.T_world_cam, rays_cam / inverse[..., None])
 
 

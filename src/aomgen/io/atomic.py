@@ -60,7 +60,7 @@ def write_json(path: Path, value: Any) -> None:
 
 
 @contextmanager
-def staged_folder(path: Path) -> Iterator[Path]:
+def stage_folder(path: Path) -> Iterator[Path]:
     """A folder that appears at `path` complete, or not at all.
 
     Yields an empty folder beside `path`; when the block ends without an error its files are

@@ -95,7 +95,7 @@ def read_colmap(folder: Path, *, images: str = "images") -> ColmapModel:
     views = {}
     for name in sorted(cameras):
         path = resolve_inside(folder / images, name, named_by=model / "images.bin")
-        views[name] = ColmapView(camera_recon=_fitted(cameras[name], path), path=path)
+        views[name] = ColmapView(camera_recon=_fit(cameras[name], path), path=path)
     order = {name: index for index, name in enumerate(views)}
     points, colors, observations = _read_points(
         model / "points3D.bin", {key: order[name] for key, name in names.items()}
@@ -103,7 +103,7 @@ def read_colmap(folder: Path, *, images: str = "images") -> ColmapModel:
     return ColmapModel(views=views, points_recon=points, colors_srgb=colors, observations=observations)
 
 
-def _fitted(camera: Camera, path: Path) -> Camera:
+def _fit(camera: Camera, path: Path) -> Camera:
     """The camera at the size of the image file."""
     width, height = image_size(path)
     if not abs(width * camera.height - height * camera.width) <= 1.01 * max(camera.width, camera.height):
@@ -112,7 +112,7 @@ def _fitted(camera: Camera, path: Path) -> Camera:
             f"is {width} x {height}, its camera {camera.width} x {camera.height}: another shape",
             "use the images that were reconstructed",
         )
-    return camera.resized(width, height)
+    return camera.resize(width, height)
 
 
 class _Cursor:
@@ -208,7 +208,7 @@ def _read_images(path: Path, optics: dict[int, Camera]) -> tuple[dict[str, Camer
             raise MalformedFileError(path, f"image {name!r} has an unknown camera, or stands twice", _REMEDY)
         names[number] = name
         T_cam_recon = transform(matrix_from_quat(quat / norm), t)
-        cameras[name] = optics[key].moved(invert(T_cam_recon))
+        cameras[name] = optics[key].move(invert(T_cam_recon))
     cursor.done()
     if not cameras:
         raise InputError(path, "has no registered image", "reconstruct with more overlap and texture")

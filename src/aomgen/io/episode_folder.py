@@ -24,7 +24,7 @@ from aomgen.core.episode import ContactLog, Episode
 from aomgen.core.joint import Joint
 from aomgen.errors import CorruptArtifactError, MalformedFileError
 from aomgen.io.artifact import arrays_from_bytes, npz_bytes, read_json, read_npz
-from aomgen.io.atomic import STAGING_PREFIX, staged_folder, write_bytes, write_json
+from aomgen.io.atomic import STAGING_PREFIX, stage_folder, write_bytes, write_json
 from aomgen.io.video import Codec, decode_samples
 
 # Raised when the files of an episode change.
@@ -119,7 +119,7 @@ def commit_episode(
             files[_image_file(name, kind)] = npz_bytes({kind: stack}, packed=True)
     digests = {name: hashlib.sha256(data).hexdigest() for name, data in files.items()}
     header = {**_header(episode), "codec": codec, "images": sorted(images), "sha256": digests}
-    with staged_folder(path) as folder:
+    with stage_folder(path) as folder:
         for name, data in files.items():
             write_bytes(folder / name, data)
         write_json(folder / EPISODE_FILE, header)
@@ -185,7 +185,7 @@ def read_episode(folder: Path) -> CommittedEpisode:
         expected |= {file.name for files in images.values() for file in files.values()}
         if set(digests) != expected:
             raise MalformedFileError(where, f"names files {sorted(digests)}, want {sorted(expected)}")
-        data = {name: _checked(folder / name, digest) for name, digest in sorted(digests.items())}
+        data = {name: _check(folder / name, digest) for name, digest in sorted(digests.items())}
         arrays = arrays_from_bytes(data["frames.npz"], folder / "frames.npz")
         episode = _episode(header, arrays)
         videos = {name: folder / f"{name}.mp4" for name in episode.cameras}
@@ -206,7 +206,7 @@ def read_episode(folder: Path) -> CommittedEpisode:
     )
 
 
-def _checked(path: Path, digest: str) -> bytes:
+def _check(path: Path, digest: str) -> bytes:
     if not path.is_file():
         raise CorruptArtifactError(path, "is missing", "delete the episode's folder and run again")
     if not path.stat().st_size <= MAX_FRAMES_BYTES:

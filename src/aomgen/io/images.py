@@ -60,7 +60,7 @@ def decode_image(data: bytes, where: Path, mode: Mode = "RGB") -> NDArray[np.uin
     Raises:
         MalformedFileError, LimitExceededError: As their names say.
     """
-    with _checked(io.BytesIO(data), where) as image:
+    with _check(io.BytesIO(data), where) as image:
         return _pixels(image, where, mode)
 
 
@@ -128,10 +128,10 @@ def open_image(path: Path) -> Image.Image:
     """
     if not path.is_file():
         raise MissingFileError(path, "is missing", "check the folder")
-    return _checked(path, path)
+    return _check(path, path)
 
 
-def _checked(source: Path | io.BytesIO, where: Path) -> Image.Image:
+def _check(source: Path | io.BytesIO, where: Path) -> Image.Image:
     try:
         image = Image.open(source)
     except (UnidentifiedImageError, OSError, Image.DecompressionBombError) as error:

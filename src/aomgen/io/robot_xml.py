@@ -160,7 +160,7 @@ def _check_mesh(path: Path, file: Path) -> None:
 
 
 def _mjcf_references(path: Path, tree: ElementTree.Element, root: Path) -> tuple[Path, ...]:
-    documents = _included(path, tree, root)
+    documents = _include(path, tree, root)
     options = [element for document in documents.values() for element in document.iter("compiler")]
     references = [file for file in documents if file != path]
     for current, document in documents.items():
@@ -178,7 +178,7 @@ def _mjcf_references(path: Path, tree: ElementTree.Element, root: Path) -> tuple
     return tuple(dict.fromkeys(references))
 
 
-def _included(path: Path, tree: ElementTree.Element, root: Path) -> dict[Path, ElementTree.Element]:
+def _include(path: Path, tree: ElementTree.Element, root: Path) -> dict[Path, ElementTree.Element]:
     """The document and all that it includes, by file."""
     documents = {path: tree}
     waiting = [path]

@@ -221,7 +221,7 @@ def _find_pushed(robot: RobotModel, Ts_ee_body: Array, points_ee: Array, way: Ar
     of the patch may carry the force.
     """
     surface = hand_surface(robot)
-    points, normals = surface.posed(Ts_ee_body)
+    points, normals = surface.pose(Ts_ee_body)
     facing = np.clip(normals @ way, 0, 1)
     pushing = facing > _MIN_FACING
     points, facing, fingers = points[pushing], facing[pushing], surface.fingers[pushing]

@@ -37,7 +37,7 @@ class GripperPath:
         inside = (self.times_s >= first_s - 1e-9) & (self.times_s <= last_s + 1e-9)
         return GripperPath(times_s=self.times_s[inside], points=self.points[inside])
 
-    def reversed(self) -> "GripperPath":
+    def reverse(self) -> "GripperPath":
         """The way gone backwards, with negative times."""
         return GripperPath(times_s=-self.times_s[::-1], points=self.points[::-1])
 

@@ -194,7 +194,7 @@ def refine_touch(touch: TouchInterval, times_s: Array, gaps_m: Array) -> TouchIn
 def measure_surface_gaps(demo: MotionInput, times_s: Array) -> Array:
     """Smallest distance (T,) of the hand's surface to the part at its scanned place, [m]; infinite without meshes."""
     surface, tree = hand_surface(demo.robot), cKDTree(demo.points_moving)
-    placed = (surface.posed(Ts)[0][::_EVERY] for Ts in demo.body_poses_at(times_s))
+    placed = (surface.pose(Ts)[0][::_EVERY] for Ts in demo.body_poses_at(times_s))
     return np.array([tree.query(points)[0].min(initial=np.inf) for points in placed])
 
 

@@ -108,17 +108,17 @@ class Revolute(JointModel):
 
     def values(self, x: Array) -> Array:
         """Turn of the part (K,) since the first node, [rad]."""
-        return self._rolled(x)[2]
+        return self._roll(x)[2]
 
     def data(self, x: Array) -> Array:
         """Residuals (..., 5, K) in the order of `kinds`, [m] or [rad], of unknowns (..., 10)."""
-        radii, heights, angles = self._rolled(x)
+        radii, heights, angles = self._roll(x)
         units = self._frame(x)[1:]
         axis, first, second = ((self.path.turns_world @ unit[..., None])[..., 0] for unit in units)
         rows = [radii - x[..., 4:5], heights - x[..., 5:6], first, second, axis - x[..., 9:] * angles]
         return np.stack(rows, axis=-2)
 
-    def _rolled(self, x: Array) -> tuple[Array, Array, Array]:
+    def _roll(self, x: Array) -> tuple[Array, Array, Array]:
         """Distance from the axis, height along it and angle about it (..., K) of the held point."""
         Ts = self.path.Ts_world_ee
         points = (Ts[:, :3, :3] @ self.grasp(x)[..., None, :, None])[..., 0] + Ts[:, :3, 3]

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from aomgen.core.camera import Camera
-from aomgen.core.robust import masked_median, robust_sd
+from aomgen.core.robust import compute_masked_median, robust_sd
 from aomgen.core.values import Array
 from aomgen.motion.ee_path import GripperPath, smooth
 from aomgen.motion.inputs import REST_S, TouchInterval
@@ -213,7 +213,7 @@ def detect_offset(
 
     Args: as in `detect_onset`, but `ahead` (T,): the share of the part's picture that does not show its last place.
     """
-    return -detect_onset(way.reversed(), -times_s[::-1], ahead[::-1], noise, pixel_m, held=held)
+    return -detect_onset(way.reverse(), -times_s[::-1], ahead[::-1], noise, pixel_m, held=held)
 
 
 def count_reference_frames(times_s: Array) -> int:
@@ -236,7 +236,7 @@ def _picture_ends(
     frames: NDArray[np.uint8], hidden: NDArray[np.bool_], count: int
 ) -> list[tuple[NDArray[np.float32], NDArray[np.bool_]]]:
     """Median pictures (H, W, 3) of the first and the last frames without robot, and where there is one (H, W)."""
-    return [masked_median(frames[end], ~hidden[end]) for end in (slice(count), slice(-count, None))]
+    return [compute_masked_median(frames[end], ~hidden[end]) for end in (slice(count), slice(-count, None))]
 
 
 def _change(first: NDArray[np.float32], second: NDArray[np.float32]) -> NDArray[np.float32]:

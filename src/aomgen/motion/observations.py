@@ -82,7 +82,7 @@ class VideoObservations:
         """
         stride = max(1, int(np.floor(demo.video.fps / MAX_FPS)))
         width = min(width, demo.camera.width)
-        small = demo.camera.resized(width, round(width * demo.camera.height / demo.camera.width))
+        small = demo.camera.resize(width, round(width * demo.camera.height / demo.camera.width))
         times = demo.video.times_s[::stride]
         frames = [resize(frame, small.width, small.height) for frame in demo.video.frames_srgb[::stride]]
         masks = masks_at(times, small.width, small.height)

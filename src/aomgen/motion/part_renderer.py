@@ -17,7 +17,7 @@ from aomgen.conventions import MOVING, ROBOT, luma_from_srgb
 from aomgen.core.camera import Camera
 from aomgen.core.gaussians import SH_C0, Gaussians
 from aomgen.core.joint import Joint
-from aomgen.core.robust import masked_median, regress, regress_robustly, weigh
+from aomgen.core.robust import compute_masked_median, regress, regress_robustly, weigh
 from aomgen.core.transforms import apply
 from aomgen.core.values import Array
 from aomgen.io.images import resize
@@ -154,7 +154,7 @@ def _choose_crop(camera: Camera, places: list[Array], max_pixels: int) -> tuple[
     size = np.array([camera.width, camera.height])
     low, high = np.clip(low - margin, 0, size - 8), np.clip(high + margin, 8, size)
     factor = min(1.0, float(np.sqrt(max_pixels / np.prod(high - low))))
-    small = camera.resized(*np.round(size * factor).astype(int).tolist())
+    small = camera.resize(*np.round(size * factor).astype(int).tolist())
     first = np.floor(low * factor).astype(int)
     last = np.minimum(np.ceil(high * factor).astype(int), [small.width, small.height])
     return small, (slice(int(first[1]), int(last[1])), slice(int(first[0]), int(last[0])))
@@ -170,7 +170,7 @@ def _find_near(scene: Gaussians, camera: Camera) -> NDArray[np.bool_]:
 
 def _paint(renderer: PartRenderer, resting: NDArray[np.bool_]) -> NDArray[np.float32]:
     """Features (G, 3) with each Gaussian's luma fitted to the video at rest, by back-projected residuals."""
-    target, known = masked_median(renderer.luma[resting], ~renderer.hidden[resting])
+    target, known = compute_masked_median(renderer.luma[resting], ~renderer.hidden[resting])
     weight = _gather(renderer, known)
     luma = luma_from_srgb(255 * np.clip(0.5 + SH_C0 * renderer.scene.sh[:, 0], 0, 1))
     seen = weight > _SEEN_WEIGHT

@@ -257,16 +257,16 @@ def _lies_before_front(axis: Array, travel_m: float, points_static: Array, point
     size = np.maximum(np.ceil((high - low + np.abs(shift)) / cell).astype(int), 1)
     low = low + np.minimum(shift, 0.0)
 
-    def covered(places: Array) -> NDArray[np.bool_]:
+    def cover(places: Array) -> NDArray[np.bool_]:
         cells = np.floor((places - low) / cell).astype(int)
         cells = cells[np.all((cells >= 0) & (cells < size), axis=1)]
         grid = np.zeros(size, bool)
         grid[tuple(cells.T)] = True
         return ndimage.binary_closing(grid)
 
-    start, end = (covered(points @ plane + offset) for offset in (0.0, shift))
+    start, end = (cover(points @ plane + offset) for offset in (0.0, shift))
     fresh = end & ~start
-    return float(covered(points_static[near] @ plane)[fresh].mean()) >= 0.5 if fresh.any() else True
+    return float(cover(points_static[near] @ plane)[fresh].mean()) >= 0.5 if fresh.any() else True
 
 
 def _thin_direction(points: Array, axis: Array) -> Array:

@@ -17,7 +17,7 @@ from aomgen.core.gaussians import Gaussians
 from aomgen.core.joint import Joint
 from aomgen.core.motion import MotionEstimate
 from aomgen.core.parts import SOLID_OPACITY
-from aomgen.core.robust import masked_median, regress_robustly
+from aomgen.core.robust import compute_masked_median, regress_robustly
 from aomgen.core.transforms import apply
 from aomgen.core.values import Array
 from aomgen.io.images import resize
@@ -88,7 +88,7 @@ def track_log_likelihood_ratio(
     resting = sample_resting(resting)
     moved = _choose_frames(times >= start_s, thetas)
     width = min(_WIDTH, demo.camera.width)
-    camera = demo.camera.resized(width, round(width * demo.camera.height / demo.camera.width))
+    camera = demo.camera.resize(width, round(width * demo.camera.height / demo.camera.width))
 
     def read(frames: NDArray[np.intp]) -> tuple[NDArray[np.uint8], NDArray[np.bool_]]:
         images = [resize(demo.video.frames_srgb[k], camera.width, camera.height) for k in frames]
@@ -151,7 +151,7 @@ class _RestState:
         around -= around.mean(1, keepdims=True)
         normals = np.linalg.eigh(np.einsum("nki,nkj->nij", around, around))[1][:, :, 0]
         normals *= np.where(_steepness(normals, points, camera) < 0, -1.0, 1.0)[:, None]
-        seen = _look(*masked_median(images, bare), _draw_depth(scene, camera), camera, points)
+        seen = _look(*compute_masked_median(images, bare), _draw_depth(scene, camera), camera, points)
         return _RestState(scene=scene, camera=camera, moving=moving, normals=normals, seen=seen)
 
     def compare(self, image: NDArray[np.uint8], bare: NDArray[np.bool_], T_world_part: Array) -> Array:

@@ -31,7 +31,7 @@ from aomgen.errors import ReconstructionError
 from aomgen.segmentation.interface import Mask
 from aomgen.splatting.differentiable import CpuRasterizer, GaussianTensors, RasterOptions
 from aomgen.splatting.optimizer import parameters_of
-from aomgen.splatting.surfaces import seen_points
+from aomgen.splatting.surfaces import compute_surface_points
 
 # Gaussians, itself included, whose mean feature each one is rendered with: local smoothing against noise.
 NEIGHBORS = 8
@@ -117,8 +117,8 @@ def unit(vectors: NDArray[np.float32]) -> NDArray[np.float32]:
 
 def measure_masks(gaussians: Gaussians, camera: Camera, masks: NDArray[np.bool_], width: int) -> SizedMasks:
     """The masks (M, H, W) that still show something at a width of at most `width` [px], with their sizes."""
-    small = camera.narrowed(width)
-    points = seen_points(gaussians, small)
+    small = camera.narrow(width)
+    points = compute_surface_points(gaussians, small)
     cut = at_resolution(masks, small) & np.isfinite(points[..., 0])
     kept = [index for index, mask in enumerate(cut) if mask.sum() >= MIN_PIXELS]
     sizes = np.array([mask_size(points[cut[index]]) for index in kept])

@@ -21,7 +21,7 @@ from aomgen.io.atomic import write_bytes
 from aomgen.parts.prompted_images import PromptedImage
 from aomgen.parts.scan_views import ScanView
 from aomgen.segmentation.interface import PointMasks, Segmenter
-from aomgen.splatting.surfaces import seen_points
+from aomgen.splatting.surfaces import compute_surface_points
 
 MASKS_FOLDER = "automatic_masks"
 # Least IoU that the segmenter expects of its answer, and between its tighter and looser cut; IoU above which
@@ -60,7 +60,9 @@ def segment_views(
     prepared = {item.view.name: item.prepared for item in prompted}
     chosen = spread_views(views, list(prepared), count)
     points = [
-        seen_points(gaussians, item.view.camera)[item.best_mask] for item in prompted if item.part == STATIC
+        compute_surface_points(gaussians, item.view.camera)[item.best_mask]
+        for item in prompted
+        if item.part == STATIC
     ]
     points_world = np.concatenate([np.zeros((0, 3)), *points])
     points_world = points_world[np.isfinite(points_world[:, 0])]

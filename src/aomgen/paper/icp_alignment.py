@@ -75,7 +75,7 @@ def align_as_paper(
     solid = gaussians_recon.opacities > _SOLID
     scan = Scan(
         views=views, boxes=boxes, points_recon=np.asarray(gaussians_recon.means[solid], np.float64)
-    ).seen_from(S_unit_recon)
+    ).view_from(S_unit_recon)
     up = up_candidates([view.camera_recon for view in scan.views], scan.points_recon, rng)[0]
     points = robot_points(scan.points_recon, scan.boxes, up, rng)
     model = configuration.surface_world(_MODEL_POINTS, rng)
@@ -130,7 +130,7 @@ def robot_points(
             f"{len(found)} Gaussians lie in all robot boxes, want {_MIN_POINTS}",
             "check the boxes",
         )
-    found = _thinned(found, 0.02 * _spread(found))
+    found = _thin(found, 0.02 * _spread(found))
     return found[rng.permutation(len(found))[:_SCAN_POINTS]]
 
 
@@ -139,7 +139,7 @@ def _spread(points: Array) -> float:
     return float(np.median(np.linalg.norm(points - np.median(points, 0), axis=1)))
 
 
-def _thinned(points: Array, cell: float) -> Array:
+def _thin(points: Array, cell: float) -> Array:
     """One point (its mean) of every cell that holds points."""
     cells = np.unique(np.floor(points / max(cell, 1e-12)).astype(np.int64), axis=0, return_inverse=True)[
         1
@@ -203,7 +203,7 @@ def rigid_icp(source: Array, target: Array, T_start: Array, kernel_m: float) -> 
         for _ in range(_STEPS):
             moved = apply(T, source)
             distances, nearest = tree.query(moved)
-            step = weighted_rigid(moved, target[nearest], np.exp(-0.5 * (distances / width) ** 2))
+            step = fit_weighted_rigid(moved, target[nearest], np.exp(-0.5 * (distances / width) ** 2))
             T = step @ T
             turn = np.linalg.norm(rotvec_from_matrix(step[:3, :3]))
             shift = np.linalg.norm(apply(step, moved.mean(0)) - moved.mean(0))
@@ -218,7 +218,7 @@ def rigid_icp(source: Array, target: Array, T_start: Array, kernel_m: float) -> 
     return RigidFit(T_target_source=T, matched=float(near.mean()), rms_m=rms)
 
 
-def weighted_rigid(source: Array, target: Array, weights: Array) -> Array:
+def fit_weighted_rigid(source: Array, target: Array, weights: Array) -> Array:
     """Rigid motion (4, 4) that carries points (N, 3) onto others in weighted least squares.
 
     Source: Kabsch, 1976. Weights (N,) that are all zero leave the points where they are.

@@ -17,7 +17,7 @@ from scipy.signal import savgol_filter
 from aomgen.capture.label_images import read_demo_masks
 from aomgen.conventions import MOVING
 from aomgen.core.recording import DemoCamera, Recording
-from aomgen.core.robust import masked_median, robust_sd
+from aomgen.core.robust import compute_masked_median, robust_sd
 from aomgen.core.values import Array, freeze_arrays
 from aomgen.errors import InputError, NoMotionError
 from aomgen.io.images import resize
@@ -91,7 +91,7 @@ def motion_scores(masks: PartMasks) -> Array:
     return (before & ~after).sum((1, 2)) / np.maximum(sizes, 1)
 
 
-def smoothed_scores(scores: Array) -> Array:
+def smooth_scores(scores: Array) -> Array:
     """Savitzky-Golay smoothed scores (T,); a series shorter than the filter stays as it is."""
     if len(scores) < SMOOTH_FRAMES:
         return np.array(scores)
@@ -115,7 +115,7 @@ def score_threshold(scores: Array, smoothed: Array, variant: Variant) -> float:
     return base + NOISE_UNITS * robust_sd(rough - np.median(rough))
 
 
-def scored_frames(masks: PartMasks, variant: Variant = "printed") -> Scores:
+def score_frames(masks: PartMasks, variant: Variant = "printed") -> Scores:
     """Score of every frame of a video, and the threshold that follows from them.
 
     Raises:
@@ -124,7 +124,7 @@ def scored_frames(masks: PartMasks, variant: Variant = "printed") -> Scores:
     if not len(masks.moving) >= 2:
         raise InputError("masks of the demonstration", f"{len(masks.moving)} frames, need 2", "give them all")
     scores = motion_scores(masks)
-    smoothed = smoothed_scores(scores)
+    smoothed = smooth_scores(scores)
     return Scores(
         scores=np.append(scores, scores[-1]),
         smoothed=np.append(smoothed, smoothed[-1]),
@@ -132,7 +132,7 @@ def scored_frames(masks: PartMasks, variant: Variant = "printed") -> Scores:
     )
 
 
-def flagged_frames(scored: Scores) -> tuple[int, int]:
+def flag_frames(scored: Scores) -> tuple[int, int]:
     """First and last frame whose smoothed score exceeds the threshold.
 
     Raises:
@@ -170,16 +170,16 @@ def part_masks(capture: Recording, camera: DemoCamera, demonstration: MotionInpu
 
 
 def _masks_by_change(demo: MotionInput) -> PartMasks:
-    small = demo.camera.narrowed(WIDTH)
+    small = demo.camera.narrow(WIDTH)
     frames = [resize(frame, small.width, small.height) for frame in demo.video.frames_srgb]
     with robot_masks(demo.robot, demo.camera, demo.log) as masks_at:
         robot = masks_at(demo.video.times_s, small.width, small.height)
     region = find_part_region(demo.points_moving, small)
     still = max(1, round(REFERENCE_S * demo.video.fps))
-    return PartMasks(moving=changed_masks(np.stack(frames), robot, region, still), robot=robot)
+    return PartMasks(moving=change_masks(np.stack(frames), robot, region, still), robot=robot)
 
 
-def changed_masks(
+def change_masks(
     frames_srgb: NDArray[np.uint8], robot: NDArray[np.bool_], region: NDArray[np.bool_], still: int
 ) -> NDArray[np.bool_]:
     """Masks (T, H, W) of a part, robot left out.
@@ -193,16 +193,16 @@ def changed_masks(
     Not checked: what the robot hid in all of these counts as never changed.
     """
     hidden = widen(robot, ROBOT_MARGIN_PX)
-    reference, known = masked_median(frames_srgb[:still], ~hidden[:still])
+    reference, known = compute_masked_median(frames_srgb[:still], ~hidden[:still])
     masks = np.empty(robot.shape, bool)
     for k, frame in enumerate(frames_srgb):
         compared = known & ~hidden[k]
-        changed = compared & _changed(frame, reference, compared)
+        changed = compared & _find_changes(frame, reference, compared)
         masks[k] = keep_touching(ndimage.binary_closing(region ^ changed), region) & ~robot[k]
     return masks
 
 
-def _changed(
+def _find_changes(
     frame: NDArray[np.uint8], reference: NDArray[np.float32], compared: NDArray[np.bool_]
 ) -> NDArray[np.bool_]:
     """Pixels (H, W) that differ by more than noise, and by more than the brightness of their color."""

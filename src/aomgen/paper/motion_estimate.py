@@ -18,7 +18,7 @@ from aomgen.motion.inputs import MotionInput, read_gripper_signals
 from aomgen.motion.motion_detection import MIN_ODDS
 from aomgen.motion.part_shape import infer_direction
 from aomgen.paper.edge_joint import PairWeights, box_joint
-from aomgen.paper.mask_keyframes import PartMasks, Scores, Variant, flagged_frames, scored_frames
+from aomgen.paper.mask_keyframes import PartMasks, Scores, Variant, flag_frames, score_frames
 from aomgen.robots.robot import RobotModel
 
 # As dense as the Gaussians of a scanned robot, and denser than those of the part, [m].
@@ -104,10 +104,10 @@ def estimate_motion_paper(
             "give one mask a frame",
         )
     progress(0.0, "keyframes")
-    scored = scored_frames(masks, params.threshold)
+    scored = score_frames(masks, params.threshold)
     curve = _curve(demo, scored)
     on_curve(curve)
-    interval = flagged_frames(scored)
+    interval = flag_frames(scored)
     held = frames[interval[0] : interval[1] + 1]
     progress(0.3, "contact")
     pair = nearest_pair(demo.robot, demo.log, demo.points_moving, float(held[0]), np.random.default_rng(0))
@@ -122,7 +122,7 @@ def estimate_motion_paper(
     found = box_joint(points, pair.on_part, direction, params.joint_type, params.signs, params.weights)
     joint = Joint(type=params.joint_type, axis=found.axis, origin=found.origin, lower=0.0, upper=0.0)
     progress(0.9, "joint values")
-    thetas = recovered_thetas(joint, pair.on_part, found.face_normal, path)
+    thetas = recover_thetas(joint, pair.on_part, found.face_normal, path)
     sense = -1.0 if thetas[-1] < 0 else 1.0
     joint = Joint(
         type=joint.type,
@@ -241,7 +241,7 @@ def contact_path(pair: NearestPair, robot: RobotModel, log: JointLog, log_times_
     return apply(robot.link_poses(*log.at(log_times_s))[:, pair.body], pair.point_body)
 
 
-def recovered_thetas(joint: Joint, plane_point: Array, plane_normal: Array, path: Array) -> Array:
+def recover_thetas(joint: Joint, plane_point: Array, plane_normal: Array, path: Array) -> Array:
     """Joint value (T,) of every frame of the motion, [rad] or [m].
 
     Where no plane passes through the contact the one that comes nearest counts. Where the face slides

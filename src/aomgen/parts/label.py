@@ -125,7 +125,7 @@ def cut_scan(
     if evidence.panel is None:
         return scan, evidence
     cut = cut_at_faces(scan.gaussians, evidence.panel, scan.bodies < 0)
-    gaussians, origins = cut.applied(scan.gaussians), cut.origins(len(scan.gaussians))
+    gaussians, origins = cut.apply(scan.gaussians), cut.origins(len(scan.gaussians))
     weighed = weigh_panel(gaussians, evidence.panel, scan.surfaces)
     if motion_log_ratios is not None:
         weighed = weighed.add_motion(motion_log_ratios[origins])

@@ -15,7 +15,7 @@ from aomgen.parts.panel_terms import PromptedView, box_misfit, iou, share_inside
 from aomgen.parts.scan_views import ScanView, render_parts
 from aomgen.segmentation.interface import Mask, PreparedImage, Segmenter
 from aomgen.segmentation.segmenter import MasksOnDisk
-from aomgen.splatting.surfaces import seen_points
+from aomgen.splatting.surfaces import compute_surface_points
 
 # A mask this close to its box (see `box_misfit`; 2.5 % of the box a side) is used as it is.
 MAX_MISFIT = 0.1
@@ -146,4 +146,4 @@ def _fill_box(masks: list[Mask], image: PreparedImage, box: Array, robot: Mask) 
 
 def find_surface(gaussians: Gaussians, view: ScanView) -> Array:
     """World points (H, W, 3) of the surface at each pixel of a view; NaN where there is none, and on the robot."""
-    return np.where(view.robot[..., None], np.nan, seen_points(gaussians, view.camera))
+    return np.where(view.robot[..., None], np.nan, compute_surface_points(gaussians, view.camera))

@@ -100,6 +100,6 @@ def survey_parts(results: Results, parts: Parts) -> Survey:
     """Survey the coverage of the sides of object, robot and table, without held-out images."""
     withheld = set(held_out([*results.structure.cameras_recon, *results.structure.dropped]))
     cameras = [camera for name, camera in results.scan_cameras.items() if name not in withheld]
-    world = parts.cut.applied(results.gaussians)
+    world = parts.cut.apply(results.gaussians)
     views = view_depths(world, cameras)
     return survey(world, parts.labels, results.configuration, views, np.random.default_rng(SEED))

@@ -5,7 +5,7 @@ from pathlib import Path
 from aomgen.capture.read import read_capture
 from aomgen.core.progress import Progress
 from aomgen.errors import ConfigError, InputError
-from aomgen.io.atomic import staged_folder, write_bytes
+from aomgen.io.atomic import stage_folder, write_bytes
 from aomgen.io.images import encode_png, read_image
 from aomgen.segmentation.sam2 import carry_prompts, load_tracker
 from aomgen.segmentation.sam2_weights import find_sam2
@@ -32,7 +32,7 @@ def write_masks(capture_folder: Path, weights: str, progress: Progress) -> Path:
         raise ConfigError(target, "exists already", "delete it to have the masks made anew")
     tracker = load_tracker(find_sam2(weights))
     images = {path.name: path for path in capture.scan_images}
-    with staged_folder(target) as staging:
+    with stage_folder(target) as staging:
         carried = carry_prompts(
             tracker, sorted(images), lambda name: read_image(images[name]), capture.prompts, progress
         )

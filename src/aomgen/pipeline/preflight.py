@@ -48,7 +48,11 @@ def check_project(project: Project, capture: Recording) -> tuple[str, ...]:
     require_room(project.out)
     checked = check_capture(capture)
     _check_robot_cameras(project, checked.robot)
-    return (*checked.warnings, *_stretched(project, capture), *_doubtful_joints(capture.category, assets))
+    return (
+        *checked.warnings,
+        *_warn_of_distortion(project, capture),
+        *_doubtful_joints(capture.category, assets),
+    )
 
 
 def preflight(
@@ -187,7 +191,7 @@ def _check_robot_cameras(project: Project, robot: RobotModel) -> None:
         )
 
 
-def _stretched(project: Project, capture: Recording) -> tuple[str, ...]:
+def _warn_of_distortion(project: Project, capture: Recording) -> tuple[str, ...]:
     width, height = project.image_size
     fitting = _fitting_size(capture, width)
     stretch = abs(height / fitting[1] - 1)

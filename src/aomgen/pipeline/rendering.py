@@ -15,7 +15,7 @@ from aomgen.io.artifact import load_artifact
 from aomgen.results import Results
 from aomgen.robots.loading import load_stored_robot
 from aomgen.robots.robot import RobotModel
-from aomgen.twin.twin import Twin, TwinState, render_state
+from aomgen.twin.twin import TwinModel, TwinState, render_state
 
 TWIN_FOLDER = "06_twin"
 # Where less than half of the light comes from Gaussians, the background is seen.
@@ -26,7 +26,7 @@ STATE_KEYS = ("joints", "gripper", "theta", "T_world_object")
 MAX_PX = 16_384
 
 
-def open_twin(out: Path) -> tuple[Twin, RobotModel]:
+def open_twin(out: Path) -> tuple[TwinModel, RobotModel]:
     """The twin of a finished run and its robot.
 
     Raises:
@@ -35,12 +35,12 @@ def open_twin(out: Path) -> tuple[Twin, RobotModel]:
     folder = out / TWIN_FOLDER
     if not folder.is_dir():
         raise MissingFileError(folder, "is missing", "finish the run first")
-    twin = load_artifact(folder, "twin", Twin)
+    twin = load_artifact(folder, "twin", TwinModel)
     return twin, load_stored_robot(folder)
 
 
 def render_twin(
-    twin: Twin, robot: RobotModel, camera: Camera, state: TwinState
+    twin: TwinModel, robot: RobotModel, camera: Camera, state: TwinState
 ) -> tuple[NDArray[np.uint8], NDArray[np.float32], NDArray[np.uint8]]:
     """Render the twin in a state.
 
@@ -103,7 +103,7 @@ def parse_camera(data: Any, where: Path) -> Camera:
     return Camera(**numbers, **sizes, T_world_cam=_pose(data, "T_world_cam", where))
 
 
-def parse_state(data: Any, twin: Twin, robot: RobotModel, where: Path) -> TwinState:
+def parse_state(data: Any, twin: TwinModel, robot: RobotModel, where: Path) -> TwinState:
     """A state from the JSON of `aomgen render`; what is left out is as in the scan.
 
     Raises:

@@ -12,7 +12,7 @@ from aomgen.core.progress import Progress
 from aomgen.core.project import Project
 from aomgen.errors import LockedError, StorageError
 from aomgen.io.artifact import read_json
-from aomgen.io.atomic import remove_folder, remove_staging, staged_folder, write_json, write_text
+from aomgen.io.atomic import remove_folder, remove_staging, stage_folder, write_json, write_text
 from aomgen.pipeline.manifest import (
     MANIFEST,
     Identity,
@@ -112,7 +112,7 @@ def run_stages(
         AomgenError: Whatever a stage refuses; nothing half-written stays.
     """
     results = results_of(project, stages, **machine)
-    with locked(project.out):
+    with lock(project.out):
         remove_staging(project.out)
         digests = dict(inputs)
         made: list[str] = []
@@ -145,7 +145,7 @@ def stage_states(project: Project, stages: tuple[Stage, ...]) -> list[tuple[Stag
     return states
 
 
-def _wanted(results: Results, stage: Stage, digests: dict[str, str]) -> Identity:
+def _identify(results: Results, stage: Stage, digests: dict[str, str]) -> Identity:
     inputs = {name: digests[name] for name in stage.needs}
     # As JSON gives them back, so that they compare equal after a round trip.
     parameters = results.project.model_dump(mode="json", include=set(stage.settings))
@@ -159,19 +159,19 @@ def _kept(results: Results, stage: Stage, digests: dict[str, str]) -> Manifest |
     manifest = read_manifest(folder)
     if manifest is None or not files_present(folder, manifest):
         return None
-    return manifest if manifest.identity == _wanted(results, stage, digests) else None
+    return manifest if manifest.identity == _identify(results, stage, digests) else None
 
 
 def _make(results: Results, stage: Stage, digests: dict[str, str], display: Display) -> Manifest:
     """Run a stage and commit its folder."""
-    folder, wanted = results.folders[stage.name], _wanted(results, stage, digests)
+    folder, wanted = results.folders[stage.name], _identify(results, stage, digests)
     display.begin(stage, fresh=False)
     start = time.monotonic()
     if stage.incremental:
         _begin_in_place(folder, stage, wanted)
         manifest = _finish(folder, stage, wanted, stage.function(results, folder, display.progress))
     else:
-        with staged_folder(folder) as staging:
+        with stage_folder(folder) as staging:
             manifest = _finish(staging, stage, wanted, stage.function(results, staging, display.progress))
     seconds = time.monotonic() - start
     path = results.out / TIMINGS
@@ -208,7 +208,7 @@ def _make_folder(folder: Path) -> None:
 
 
 @contextmanager
-def locked(out: Path) -> Iterator[None]:
+def lock(out: Path) -> Iterator[None]:
     """Hold the lock of a run's folder, which is made; the system releases it when the process dies.
 
     Raises:

@@ -18,7 +18,7 @@ from aomgen.io.schema import override
 from aomgen.pipeline.manifest import files_digest
 from aomgen.pipeline.preflight import preflight
 from aomgen.pipeline.project_file import read_project, write_project
-from aomgen.pipeline.runner import Display, Stage, StageFunction, locked, run_stages
+from aomgen.pipeline.runner import Display, Stage, StageFunction, lock, run_stages
 from aomgen.results import Results
 
 PROJECT_FILE = "project.toml"
@@ -204,7 +204,7 @@ def run_pipeline(project: Project, display: Display, *, until: str = "", **machi
         # Warnings about the input appear where it is read first.
         display.warn(STAGES[0], sentence)
     # The choices lie beside the results, so that reports can be made again and questions answered.
-    with locked(project.out):
+    with lock(project.out):
         write_project(project.out / PROJECT_FILE, project)
     return run_stages(project, STAGES, display, inputs=inputs, until=until, **machine)
 

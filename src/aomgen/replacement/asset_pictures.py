@@ -58,16 +58,16 @@ class AssetRenderer(ModelRenderer):
             camera: Pose in the asset's frame.
             theta: Joint value.
         """
-        fine = camera.resized(SAMPLES * camera.width, SAMPLES * camera.height)
+        fine = camera.resize(SAMPLES * camera.width, SAMPLES * camera.height)
         colors, buffer = self._render(fine, [theta], ids=False)
         solid = (buffer > 0)[..., None]
         if not self._see_through:
-            return _pooled(np.concatenate([colors * solid, solid * np.uint8(255)], -1))
+            return _pool(np.concatenate([colors * solid, solid * np.uint8(255)], -1))
         self._option.geomgroup[BACKDROP_GROUP] = 1
         before_white, _ = self._render(fine, [theta], ids=False)
         self._option.geomgroup[BACKDROP_GROUP] = 0
-        rgb = _pooled(colors)
-        shone = (_pooled(before_white) - rgb).mean(-1, keepdims=True)
+        rgb = _pool(colors)
+        shone = (_pool(before_white) - rgb).mean(-1, keepdims=True)
         return np.concatenate([rgb, np.clip(1 - shone, 0, 1)], -1)
 
     def draw_normals(self, camera: Camera, theta: float) -> NDArray[np.float32]:
@@ -81,7 +81,7 @@ class AssetRenderer(ModelRenderer):
         return normals * ~self.draw_values(camera, [theta], blending, nothing=False)[0][..., None]
 
 
-def _pooled(image: NDArray[np.uint8]) -> NDArray[np.float32]:
+def _pool(image: NDArray[np.uint8]) -> NDArray[np.float32]:
     """The means 0..1 of squares of an image (H, W, C) of 0..255."""
     sums = np.zeros((image.shape[0] // SAMPLES, image.shape[1] // SAMPLES, image.shape[2]), np.float32)
     for row in range(SAMPLES):

@@ -102,7 +102,7 @@ def asset_surfels(asset: ArticulatedAsset, rng: np.random.Generator) -> tuple[Su
     meshes = (asset.static.meshes, asset.moving.meshes)
     solids = [hiding_points(items, POINTS, rng) for items in meshes]
     covers = [
-        _turned_outward(surfels_of(items, DISCS // 2, rng), solid)
+        _turn_outward(surfels_of(items, DISCS // 2, rng), solid)
         for items, solid in zip(meshes, solids, strict=True)
     ]
     links = np.repeat([0, 1], [len(cover.gaussians) for cover in covers])
@@ -142,7 +142,7 @@ def asset_surfels(asset: ArticulatedAsset, rng: np.random.Generator) -> tuple[Su
     return fitted[0], fitted[1]
 
 
-def _turned_outward(cover: Surfels, surface: Array) -> Surfels:
+def _turn_outward(cover: Surfels, surface: Array) -> Surfels:
     means, normals = (part.astype(np.float64) for part in (cover.gaussians.means, cover.normals))
     return replace(cover, normals=outward_normals(means, normals, surface).astype(np.float32))
 
@@ -190,7 +190,7 @@ def _fit(
 ) -> tuple[Parameters, NDArray[np.int64]]:
     """Fitted Gaussians of links 0 and 1 in the asset's frame at joint value 0, and the disc that each comes from."""
     compute, sources = NativeCompute(), np.arange(len(surface.links))
-    small = [_halved(picture) for picture in pictures]
+    small = [_halve(picture) for picture in pictures]
     distance = float(np.median([np.linalg.norm(item.camera.center) for item in pictures]))
     step_m = STEP_PX * distance / (FOCAL * PICTURE_PX)
     steps, added = ROUNDS * len(pictures), MAX_GAUSSIANS - len(parameters)
@@ -213,9 +213,9 @@ def _fit(
     return parameters, sources
 
 
-def _halved(picture: _Picture) -> _Picture:
+def _halve(picture: _Picture) -> _Picture:
     half = PICTURE_PX // 2
-    camera = picture.camera.resized(half, half)
+    camera = picture.camera.resize(half, half)
     return replace(
         picture, camera=camera, rgba=avg_pool2d(picture.rgba, 2), normals=avg_pool2d(picture.normals, 2)
     )
@@ -283,7 +283,7 @@ def _seen_normals(
     through a wall. Those that are not seen, or from both sides, keep theirs.
     """
     sums, weights = np.zeros((len(gaussians), 3)), np.zeros(len(gaussians))
-    for picture in map(_halved, pictures[::2]):
+    for picture in map(_halve, pictures[::2]):
         poses = _link_poses(asset, picture.theta)
         posed = move_bodies(gaussians, surface.links.astype(np.int32), poses)
         normals = picture.normals.numpy()

@@ -37,7 +37,7 @@ def merge_exposures(pictures_srgb: ArrayLike, exposures: ArrayLike) -> Array:
     return merged
 
 
-def reflected_directions(camera: Camera) -> tuple[NDArray[np.bool_], Array]:
+def compute_reflected_directions(camera: Camera) -> tuple[NDArray[np.bool_], Array]:
     """Which pixels (H, W) of a square picture a ball covers that touches its borders, and what they mirror.
 
     Returns:
@@ -63,7 +63,7 @@ def unwrap_ball(radiance_linear: Array, camera: Camera) -> EnvironmentMap:
 
     What is right behind the ball is not seen in it and taken from its outline.
     """
-    inside, directions = reflected_directions(camera)
+    inside, directions = compute_reflected_directions(camera)
     wanted = map_directions(ROWS, 2 * ROWS)
     nearest = cKDTree(directions).query(wanted.reshape(-1, 3))[1]
     radiance = radiance_linear[inside][nearest].reshape(wanted.shape)

@@ -86,7 +86,7 @@ class RecordedContact:
     __post_init__ = freeze_arrays
 
 
-def recorded_contact(demo: Demonstration, recorded: RecordedObject, direction: Direction) -> RecordedContact:
+def describe_contact(demo: Demonstration, recorded: RecordedObject, direction: Direction) -> RecordedContact:
     """Cut the contact out of the demonstration and describe the recorded object's front.
 
     An opening begins at the closed object, a closing ends there.
@@ -276,15 +276,15 @@ def mirror_asset(asset: ArticulatedAsset) -> ArticulatedAsset:
     joint = replace(asset.joint, axis=sign * M @ asset.joint.axis, origin=M @ asset.joint.origin)
     return replace(
         asset,
-        static=_mirrored_link(asset.static, M),
-        moving=_mirrored_link(asset.moving, M),
+        static=_mirror_link(asset.static, M),
+        moving=_mirror_link(asset.moving, M),
         joint=joint,
         handle_point=M @ asset.handle_point,
         handle_axis=M @ asset.handle_axis,
     )
 
 
-def _mirrored_link(link: AssetLink, M: Array) -> AssetLink:
+def _mirror_link(link: AssetLink, M: Array) -> AssetLink:
     def mesh(source: Mesh) -> Mesh:
         return replace(
             source, vertices=source.vertices @ M, faces=source.faces[:, ::-1], uvs=source.uvs[:, ::-1]

@@ -71,7 +71,7 @@ def environment_of_photograph(
     radius = round(BALL_SHARE * side)
     low, high = side // 2 - radius, side // 2 + radius
     radiance = merge_exposures(pictures[:, low:high, low:high], EXPOSURES)
-    return unwrap_ball(radiance, scene.camera.cropped(low, low, high - low))
+    return unwrap_ball(radiance, scene.camera.crop(low, low, high - low))
 
 
 def central_photograph(views: Sequence[Photograph], place: Array) -> Photograph:
@@ -89,7 +89,7 @@ def square_scene(photograph: Photograph, world: Gaussians, side: int) -> BallSce
     height, width = photograph.image_srgb.shape[:2]
     size = min(height, width)
     left, top = (width - size) // 2, (height - size) // 2
-    camera = photograph.camera.resized(width, height).cropped(left, top, size).resized(side, side)
+    camera = photograph.camera.resize(width, height).crop(left, top, size).resize(side, side)
     square = Image.fromarray(photograph.image_srgb).crop((left, top, left + size, top + size))
     across = (np.arange(side) + 0.5) / side - 0.5
     distance = np.hypot(across, across[:, None])

@@ -144,7 +144,7 @@ def _fit_scale(
 
     def stage_two(g: Array) -> Array:
         S = pose(g)
-        joint, point = asset.joint.moved(S), apply(S, held)
+        joint, point = asset.joint.move(S), apply(S, held)
         thetas = face_thetas(joint, point, contact.path_world)
         moved = apply(joint.motion(thetas), point[None])
         away = _slide_weighted(joint, point, moved, contact.path_world, noise)
@@ -161,10 +161,10 @@ def _fit_scale(
     fine = least_squares(
         stage_two, rough[keep], bounds=(np.array(low_g)[keep], np.array(high_g)[keep]), loss="soft_l1"
     ).x
-    return _scaled(asset, contact, held, pose(fine), turned, params)
+    return _scale(asset, contact, held, pose(fine), turned, params)
 
 
-def _scaled(
+def _scale(
     asset: ArticulatedAsset,
     contact: RecordedContact,
     held: Array,
@@ -174,11 +174,11 @@ def _scaled(
 ) -> FittedAsset | Rejection:
     """Bake the scale into the asset and read its joint values from the recorded path."""
     scale = float(np.linalg.norm(S_world_asset[:3, 0]))
-    sized = asset.transformed(similarity(scale, np.eye(3), np.zeros(3)))
+    sized = asset.transform(similarity(scale, np.eye(3), np.zeros(3)))
     T = transform(S_world_asset[:3, :3] / scale, S_world_asset[:3, 3])
-    joint, point = sized.joint.moved(T), apply(T, scale * held)
+    joint, point = sized.joint.move(T), apply(T, scale * held)
     thetas = smooth_rise(face_thetas(joint, point, contact.path_world))
-    held = _shifted_along_bar(sized, T, scale * held, joint.motion(thetas), contact.path_world)
+    held = _shift_along_bar(sized, T, scale * held, joint.motion(thetas), contact.path_world)
     residual = apply(joint.motion(thetas), apply(T, held)[None]) - contact.path_world
     limit = LIMIT_SHARE * sized.joint.upper
     figures = {"scale": scale, "residual_mm": _rms_mm(residual), "travel": float(thetas[-1])}
@@ -224,7 +224,7 @@ class _NoiseAlong:
         return np.array([self.along(axis, self.params.noise_m) for axis in np.eye(3)])
 
 
-def _shifted_along_bar(
+def _shift_along_bar(
     asset: ArticulatedAsset, T_world_asset: Array, held: Array, motions: Array, path: Array
 ) -> Array:
     """The held point (3,) moved along the handle's bar to where the recorded path passes it."""

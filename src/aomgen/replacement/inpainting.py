@@ -27,16 +27,16 @@ def inpaint(image: Array, known: NDArray[np.bool_], rng: np.random.Generator) ->
         return np.full(image.shape, 0.5)
     smooth = continue_smoothly(image, known)
     detail = np.where(known[..., None], image - smooth, 0.0)
-    texture = _quilted(detail, known, rng)
+    texture = _quilt(detail, known, rng)
     return np.where(known[..., None], image, smooth + texture)
 
 
 def continue_smoothly(image: Array, known: NDArray[np.bool_]) -> Array:
     """The colors (H, W, C) of an image without its texture, and their smooth continuation to where it is not known."""
-    return _membrane(_blurred(image, known), known)
+    return _membrane(_blur(image, known), known)
 
 
-def _blurred(image: Array, known: NDArray[np.bool_]) -> Array:
+def _blur(image: Array, known: NDArray[np.bool_]) -> Array:
     """Known colors averaged over known neighbours."""
     weight = gaussian_filter(known.astype(float), SMOOTHING)
     masked = np.where(known[..., None], image, 0.0)
@@ -57,7 +57,7 @@ def _membrane(image: Array, known: NDArray[np.bool_]) -> Array:
     return colors.reshape(image.shape)
 
 
-def _quilted(detail: Array, known: NDArray[np.bool_], rng: np.random.Generator) -> Array:
+def _quilt(detail: Array, known: NDArray[np.bool_], rng: np.random.Generator) -> Array:
     """Texture copied patch by patch from the known part, from the border inwards.
 
     Source: Efros & Freeman 2001, with soft seams.

@@ -27,7 +27,7 @@ from aomgen.replacement.probe import Probe, probe_light
 from aomgen.replacement.tone_curve import ToneCurve
 from aomgen.robots.robot import RobotModel
 from aomgen.splatting.surfaces import DIRECTIONS, estimate_transfer, sphere_directions
-from aomgen.twin.twin import Twin, body_poses, posed
+from aomgen.twin.twin import TwinModel, body_poses, pose_twin
 
 # Fewer Gaussians on the robot do not constrain the light; more than the second number tell no more.
 MIN_SAMPLES, MAX_SAMPLES = 200, 3000
@@ -93,7 +93,7 @@ class LitSamples:
 
 
 def estimate_light(
-    twin: Twin,
+    twin: TwinModel,
     robot: RobotModel,
     around: Gaussians,
     place: Array,
@@ -115,7 +115,7 @@ def estimate_light(
     Not checked: the real robot may be painted otherwise than its model; a uniform difference
     enters the light's brightness, which is limited to `LIMITS`.
     """
-    world = posed(twin, robot, twin.scan_state)
+    world = pose_twin(twin, robot, twin.scan_state)
     of_robot = (twin.labels == ROBOT) & (twin.bodies > 0)
     eyes = np.stack([view.center for view in views])
     samples = _robot_samples(twin, world, robot, eyes, rng)
@@ -202,7 +202,7 @@ def light_of_map(around: EnvironmentMap, scan: SceneLight, source: str) -> Scene
 
 def _with_level(light: SceneLight, level: float) -> SceneLight:
     """The light made brighter or darker, so that a level white surface sends back so much, linear."""
-    return light._replace(arriving=light.arriving.scaled(level / max(_up(light), 1e-6)))
+    return light._replace(arriving=light.arriving.scale_by(level / max(_up(light), 1e-6)))
 
 
 def _up(light: SceneLight) -> float:
@@ -211,7 +211,7 @@ def _up(light: SceneLight) -> float:
 
 
 def _robot_samples(
-    twin: Twin, world: Gaussians, robot: RobotModel, eyes_world: Array, rng: np.random.Generator
+    twin: TwinModel, world: Gaussians, robot: RobotModel, eyes_world: Array, rng: np.random.Generator
 ) -> LitSamples:
     """The robot's Gaussians that lie on its meshes and were seen from several sides."""
     Ts = body_poses(twin, robot, twin.scan_state)

@@ -10,7 +10,7 @@ from scipy.ndimage import binary_dilation, binary_erosion, map_coordinates
 
 from aomgen.core.camera import Camera
 from aomgen.core.gaussians import Gaussians
-from aomgen.core.robust import masked_median
+from aomgen.core.robust import compute_masked_median
 from aomgen.core.transforms import apply, invert
 from aomgen.core.values import Array, freeze_arrays
 from aomgen.splatting.rasterizer import render
@@ -82,8 +82,8 @@ def photograph_surface(
         visible[k] = inside & steep & (distance > 0)
         for channel in range(3):
             colors[k, ..., channel] = map_coordinates(view.image_srgb[..., channel] / 255, places, order=1)
-    median, _ = masked_median(colors, visible)
-    spread, _ = masked_median(np.abs(colors - median).mean(-1), visible)
+    median, _ = compute_masked_median(colors, visible)
+    spread, _ = compute_masked_median(np.abs(colors - median).mean(-1), visible)
     seen = visible.sum(0) >= MIN_VIEWS
     usual = float(np.median(spread[seen])) if seen.any() else 0.0
     seen &= spread <= max(UNSURE * usual, NOISE)

@@ -19,7 +19,7 @@ from aomgen.core.transforms import apply, invert
 from aomgen.core.values import Array
 from aomgen.replacement.light_estimation import LitSamples
 from aomgen.splatting.surfaces import sphere_directions, transfer_past
-from aomgen.twin.plane_shadow import PlaneGrid, cast_body
+from aomgen.twin.plane_shadow import PlaneGrid, project_body_shadow
 
 # Cells of the picture from above that are one cell of the shadow, along a side: it is softer than wood is grained.
 COARSER: Final = 3
@@ -64,8 +64,8 @@ class ShadowedTable:
         rows, columns = (-(-side // COARSER) for side in self.known.shape)
         grid = PlaneGrid(low=self.low, cell=COARSER * self.cell, columns=columns, rows=rows)
         linear = np.asarray(linear_from_srgb(self.picture_srgb), np.float64)
-        colors = _pooled(linear * self.known[..., None], rows, columns)
-        return grid, colors, _pooled(self.known.astype(float), rows, columns)
+        colors = _pool(linear * self.known[..., None], rows, columns)
+        return grid, colors, _pool(self.known.astype(float), rows, columns)
 
 
 def shadow_gain(table: ShadowedTable) -> Array:
@@ -84,7 +84,9 @@ def shadow_gain(table: ShadowedTable) -> Array:
     # An even sky lights a table by the sine of the elevation.
     sines = directions[:, 2]
     # What the object lets through of each.
-    passed = 1 - cast_body(table.caster, invert(table.T_world_plane), directions, grid).astype(np.float64)
+    passed = 1 - project_body_shadow(table.caster, invert(table.T_world_plane), directions, grid).astype(
+        np.float64
+    )
     middle = grid.points()[..., :2] - grid.points()[..., :2][sure].mean(0)
     slopes = [sign * middle[..., k] for k in range(2) for sign in (1, -1)]
     A = np.stack([*passed, *slopes], -1)[sure]
@@ -106,7 +108,7 @@ def shadow_gain(table: ShadowedTable) -> Array:
     return gain
 
 
-def lit_cells(table: ShadowedTable, rng: np.random.Generator) -> LitSamples:
+def select_lit_cells(table: ShadowedTable, rng: np.random.Generator) -> LitSamples:
     """Places of a table in the shadow of what stood on it and beside it. Their albedo is not known, 1."""
     grid, colors, weight = table.coarse
     sure = np.argwhere(weight > SURE)
@@ -122,7 +124,7 @@ def lit_cells(table: ShadowedTable, rng: np.random.Generator) -> LitSamples:
     )
 
 
-def _pooled(image: Array, rows: int, columns: int) -> Array:
+def _pool(image: Array, rows: int, columns: int) -> Array:
     """Means over cells of an image (H, W, ...), 0 beyond its end."""
     more = [(0, rows * COARSER - image.shape[0]), (0, columns * COARSER - image.shape[1])]
     whole = np.pad(image, more + [(0, 0)] * (image.ndim - 2))

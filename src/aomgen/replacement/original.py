@@ -11,7 +11,7 @@ from typing import Final
 import numpy as np
 
 from aomgen.assets.choice import ORIGINAL
-from aomgen.assets.normalization import FALLBACK_DENSITY, cleared
+from aomgen.assets.normalization import FALLBACK_DENSITY, clear_path
 from aomgen.assets.procedural.shapes import AlignedBox, Material, boxes_mesh
 from aomgen.conventions import MOVING, STATIC
 from aomgen.core.asset import ArticulatedAsset, AssetLink
@@ -23,7 +23,7 @@ from aomgen.core.transforms import apply, invert, transform
 from aomgen.core.values import Array
 from aomgen.errors import EstimationError
 from aomgen.replacement.correspondence import RecordedContact, face_sides, slide_along_handle
-from aomgen.twin.twin import OBJECT, PART, Twin
+from aomgen.twin.twin import OBJECT, PART, TwinModel
 
 # A door or flap is taken to be this thick: through its window the scan shows what is behind it, [m].
 DOOR_M: Final = 0.03
@@ -89,7 +89,7 @@ def _as_boxes(
         apply(to_asset, points) for points in (recorded.static_points_world, recorded.moving_points_world)
     )
     held = apply(to_asset, contact.path_world[0])
-    joint = demo.joint.moved(to_asset)
+    joint = demo.joint.move(to_asset)
     joint = replace(joint, lower=0.0, upper=BEYOND * float(contact.thetas[-1]) / LIMIT_SHARE)
     # A held bar lies along x of the hand, and upright or level on its face.
     hand_x = to_asset[:3, :3] @ demo.Ts_world_ee[demo.contact_frames[0], :3, 0]
@@ -100,7 +100,7 @@ def _as_boxes(
     body = np.quantile(static, QUANTILES, axis=0)
     body[0, 2] = 0.0
     around = {f"body_{k}": box for k, box in enumerate(_without(body, panel))}
-    return cleared(
+    return clear_path(
         ArticulatedAsset(
             name=ORIGINAL,
             category=category,
@@ -113,19 +113,19 @@ def _as_boxes(
     )
 
 
-def original_twin(background: Twin, recorded: Twin, fitted: FittedAsset) -> Twin:
+def original_twin(background: TwinModel, recorded: TwinModel, fitted: FittedAsset) -> TwinModel:
     """The cleared scene with the recorded Gaussians of the object as an asset's, in the colors of the scan.
 
     What was seen through a door's window stays with the body.
     """
     T_asset_object = invert(fitted.T_world_asset) @ recorded.T_world_object
     which = np.isin(recorded.labels, (STATIC, MOVING))
-    own = recorded.gaussians.select(which).transformed(T_asset_object)
+    own = recorded.gaussians.select(which).transform(T_asset_object)
     moving = recorded.labels[which] == MOVING
     if fitted.asset.joint.type == "revolute":
         panel = next(box for box in fitted.asset.moving.colliders if box.name == PANEL)
         moving &= own.means[:, 1] < panel.corners[:, 1].max() + BEHIND_M
-    return background.extended(
+    return background.extend(
         own,
         np.where(moving, background.body(PART), background.body(OBJECT)).astype(np.int32),
         np.where(moving, MOVING, STATIC).astype(np.uint8),

@@ -14,7 +14,7 @@ from aomgen.core.light import project_radiance
 from aomgen.core.transforms import transform
 from aomgen.core.values import Array, freeze_arrays
 from aomgen.splatting.rasterizer import render
-from aomgen.splatting.surfaces import drawn_points
+from aomgen.splatting.surfaces import compute_rendered_points
 
 # Pixels along the side of a face of the cube.
 FACE_PX: Final = 24
@@ -64,7 +64,7 @@ def probe_light(world: Gaussians, place: Array, views: Sequence[Camera]) -> Prob
         length = np.linalg.norm(rays, axis=-1)
         shown = np.asarray(drawn.rgb, np.float64) / np.maximum(drawn.alpha, MIN_ALPHA)[..., None]
         known = (drawn.alpha > MIN_ALPHA).ravel() & _in_frame(
-            drawn_points(drawn, camera).reshape(-1, 3), views
+            compute_rendered_points(drawn, camera).reshape(-1, 3), views
         )
         found.append((
             (rays / length[..., None]).reshape(-1, 3),

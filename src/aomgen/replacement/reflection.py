@@ -16,7 +16,7 @@ import numpy as np
 
 from aomgen.conventions import linear_from_srgb, srgb_from_linear
 from aomgen.core.gaussians import SH_C0
-from aomgen.core.light import turned_radiance
+from aomgen.core.light import rotate_radiance
 from aomgen.core.sh import sh_basis
 from aomgen.core.values import Array
 from aomgen.replacement.light_estimation import REFLECTED, SceneLight
@@ -39,7 +39,7 @@ def show_in_light(surfels: Surfels, light: SceneLight, R_world_asset: Array) -> 
     The albedo becomes what a diffuse surface would need to look alike on the whole; harmonics of the Gaussians add how
     the reflection differs from its mean.
     """
-    radiance, shown = (part.seen_from(R_world_asset) for part in (light.arriving, light.shown))
+    radiance, shown = (part.view_from(R_world_asset) for part in (light.arriving, light.shown))
     metallic = surfels.metallic[:, None].astype(np.float64)
     colors = surfels.albedo_linear.astype(np.float64)
     share = REFLECTED * (1 - metallic) + metallic * colors
@@ -49,7 +49,7 @@ def show_in_light(surfels: Surfels, light: SceneLight, R_world_asset: Array) -> 
     # Lobes of microfacets: a GGX width of the square of the roughness.
     blur = np.exp(-((BANDS * roughness**2) ** 2))
     half_turns = _to_upright(surfels.shading_normals.astype(np.float64))
-    above = blur[..., None] * turned_radiance(radiance, half_turns)
+    above = blur[..., None] * rotate_radiance(radiance, half_turns)
     views, fit = _views()
     mirrored = np.maximum(sh_basis(views * (1, 1, -1), 2) @ above, 0)
     # Schlick's, which roughness makes smaller, for every view.
@@ -58,7 +58,7 @@ def show_in_light(surfels: Surfels, light: SceneLight, R_world_asset: Array) -> 
     diffuse = colors * (1 - metallic) * np.maximum(transfer @ radiance, 0)
     sent = diffuse[:, None] + open_[..., None] * (share[:, None] + more) * mirrored
     colors_srgb = srgb_from_linear(np.minimum(light.tone.show(sent), 1))
-    sh = turned_radiance(fit @ colors_srgb, half_turns).astype(np.float32)
+    sh = rotate_radiance(fit @ colors_srgb, half_turns).astype(np.float32)
     albedo = linear_from_srgb(np.clip(SH_C0 * sh[:, 0], 0, 1)) / np.maximum(transfer @ shown, BLACK)
     sh[:, 0] = surfels.gaussians.sh[:, 0]
     return replace(surfels, gaussians=surfels.gaussians.with_sh(sh), albedo_linear=albedo.astype(np.float32))

@@ -15,12 +15,12 @@ from aomgen.core.values import Array
 from aomgen.replacement.light_estimation import LitSamples
 from aomgen.replacement.mosaic import Photograph, photograph_surface
 from aomgen.replacement.new_surface import renew_surface
-from aomgen.replacement.old_shadow import ShadowedTable, lit_cells, shadow_gain
+from aomgen.replacement.old_shadow import ShadowedTable, select_lit_cells, shadow_gain
 from aomgen.robots.robot import RobotModel
 from aomgen.splatting.rasterizer import contribution_weights
 from aomgen.twin.plan_view import PlanView
 from aomgen.twin.support import SURFACE, Support, find_support, on_surface
-from aomgen.twin.twin import Twin, posed
+from aomgen.twin.twin import TwinModel, pose_twin
 
 # Remains of the object are looked for this far around it, [m].
 HALO: Final = 0.025
@@ -54,7 +54,7 @@ class Cleared(NamedTuple):
         filled: Gaussians of new surface.
     """
 
-    twin: Twin
+    twin: TwinModel
     shadowed: Gaussians
     support: Support
     table: LitSamples
@@ -67,7 +67,9 @@ class Cleared(NamedTuple):
         return self.twin.scene
 
 
-def clear_object(twin: Twin, robot: RobotModel, views: Sequence[Photograph], inpaint: Inpaint) -> Cleared:
+def clear_object(
+    twin: TwinModel, robot: RobotModel, views: Sequence[Photograph], inpaint: Inpaint
+) -> Cleared:
     """Remove the recorded object from a bound scan.
 
     Args:
@@ -79,7 +81,7 @@ def clear_object(twin: Twin, robot: RobotModel, views: Sequence[Photograph], inp
     Raises:
         ReconstructionError: No supporting plane was scanned.
     """
-    world = posed(twin, robot, twin.scan_state)
+    world = pose_twin(twin, robot, twin.scan_state)
     of_object = np.isin(twin.labels, (STATIC, MOVING))
     scene = twin.of_scene
     support = find_support(
@@ -102,19 +104,19 @@ def clear_object(twin: Twin, robot: RobotModel, views: Sequence[Photograph], inp
         caster=world.select(of_object), T_world_plane=support.T_world_plane, low=plan.low, cell=CELL,
         picture_srgb=picture, known=known,
     )  # fmt: skip
-    table, gain = lit_cells(shadowed, np.random.default_rng(0)), shadow_gain(shadowed)
+    table, gain = select_lit_cells(shadowed, np.random.default_rng(0)), shadow_gain(shadowed)
     deep = known & (gain.max(-1) > MAX_LIFT)
     known = known & ~deep
     level = remaining.of_scene & on_surface(remaining.gaussians, support)
     factors = np.where(level[:, None], plan.lookup(gain, remaining.gaussians, 1.0), 1.0)
-    lightened = remaining.gaussians.brightened(factors)
+    lightened = remaining.gaussians.brighten(factors)
     texture = inpaint(np.clip(picture * gain, 0, 1), known)
     # Where nothing was scanned before either, the table ends; gaps within it are closed too.
     area = (outside <= 0) | (_hull(plan.cover(world.select(scene)) > 0.5) & (near | ~binary_dilation(other)))
     new, closed = area & (near | deep), outside <= 0.7 * RING
     fill, kept = renew_surface(lightened, level, plan, texture, known, new, closed, area)
     faded = replace(lightened, opacities=lightened.opacities * kept)
-    cleared = replace(remaining, gaussians=faded).select(kept > 0).extended(fill, 0, BACKGROUND)
+    cleared = replace(remaining, gaussians=faded).select(kept > 0).extend(fill, 0, BACKGROUND)
     removed = int(leftover.sum() + rest.sum())
     return Cleared(cleared, remaining.scene, support, table, removed=removed, filled=len(fill))
 

@@ -24,7 +24,7 @@ from aomgen.io.artifact import save_artifact
 from aomgen.io.hdr_image import read_environment
 from aomgen.io.images import read_image
 from aomgen.replacement.asset_surfels import asset_surfels
-from aomgen.replacement.correspondence import recorded_contact
+from aomgen.replacement.correspondence import describe_contact
 from aomgen.replacement.diffusion_inpainting import paint_unknown
 from aomgen.replacement.diffusion_light import central_photograph, environment_of_photograph
 from aomgen.replacement.fitting import FitParams, fit_asset
@@ -41,8 +41,8 @@ from aomgen.replacement.viewpoint import episode_cameras
 from aomgen.results import ASSET_USD, ASSETS_FOLDER, FITTED, Results
 from aomgen.robots.reach import longest_reach
 from aomgen.twin.binding import with_object
-from aomgen.twin.thing_shadow import cast_on_things
-from aomgen.twin.twin import Twin, posed
+from aomgen.twin.thing_shadow import compute_surrounding_shadow
+from aomgen.twin.twin import TwinModel, pose_twin
 
 # Folder of the twin without its object.
 BACKGROUND_FOLDER = "background"
@@ -67,7 +67,7 @@ def run(results: Results, folder: Path, progress: Progress) -> dict[str, Any]:
     obstacles = find_obstacles(
         cleared.surroundings, cleared.support, longest_reach(results.robot), results.configuration
     )
-    fitted, rejected = fit_assets(results, recorded_object(results, support))
+    fitted, rejected = fit_assets(results, describe_recorded_object(results, support))
     for number, asset in enumerate(fitted):
         progress(0.4 + 0.5 * number / len(fitted), f"asset {asset.asset.name}")
         target = folder / ASSETS_FOLDER / f"{number:02d}"
@@ -134,24 +134,26 @@ def light_of_assets(results: Results, scan_light: SceneLight, view: Photograph) 
     if head == SCAN_LIGHT:
         return scan_light
     if head == DIFFUSION_LIGHT:
-        world = posed(results.twin, results.robot, results.twin.scan_state)
+        world = pose_twin(results.twin, results.robot, results.twin.scan_state)
         around = environment_of_photograph(Path(path), view, world, project.seed)
         return light_of_map(around, scan_light, "diffusion")
-    around = read_environment(Path(path)).turned(np.radians(project.light_yaw_deg))
+    around = read_environment(Path(path)).turn(np.radians(project.light_yaw_deg))
     return light_of_map(around, scan_light, "file")
 
 
-def _things_in_light(results: Results, cleared: Cleared, light: SceneLight) -> Twin:
+def _things_in_light(results: Results, cleared: Cleared, light: SceneLight) -> TwinModel:
     """The cleared scene without the recorded object's shadow on walls and things."""
     twin, recorded, T_world_plane = cleared.twin, results.twin, cleared.support.T_world_plane
-    body = posed(recorded, results.robot, recorded.scan_state).select(
+    body = pose_twin(recorded, results.robot, recorded.scan_state).select(
         np.isin(recorded.labels, (STATIC, MOVING))
     )
     scene, lamp = twin.scene, recorded.directional_light
-    cast = cast_on_things(scene, body, light.shown, lamp, _eyes(results), T_world_plane, len(scene))
+    cast = compute_surrounding_shadow(
+        scene, body, light.shown, lamp, _eyes(results), T_world_plane, len(scene)
+    )
     gain = np.ones((len(twin.gaussians), 1))
     gain[twin.of_scene] = 1 / np.maximum(cast.factors(scene, T_world_plane), MAX_GAIN**-SRGB_POWER)
-    return replace(twin, gaussians=twin.gaussians.brightened(gain))
+    return replace(twin, gaussians=twin.gaussians.brighten(gain))
 
 
 def _middle(cleared: Cleared) -> Array:
@@ -166,7 +168,7 @@ def _eyes(results: Results) -> Array:
     return np.stack([camera.center for camera in results.scan_cameras.values()])
 
 
-def recorded_object(results: Results, support: SupportPlane) -> RecordedObject:
+def describe_recorded_object(results: Results, support: SupportPlane) -> RecordedObject:
     """Points of a run's recorded object, above a support plane."""
     moving, static = (
         surface_points(results.scene, results.parts.labels, label) for label in (MOVING, STATIC)
@@ -183,7 +185,7 @@ def fit_assets(results: Results, recorded: RecordedObject) -> tuple[list[FittedA
     """
     project, params = results.project, results.params("replacement", FitParams())
     demo = results.demonstration
-    contact = recorded_contact(demo, recorded, results.motion.direction)
+    contact = describe_contact(demo, recorded, results.motion.direction)
     found: dict[str, FittedAsset | Rejection] = {}
     for spec in project.assets:
         if spec == ORIGINAL:
@@ -204,8 +206,8 @@ def fit_assets(results: Results, recorded: RecordedObject) -> tuple[list[FittedA
 
 def fit_to_recording(results: Results, asset: ArticulatedAsset) -> FittedAsset | Rejection:
     """Fit an asset to a run's recorded object."""
-    recorded = recorded_object(results, results.episode_scene.support)
-    contact = recorded_contact(results.demonstration, recorded, results.motion.direction)
+    recorded = describe_recorded_object(results, results.episode_scene.support)
+    contact = describe_contact(results.demonstration, recorded, results.motion.direction)
     params = results.params("replacement", FitParams())
     joint_type = results.demonstration.joint.type
     return fit_asset(asset, contact, joint_type, results.project.adapt, params)
@@ -220,7 +222,7 @@ def examine_fit(results: Results, asset: ArticulatedAsset) -> Finding:
     return Finding(name=name, state=f"size x {found.scale:.2f}, {found.residual_mm:.1f} mm from the motion")
 
 
-def asset_twin(background: Twin, fitted: FittedAsset, light: SceneLight, seed: int) -> Twin:
+def asset_twin(background: TwinModel, fitted: FittedAsset, light: SceneLight, seed: int) -> TwinModel:
     """The cleared scene with a fitted asset where the recorded object stood."""
     T = fitted.T_world_asset
     static, moving = (

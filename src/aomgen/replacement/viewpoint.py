@@ -16,7 +16,7 @@ from aomgen.replacement.correspondence import UP
 from aomgen.results import Results
 from aomgen.robots.robot import RobotModel
 from aomgen.splatting.rasterizer import render
-from aomgen.twin.twin import Twin, TwinState, posed
+from aomgen.twin.twin import TwinModel, TwinState, pose_twin
 
 # Size of the images in which visibility is judged, [px].
 LOOK_PX = (160, 120)
@@ -32,7 +32,7 @@ WANTED_SPAN = 0.6
 def episode_cameras(results: Results) -> dict[str, Camera]:
     """The demonstration's camera and a new viewpoint, at the size of the episodes' images."""
     demo = results.demonstration
-    first = results.fixed_camera.camera.resized(*results.project.image_size)
+    first = results.fixed_camera.camera.resize(*results.project.image_size)
     frames = np.linspace(0, len(demo.times_s) - 1, 4).astype(int)
     held = apply(demo.Ts_world_ee[demo.contact_frames[0]], demo.grasp_ee)
     states = results.states_at(demo.times_s[frames], results.twin.T_world_object)
@@ -46,7 +46,7 @@ def episode_cameras(results: Results) -> dict[str, Camera]:
 def choose_viewpoint(
     scan_cameras: Mapping[str, Camera],
     first: Camera,
-    twin: Twin,
+    twin: TwinModel,
     robot: RobotModel,
     states: Sequence[TwinState],
     key_points: Sequence[Array],
@@ -64,20 +64,20 @@ def choose_viewpoint(
     if not scan_cameras:
         raise ReconstructionError("viewpoint", "no scan camera is registered", "scan the scene again")
     every = np.concatenate(list(key_points))
-    scenes = [posed(twin, robot, state) for state in states]
+    scenes = [pose_twin(twin, robot, state) for state in states]
     of_object = np.isin(twin.labels, (STATIC, MOVING))
     framed = np.concatenate([every, *(_corners(scene.means[of_object]) for scene in scenes)])
     target = framed.mean(0)
     for max_turn, share in DEMANDS:
         best, best_score = None, -np.inf
         for name in sorted(scan_cameras):
-            camera = first.moved(look_at(scan_cameras[name].center, target))
+            camera = first.move(look_at(scan_cameras[name].center, target))
             if not camera.T_world_cam[:3, 2] @ scan_cameras[name].T_world_cam[:3, 2] > np.cos(max_turn):
                 continue
             score = _framing_score(camera, first, framed, share)
             # Seeing everything adds 1; only those are drawn that can still win.
             if score + 1.0 > best_score:
-                score += _visible_share(camera.resized(*LOOK_PX), scenes, key_points)
+                score += _visible_share(camera.resize(*LOOK_PX), scenes, key_points)
                 if score > best_score:
                     best, best_score = camera, score
         if best is not None:
@@ -95,7 +95,7 @@ def _corners(points: ArrayLike) -> Array:
 
 def _framing_score(camera: Camera, first: Camera, points: Array, share: float) -> float:
     """Score by distance from the first camera's direction and by framing; -inf when it misses the points."""
-    small = camera.resized(*LOOK_PX)
+    small = camera.resize(*LOOK_PX)
     pixels, depths = small.project(points)
     size = np.array(LOOK_PX)
     inside = (depths > 0.3) & ((pixels > 0.06 * size) & (pixels < 0.94 * size)).all(1)

@@ -64,7 +64,7 @@ class Made:
 
 def episodes_section(results: Results) -> list[str]:
     """Cards with videos of the first episodes, a table of all, and what its figures are held against."""
-    made = made_episodes(results)
+    made = list_episodes(results)
     rule = PassRule()
     count = len({run["name"] for item in made for run in item.episode.verdict["dynamic"]})
     cards = "".join(_card(item) for item in made[:SHOWN])
@@ -83,7 +83,7 @@ def episodes_section(results: Results) -> list[str]:
     ]
 
 
-def made_episodes(results: Results) -> list[Made]:
+def list_episodes(results: Results) -> list[Made]:
     """All committed episodes of a run."""
     root = results.folders["episodes"]
     return [

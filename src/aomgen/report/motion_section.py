@@ -20,7 +20,7 @@ from aomgen.motion.estimates_file import REFUSED_FILE, REFUSED_MOTION
 from aomgen.pipeline.rendering import render_twin
 from aomgen.report.drawing import OUTLINE, Image8, axis_space, overlay_motion, overlay_outline, sheet
 from aomgen.report.html import Chart, draw_chart, page, paragraph, picture, section
-from aomgen.report.recording_images import recorded_states
+from aomgen.report.recording_images import estimate_recorded_states
 from aomgen.results import Results
 
 # Half a 95 % interval in standard deviations.
@@ -48,7 +48,7 @@ def joint_sheet(results: Results) -> Image8:
     camera = results.fixed_camera.camera
     moments = [motion.start_s, 0.5 * (motion.start_s + motion.end_s), motion.end_s]
     frames = [int(np.argmin(np.abs(video.times_s - moment))) for moment in moments]
-    states = recorded_states(results, frames)
+    states = estimate_recorded_states(results, frames)
     held = apply(results.robot.ee_poses(states[0].joints[None])[0], motion.grasp_ee)
     parts = [render_twin(results.twin, results.robot, camera, state)[2] == MOVING for state in states]
     left, top, width, height = _cut(camera, motion, held, np.any(parts, axis=0))
@@ -62,7 +62,7 @@ def joint_sheet(results: Results) -> Image8:
         mask = resize(np.repeat(255 * part[..., None].astype(np.uint8), 3, 2), *size)[..., 0] > 127
         outlined = overlay_outline(large, mask, OUTLINE)
         theta = float(motion.thetas[frame])
-        drawn = overlay_motion(outlined, camera.resized(*size), motion, held, theta)
+        drawn = overlay_motion(outlined, camera.resize(*size), motion, held, theta)
         images.append(drawn[rows, columns])
     return sheet(images, len(images))
 

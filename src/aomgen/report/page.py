@@ -75,7 +75,7 @@ def write_report(out: Path) -> Path:
         "Asked for and delivered": draws_section(results),
         "Rejected poses": rejects_section(results),
         "What next": next_steps(results),
-        **_recovered_sections(results),
+        **_render_estimate_sections(results),
         "Time and figures of the stages": [stages_table(results)],
     }
     shown = {title: parts for title, parts in sections.items() if parts}
@@ -90,7 +90,7 @@ def write_report(out: Path) -> Path:
     return out / REPORT_FILE
 
 
-def _recovered_sections(results: Results) -> dict[str, list[str]]:
+def _render_estimate_sections(results: Results) -> dict[str, list[str]]:
     """What the recording became, from the scan to the replay of the video."""
     return {
         "Scene": [
@@ -110,7 +110,7 @@ def _recovered_sections(results: Results) -> dict[str, list[str]]:
         "Alignment": [
             paragraph("The robot model's outline over the video, at the estimated camera and clock offset."),
             picture(recording_images.robot_sheet(results), "robot model over the video"),
-            _fixed_cameras(results),
+            _render_fixed_cameras(results),
         ],
         "Motion": motion_section(results),
         "Replay": [
@@ -138,7 +138,7 @@ def _coverage(results: Results) -> str:
     return table(["side", *_titles("coverage")], rows)
 
 
-def _fixed_cameras(results: Results) -> str:
+def _render_fixed_cameras(results: Results) -> str:
     rows: list[list[object]] = []
     for name, item in results.alignment.cameras.items():
         clock = {"offset_s": item.clock.offset_s, "sd_s": item.clock.sd_s} if item.clock else {}

@@ -20,13 +20,13 @@ from aomgen.twin.twin import TwinState
 SEEN = np.array([(205, 45, 45), (235, 180, 40), (60, 150, 90)], np.uint8)
 
 
-def recorded_frames(results: Results, count: int) -> list[int]:
+def choose_recorded_frames(results: Results, count: int) -> list[int]:
     """Frame numbers evenly over the recorded video."""
     frames = len(results.videos[results.demo_camera].times_s)
     return [int(frame) for frame in np.linspace(0, frames - 1, count)]
 
 
-def recorded_states(results: Results, frames: list[int]) -> tuple[TwinState, ...]:
+def estimate_recorded_states(results: Results, frames: list[int]) -> tuple[TwinState, ...]:
     """The twin's states at frames of the recorded video, as estimated."""
     times_s = results.videos[results.demo_camera].times_s[frames]
     return results.states_at(times_s, results.twin.T_world_object)
@@ -70,10 +70,10 @@ def coverage_map(results: Results) -> Image8:
 def robot_sheet(results: Results, count: int = 4) -> Image8:
     """The robot model's outline over the video, at the estimated clock offset and camera."""
     images = []
-    video, frames = results.videos[results.demo_camera], recorded_frames(results, count)
+    video, frames = results.videos[results.demo_camera], choose_recorded_frames(results, count)
     height, width = video.frames_srgb.shape[1:3]
     with SilhouetteRenderer(results.robot, max_width=width, max_height=height) as renderer:
-        for frame, state in zip(frames, recorded_states(results, frames), strict=True):
+        for frame, state in zip(frames, estimate_recorded_states(results, frames), strict=True):
             bodies, _ = renderer.draw(results.fixed_camera.camera, state.joints, state.gripper)
             images.append(_small(overlay_outline(video.frames_srgb[frame], bodies >= 0, OUTLINE)))
     return sheet(images, count)
@@ -81,7 +81,7 @@ def robot_sheet(results: Results, count: int = 4) -> Image8:
 
 def replay_sheet(results: Results, count: int = 4) -> Image8:
     """Video frames above the twin's replay of them."""
-    states = recorded_states(results, recorded_frames(results, count))
+    states = estimate_recorded_states(results, choose_recorded_frames(results, count))
     camera = results.fixed_camera.camera
     drawn = [_small(render_twin(results.twin, results.robot, camera, state)[0]) for state in states]
     return sheet(demo_strip(results, count) + drawn, count)
@@ -90,7 +90,7 @@ def replay_sheet(results: Results, count: int = 4) -> Image8:
 def demo_strip(results: Results, count: int = 6) -> list[Image8]:
     """Frames of the recorded demonstration."""
     video = results.videos[results.demo_camera]
-    return [_small(video.frames_srgb[frame]) for frame in recorded_frames(results, count)]
+    return [_small(video.frames_srgb[frame]) for frame in choose_recorded_frames(results, count)]
 
 
 def episode_strip(folder: Path, camera: str, count: int) -> list[Image8]:

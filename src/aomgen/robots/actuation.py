@@ -224,8 +224,8 @@ def _false_contacts(model: mujoco.MjModel, chain: ArmChain) -> list[tuple[str, s
     pairs |= set(_structural_overlaps(model, chain.joints))
     signatures = {int(signature) for signature in model.exclude_signature}
 
-    def known(a: str, b: str) -> bool:
+    def is_known(a: str, b: str) -> bool:
         first, second = sorted((model.body(a).id, model.body(b).id))
         return (first << 16) + second in signatures
 
-    return sorted(pair for pair in pairs if not known(*pair))
+    return sorted(pair for pair in pairs if not is_known(*pair))

@@ -125,7 +125,7 @@ def read_description(path: Path) -> RobotDescription:
     return found
 
 
-def known_description(name: str) -> Path:
+def find_known_description(name: str) -> Path:
     """The file that describes a robot known by name.
 
     Raises:

@@ -50,7 +50,7 @@ class HandSurface:
 
     __post_init__ = freeze_arrays
 
-    def posed(self, Ts_to_body: Array) -> tuple[Array, Array]:
+    def pose(self, Ts_to_body: Array) -> tuple[Array, Array]:
         """Points and normals (N, 3) for poses (B, 4, 4) of all bodies, in the frame of these."""
         Ts = Ts_to_body[self.bodies]
         points = np.einsum("nij,nj->ni", Ts[:, :3, :3], self.points_body) + Ts[:, :3, 3]

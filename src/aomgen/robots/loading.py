@@ -30,7 +30,7 @@ from aomgen.robots.description import (
     RobotFiles,
     description_toml,
     find_description,
-    known_description,
+    find_known_description,
     read_description,
     read_models,
 )
@@ -76,7 +76,7 @@ def load_robot(
     if base_frame not in ("base_link", "ur_base"):
         raise ConfigError("robot.base_frame", f"'{base_frame}' is unknown", "use base_link or ur_base")
     if isinstance(model, str) and not Path(model).suffix:
-        path = known_description(model)
+        path = find_known_description(model)
         description = read_description(path)
     else:
         file = Path(model)

@@ -71,7 +71,7 @@ def propose_description(
     xml = read_robot_xml(file, root)
     spec, actuated = read_robot_spec(RobotFiles(arm=xml), turned=False)
     model = compile_model(spec, file)
-    names = tuple(joints) or _unbranched(model)
+    names = tuple(joints) or _list_unbranched_joints(model)
     if not names:
         raise MalformedFileError(
             file, "branches before its first joint", f"name the arm's joints with --joint: {HELP}"
@@ -85,13 +85,13 @@ def propose_description(
         gripper, T_body_ee = _guess_gripper(
             _Hand(spec=spec, model=model, chain=chain, file=file),
             actuated,
-            _stated_strokes(opened or {}, closed or {}, chain, file),
+            _read_stated_strokes(opened or {}, closed or {}, chain, file),
             fingers,
         )
         end = EndEffectorSection(
             body=model.body(chain.last_body).name,
-            position=_rounded(T_body_ee[:3, 3]),
-            quat_wxyz=_rounded(quat_from_matrix(T_body_ee[:3, :3])),
+            position=_round(T_body_ee[:3, 3]),
+            quat_wxyz=_round(quat_from_matrix(T_body_ee[:3, :3])),
         )
     elif opened or closed or fingers:
         raise MalformedFileError(file, "has no finger joints, but values of some are given", "check the file")
@@ -100,7 +100,7 @@ def propose_description(
     )
 
 
-def _unbranched(model: mujoco.MjModel) -> tuple[str, ...]:
+def _list_unbranched_joints(model: mujoco.MjModel) -> tuple[str, ...]:
     """Joints from the base on while only one of a body's branches moves; of a fork none."""
     moving = {int(body) for body in model.jnt_bodyid}
     moving |= {body for j in model.jnt_bodyid for body in ancestors(model, int(j))}
@@ -134,7 +134,7 @@ class _Closing:
     travel: Travel
 
 
-def _stated_strokes(
+def _read_stated_strokes(
     opened: Mapping[str, float], closed: Mapping[str, float], chain: ArmChain, file: Path
 ) -> dict[str, tuple[float, float]]:
     if set(opened) != set(closed):
@@ -164,7 +164,7 @@ def _guess_gripper(
     model, file = hand.model, hand.file
     skins = sample_hand(model, hand.chain)
     closing = _find_closing(hand, skins, actuated, strokes)
-    pair = _named_pair(model, fingers, file) if fingers else _sides(model, closing.travel.bodies)
+    pair = _find_named_pair(model, fingers, file) if fingers else _sides(model, closing.travel.bodies)
     row = find_contact_row(skins, closing.Ts, pair)
     faces = [find_face(skins, closing.Ts, row, a, b) for a, b in (pair, pair[::-1])]
     if faces[0] is None or faces[1] is None:
@@ -176,9 +176,9 @@ def _guess_gripper(
     for body, (T, half) in zip(pair, (faces[0], faces[1]), strict=True):
         pad = PadSection(
             body=model.body(body).name,
-            center=_rounded(T[:3, 3]),
-            quat_wxyz=_rounded(quat_from_matrix(T[:3, :3])),
-            half_extents=_rounded(half),
+            center=_round(T[:3, 3]),
+            quat_wxyz=_round(quat_from_matrix(T[:3, :3])),
+            half_extents=_round(half),
         )
         pads.append(pad)
         T_last_body = invert(closing.Ts[row, hand.chain.last_body]) @ closing.Ts[row, body]
@@ -270,7 +270,7 @@ def _range(hand: _Hand, name: str) -> tuple[float, float]:
     return float(low), float(high)
 
 
-def _named_pair(model: mujoco.MjModel, fingers: Sequence[str], file: Path) -> tuple[int, int]:
+def _find_named_pair(model: mujoco.MjModel, fingers: Sequence[str], file: Path) -> tuple[int, int]:
     known = [model.body(b).name for b in range(1, model.nbody)]
     for name in fingers:
         if name not in known:
@@ -285,7 +285,7 @@ def _sides(model: mujoco.MjModel, pair: tuple[int, int]) -> tuple[int, int]:
     return (pair[1], pair[0]) if "right" in names[0] or "left" in names[1] else pair
 
 
-def _rounded(values: Array) -> tuple[float, ...]:
+def _round(values: Array) -> tuple[float, ...]:
     return tuple(float(value) for value in np.round(values, DIGITS) + 0.0)
 
 

@@ -81,7 +81,7 @@ def read_robot_spec(files: RobotFiles, *, turned: bool) -> tuple[mujoco.MjSpec, 
     arm, source = files.arm, parse_spec(files.arm)
     if files.gripper is not None:
         _attach(source, parse_spec(files.gripper), files)
-    actuated = _actuated_joints(source, arm)
+    actuated = _find_actuated_joints(source, arm)
     for kind in ("keys", "lights", "cameras", "sensors", "actuators", "tendons", "pairs"):
         for item in list(getattr(source, kind)):
             source.delete(item)
@@ -112,7 +112,7 @@ def read_robot_spec(files: RobotFiles, *, turned: bool) -> tuple[mujoco.MjSpec, 
     return spec, actuated
 
 
-def _actuated_joints(spec: mujoco.MjSpec, xml: RobotXml) -> tuple[str, ...]:
+def _find_actuated_joints(spec: mujoco.MjSpec, xml: RobotXml) -> tuple[str, ...]:
     by_kind = mujoco.mjtTrn.mjTRN_JOINT, mujoco.mjtTrn.mjTRN_TENDON
     names, pulled = ([item.target for item in spec.actuators if item.trntype == kind] for kind in by_kind)
     if pulled:

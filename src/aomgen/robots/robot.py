@@ -170,7 +170,7 @@ class RobotModel:
 
 def body_poses(model: mujoco.MjModel, states: Array) -> Array:
     """Poses T_world_body (K, B, 4, 4) of all bodies, the world included, for states (K, nq)."""
-    found = [(data.xpos.copy(), data.xquat.copy()) for data in _posed(model, states)]
+    found = [(data.xpos.copy(), data.xquat.copy()) for data in _pose_states(model, states)]
     positions, quats = (np.array(part) for part in zip(*found, strict=True))
     return transform(matrix_from_quat(quats), positions)
 
@@ -179,13 +179,13 @@ def site_poses(model: mujoco.MjModel, states: Array, site: str) -> Array:
     """Poses T_world_site (K, 4, 4) for states (K, nq)."""
     found = [
         (data.site(site).xmat.reshape(3, 3).copy(), data.site(site).xpos.copy())
-        for data in _posed(model, states)
+        for data in _pose_states(model, states)
     ]
     rotations, positions = (np.array(part) for part in zip(*found, strict=True))
     return transform(rotations, positions)
 
 
-def _posed(model: mujoco.MjModel, states: Array) -> Iterator[mujoco.MjData]:
+def _pose_states(model: mujoco.MjModel, states: Array) -> Iterator[mujoco.MjData]:
     data = mujoco.MjData(model)
     for row in states:
         data.qpos[:] = row
@@ -226,16 +226,16 @@ class RobotConfiguration:
 
         Not checked: the arm is one chain.
         """
-        return self._turned()[1]
+        return self._rotate_joints_once()[1]
 
     def turns(self, points: Array, bodies: NDArray[np.integer]) -> Array:
         """How each joint moves points (C, 3) on bodies (C,): velocities (C, J, 3), [m/rad]."""
-        motions, segments = self._turned()
+        motions, segments = self._rotate_joints_once()
         moves = np.einsum("jab,cb->cja", motions[:, :3, :3], points) + motions[:, :3, 3]
         behind = segments[bodies][:, None] > np.arange(len(motions))
         return np.asarray(moves * behind[..., None], np.float64)
 
-    def _turned(self) -> tuple[Array, NDArray[np.int64]]:
+    def _rotate_joints_once(self) -> tuple[Array, NDArray[np.int64]]:
         rows = np.tile(self.joints, (len(self.joints) + 1, 1))
         rows[1:] += _TURN_RAD * np.eye(len(self.joints))
         poses = self.robot.link_poses(rows, np.full(len(rows), self.gripper))

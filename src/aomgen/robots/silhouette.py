@@ -74,7 +74,7 @@ def robot_masks(robot: RobotModel, camera: Camera, log: JointLog) -> Iterator[Ma
     ) as renderer:
 
         def masks_at(times_s: Array, width: int, height: int) -> NDArray[np.bool_]:
-            small = camera.resized(width, height)
+            small = camera.resize(width, height)
             joints, gripper = log.at(times_s)
             masks = np.empty((len(times_s), height, width), bool)
             for k, (row, closing) in enumerate(zip(joints, gripper, strict=True)):
@@ -94,7 +94,7 @@ def add_robot_visuals(spec: mujoco.MjSpec, robot: RobotModel, cell_m: float) -> 
         robot: Whose meshes are added.
         cell_m: Vertices that share a cell of this size become one; outlines move by a fraction of it.
     """
-    for number, (mesh, vertices, faces) in enumerate(_simplified_meshes(robot, cell_m)):
+    for number, (mesh, vertices, faces) in enumerate(_simplify_meshes(robot, cell_m)):
         name = f"looks_{number}"
         item = spec.add_mesh(name=name, uservert=vertices.ravel(), userface=faces.ravel().astype(np.int32))
         item.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL
@@ -103,7 +103,7 @@ def add_robot_visuals(spec: mujoco.MjSpec, robot: RobotModel, cell_m: float) -> 
         add_visual_geom(spec.body(robot.body_names[mesh.body]), name)
 
 
-def _simplified_meshes(robot: RobotModel, cell_m: float) -> list[tuple[RobotMesh, Array, NDArray[np.int64]]]:
+def _simplify_meshes(robot: RobotModel, cell_m: float) -> list[tuple[RobotMesh, Array, NDArray[np.int64]]]:
     """Every visual mesh with its simplified vertices and faces.
 
     Meshes of one body are merged by the same cells, so that no cracks open between them.

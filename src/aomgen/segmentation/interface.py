@@ -62,7 +62,7 @@ def masks_of_logits(
 ) -> PointMasks:
     """Point masks of full size from small score images that cover the whole image."""
     if not len(logits):
-        return given_masks([], shape)
+        return wrap_masks([], shape)
     size = (shape[1], shape[0])
     large = [
         Image.fromarray(np.asarray(item, np.float32)).resize(size, Image.Resampling.BILINEAR)
@@ -77,7 +77,7 @@ def masks_of_logits(
     )
 
 
-def given_masks(masks: Sequence[Mask], shape: tuple[int, ...]) -> PointMasks:
+def wrap_masks(masks: Sequence[Mask], shape: tuple[int, ...]) -> PointMasks:
     """Point masks that are certain of themselves."""
     certain = np.ones(len(masks), np.float32)
     stack = np.stack(masks) if len(masks) else np.zeros((0, *shape), bool)

@@ -16,7 +16,7 @@ from typing import Final
 
 from aomgen.errors import AomgenError, BackendError
 from aomgen.io.artifact import file_digest, read_json
-from aomgen.io.atomic import staged_folder, write_json
+from aomgen.io.atomic import stage_folder, write_json
 from aomgen.segmentation.weights import weights_folder
 
 FOLDER: Final = "sam2"
@@ -77,7 +77,7 @@ def install_sam2(source: Path, name: str, sha256: str, folder: Path | None = Non
     _check(source / WEIGHTS, sha256.lower())
     if not (source / CONFIG).is_file():
         raise BackendError(source / CONFIG, "is missing", "download it beside the weights")
-    with staged_folder((folder or weights_folder()) / FOLDER / name) as staging:
+    with stage_folder((folder or weights_folder()) / FOLDER / name) as staging:
         for file in (CONFIG, WEIGHTS):
             shutil.copyfile(source / file, staging / file)
         write_json(staging / NOTE, {CONFIG: file_digest(staging / CONFIG), WEIGHTS: sha256.lower()})

@@ -19,8 +19,8 @@ from aomgen.segmentation.interface import (
     PreparedImage,
     Segmenter,
     clean,
-    given_masks,
     masks_of_logits,
+    wrap_masks,
 )
 from aomgen.segmentation.weights import find_weights
 
@@ -141,7 +141,7 @@ class _LabelImage:
         height, width = self.labels.shape
         values = self.labels[np.clip(rows, 0, height - 1), np.clip(columns, 0, width - 1)]
         named = values[values > 0]
-        return given_masks([self.labels == value for value in named], self.labels.shape)
+        return wrap_masks([self.labels == value for value in named], self.labels.shape)
 
 
 def choose_segmenter(mask_folders: Mapping[str, Path], name: str = "auto") -> Segmenter:

@@ -143,7 +143,7 @@ class Simulation:
         self._commands.append(commands.joints)
         self._target = target
 
-    def diverged(self) -> Rejection | None:
+    def check_divergence(self) -> Rejection | None:
         """A Rejection "diverged" when MuJoCo has warned of it."""
         if not self.data.warning.number[DIVERGENCE].any():
             return None
@@ -151,7 +151,7 @@ class Simulation:
         detail = f"the simulation became unstable at {time_s:.2f} s"
         return Rejection(reason="diverged", detail=detail, metrics={"time_s": time_s})
 
-    def reached(self) -> Trajectory:
+    def read_state(self) -> Trajectory:
         """Where everything is now, as a trajectory of one sample."""
         now = _stack(self._scene, [_read_row(self._scene, self.data)])
         return Trajectory(
@@ -212,10 +212,10 @@ def simulate(
     simulation = Simulation(scene, fps, samples[first], setting, initial_theta, resumed)
     for target in samples[first + 1 :]:
         simulation.follow(target)
-        if lost := simulation.diverged():
+        if lost := simulation.check_divergence():
             return lost
     run = simulation.run()
-    return run if approach is None else _joined(approach, run)
+    return run if approach is None else _join(approach, run)
 
 
 def stand(
@@ -324,7 +324,7 @@ def _stack(scene: Scene, rows: list[_Row]) -> dict[str, Array]:
     }
 
 
-def _joined(approach: SimulatedRun, rest: SimulatedRun) -> SimulatedRun:
+def _join(approach: SimulatedRun, rest: SimulatedRun) -> SimulatedRun:
     """The ticks of an approach up to where it was untouched, and those of a run that began there."""
     last, early = approach.untouched.tick, approach.touches.ticks <= approach.untouched.tick
     # A state that was restored has no forces before its first step: that tick is the approach's.

@@ -131,9 +131,9 @@ class Scene:
         """The object's joint, world frame."""
         body = self.object_body
         R = matrix_from_quat(self.model.body_quat[body])
-        return self.asset.joint.moved(transform(R, self.model.body_pos[body]))
+        return self.asset.joint.move(transform(R, self.model.body_pos[body]))
 
-    def placed(self, T_world_object: ArrayLike, clearance: float = 0.0) -> "Scene":
+    def place_at(self, T_world_object: ArrayLike, clearance: float = 0.0) -> "Scene":
         """The same scene with the object at a pose (4, 4), and another `clearance`."""
         model = copy.copy(self.model)
         T = np.asarray(T_world_object, np.float64)

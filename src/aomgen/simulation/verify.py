@@ -67,7 +67,7 @@ def verify_plan(
     drive = find_drive(scene)
     if drive:
         return Rejection(reason="imposed", detail=f"{drive} moves the object's joint")
-    placed, variation = scene.placed(plan.T_world_object), plan.variation
+    placed, variation = scene.place_at(plan.T_world_object), plan.variation
     outcomes: list[SettingOutcome] = []
     runs: list[SimulatedRun] = []
     for setting in draw_settings(asset, variation.seed, variation.index):

@@ -55,11 +55,11 @@ def framing_camera(
     half_angle = np.arctan(0.5 * min(width, height) / focal_px)
     distance = 1.05 * radius / np.sin(half_angle)
     for _ in range(STEPS):
-        camera = optics.moved(look_at(center + distance * direction, center, up))
-        if not _blocked(gaussians, camera, distance):
+        camera = optics.move(look_at(center + distance * direction, center, up))
+        if not _is_view_blocked(gaussians, camera, distance):
             break
         distance *= STEP
-    return optics.moved(look_at(center + distance / zoom * direction, center, up))
+    return optics.move(look_at(center + distance / zoom * direction, center, up))
 
 
 def content(gaussians: Gaussians) -> tuple[Array, float]:
@@ -82,10 +82,10 @@ def content(gaussians: Gaussians) -> tuple[Array, float]:
     return center, min(_quantile(distances, weights, 0.99), 2 * _quantile(distances, weights, 0.5))
 
 
-def _blocked(gaussians: Gaussians, camera: Camera, distance: float) -> bool:
+def _is_view_blocked(gaussians: Gaussians, camera: Camera, distance: float) -> bool:
     """Whether a fifth of the image shows something in the nearer half of the way to the middle."""
     height = max(1, round(LOOK_WIDTH * camera.height / camera.width))
-    drawn = render(gaussians, camera.resized(LOOK_WIDTH, height))
+    drawn = render(gaussians, camera.resize(LOOK_WIDTH, height))
     return float(np.mean((drawn.alpha > 0.5) & (drawn.depth < 0.5 * distance))) > 0.2
 
 

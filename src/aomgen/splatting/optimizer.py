@@ -57,7 +57,7 @@ class Parameters:
     def __len__(self) -> int:
         return len(self.values["means"])
 
-    def moved(self, device: str) -> "Parameters":
+    def move(self, device: str) -> "Parameters":
         """The same parameters on a device."""
         values, averages, squares = (
             {name: tensor.to(device) for name, tensor in tensors.items()}
@@ -132,7 +132,7 @@ def parameters_of(
 
 def gaussians_of(parameters: Parameters) -> Gaussians:
     """Real values of the parameters."""
-    parameters = parameters.moved("cpu")
+    parameters = parameters.move("cpu")
     values = parameters.values
     return Gaussians(
         means=values["means"].numpy(),

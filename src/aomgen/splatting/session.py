@@ -178,13 +178,13 @@ class RenderSession:
         poses = cam_from_parts(self.camera, parts)
         inputs = {"cam_from_part": poses}
         if shade is not None:
-            inputs["shade"] = self._checked_shades(shade, ())
+            inputs["shade"] = self._check_shades(shade, ())
         context = native.scratch_context()
         context.configure(self.threads)
         frame = native.Frame(session=self._handle, **addresses_of(inputs | outputs))
         context.draw_session(native_scene(moving, parts=parts), len(poses), 0, [frame])
 
-    def _checked_shades(self, shades: ArrayLike, leading: tuple[int, ...]) -> NDArray[np.float32]:
+    def _check_shades(self, shades: ArrayLike, leading: tuple[int, ...]) -> NDArray[np.float32]:
         shades = np.ascontiguousarray(shades, np.float32)
         want = (*leading, self.camera.height, self.camera.width)
         if shades.shape != want:
@@ -205,7 +205,7 @@ class RenderSession:
         if motion.colors is not None:
             arrays["colors"] = motion.colors
         if shades is not None:
-            arrays["shade"] = self._checked_shades(shades, shape[:1])
+            arrays["shade"] = self._check_shades(shades, shape[:1])
         starts = addresses_of(arrays)
         steps = {name: arrays[name].strides[0] for name in starts}
         frames = [

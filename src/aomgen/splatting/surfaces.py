@@ -64,21 +64,21 @@ def view_depths(gaussians: Gaussians, cameras: list[Camera], width: int = WIDTH_
     """Depth of a scene's surfaces in each view, at most `width` pixels wide."""
     result = []
     for camera in cameras:
-        small = camera.narrowed(width)
+        small = camera.narrow(width)
         drawn = np.asarray(render(gaussians, small, with_ids=True).median_depth)
         result.append(ViewDepth(camera=small, depth=np.where(drawn > 0, drawn, np.inf).astype(np.float32)))
     return result
 
 
-def seen_points(gaussians: Gaussians, camera: Camera) -> Array:
+def compute_surface_points(gaussians: Gaussians, camera: Camera) -> Array:
     """World points (H, W, 3) of the surface at each pixel, NaN where less than half of the light is stopped.
 
     The median depth: the mean one is no surface where a few Gaussians shine past an edge from far behind.
     """
-    return drawn_points(render(gaussians, camera, with_ids=True), camera)
+    return compute_rendered_points(render(gaussians, camera, with_ids=True), camera)
 
 
-def drawn_points(drawn: Rendering, camera: Camera) -> Array:
+def compute_rendered_points(drawn: Rendering, camera: Camera) -> Array:
     """As above, of a picture that was drawn with ids."""
     depth = np.asarray(drawn.median_depth, np.float64)
     return camera.center + camera.directions() * np.where(depth > 0, depth, np.nan)[..., None]

@@ -100,7 +100,7 @@ def surfels_of(meshes: Sequence[Mesh], count: int, rng: np.random.Generator) -> 
     Raises:
         AssetError: The meshes have no surface.
     """
-    kept, radii = _covered(meshes, count, rng)
+    kept, radii = _place_discs(meshes, count, rng)
     return _discs(kept, radii)
 
 
@@ -113,14 +113,14 @@ def hiding_points(meshes: Sequence[Mesh], count: int, rng: np.random.Generator) 
             number = int(np.ceil(count * share))
             points, face_ids, weights = sample_surface(mesh.vertices, mesh.faces, number, rng)
             image = mesh.maps.get("opacity")
-            opacity = _sampled(mesh, face_ids, weights, 0.0, image, [mesh.opacity])[:, 0]
+            opacity = _sample(mesh, face_ids, weights, 0.0, image, [mesh.opacity])[:, 0]
             hiding.append(points[opacity > HIDES])
             passing.append(points)
     found = np.concatenate(hiding)
     return found if len(found) else np.concatenate(passing)
 
 
-def _covered(meshes: Sequence[Mesh], count: int, rng: np.random.Generator) -> tuple[_Candidates, Array]:
+def _place_discs(meshes: Sequence[Mesh], count: int, rng: np.random.Generator) -> tuple[_Candidates, Array]:
     """Places of discs and their radii."""
     areas = np.array([face_normals_areas(mesh.vertices, mesh.faces)[1].sum() for mesh in meshes])
     total = float(areas.sum())
@@ -137,10 +137,10 @@ def _covered(meshes: Sequence[Mesh], count: int, rng: np.random.Generator) -> tu
     fine_shares = [part.fine.mean() if len(part.fine) else 0.0 for part in parts]
     fine_area = float(np.dot(fine_shares, areas[areas > 0]))
     radius = guess * float(np.sqrt(1 + (FINER**-2 - 1) * fine_area / total))
-    parts = _uncovered(parts, radius)
+    parts = _select_uncovered(parts, radius)
     # A mesh is thinned alone: a sticker must not lose its discs to the wall it lies on.
-    chosen = [_thinned(part, radius, rng) for part in parts]
-    return _joined([part for part, _ in chosen]), np.concatenate([radii for _, radii in chosen])
+    chosen = [_thin(part, radius, rng) for part in parts]
+    return _join([part for part, _ in chosen]), np.concatenate([radii for _, radii in chosen])
 
 
 def _candidates(mesh: Mesh, count: int, radius: float, rng: np.random.Generator) -> _Candidates:
@@ -149,15 +149,14 @@ def _candidates(mesh: Mesh, count: int, radius: float, rng: np.random.Generator)
     distances, directions = crease_distances(mesh.vertices, mesh.faces, face_ids, points)
     places = mesh, face_ids, weights
     color = {"image": mesh.texture_srgb, "else_value": mesh.color_srgb}
-    colors = _sampled(*places, radius * FINER, **color)
+    colors = _sample(*places, radius * FINER, **color)
     opacity, roughness, metallic = (
-        _sampled(*places, radius * FINER, mesh.maps.get(name), [getattr(mesh, name)])[:, 0]
-        for name in NUMBERS
+        _sample(*places, radius * FINER, mesh.maps.get(name), [getattr(mesh, name)])[:, 0] for name in NUMBERS
     )
     normals, _ = face_normals_areas(mesh.vertices, mesh.faces)
-    detailed = np.abs(colors - _sampled(*places, radius * 3, **color)).max(1) > DETAIL
+    detailed = np.abs(colors - _sample(*places, radius * 3, **color)).max(1) > DETAIL
     if "opacity" in mesh.maps:
-        coarse = _sampled(*places, radius * 3, mesh.maps["opacity"], [1.0])[:, 0]
+        coarse = _sample(*places, radius * 3, mesh.maps["opacity"], [1.0])[:, 0]
         detailed |= np.abs(opacity - coarse) > DETAIL
     found = _Candidates(
         points=points,
@@ -178,7 +177,7 @@ def _bends(mesh: Mesh, face_ids: NDArray[np.int64], weights: Array, footprint: f
     """What a normal map adds to normals (N, 3), in the plane of the face; shorter than 1."""
     if NORMAL_MAP not in mesh.maps:
         return np.zeros((len(face_ids), 3))
-    local = 2 * _sampled(mesh, face_ids, weights, footprint, mesh.maps[NORMAL_MAP], [0.5, 0.5, 1.0]) - 1
+    local = 2 * _sample(mesh, face_ids, weights, footprint, mesh.maps[NORMAL_MAP], [0.5, 0.5, 1.0]) - 1
     local /= np.maximum(np.linalg.norm(local, axis=1, keepdims=True), 1e-6)
     edges = np.diff(mesh.vertices[mesh.faces[face_ids]], axis=1)
     steps = np.diff(mesh.uvs[face_ids], axis=1)
@@ -194,7 +193,7 @@ def bend_normals(normals: NDArray[np.floating], bends: NDArray[np.floating]) -> 
     return bent / np.linalg.norm(bent, axis=-1, keepdims=True)
 
 
-def _sampled(
+def _sample(
     mesh: Mesh,
     face_ids: NDArray[np.int64],
     weights: Array,
@@ -228,13 +227,13 @@ def _bilinear(texture: Array, uv: Array) -> Array:
     return np.stack(channels, 1)
 
 
-def _uncovered(parts: list[_Candidates], radius: float) -> list[_Candidates]:
+def _select_uncovered(parts: list[_Candidates], radius: float) -> list[_Candidates]:
     """Candidates without those that another mesh covers closely, like a wall under a sticker.
 
     Discs that almost coincide would be blended in an order that changes with the view.
     """
     owners = np.repeat(np.arange(len(parts)), [len(part.points) for part in parts])
-    joined = _joined(parts)
+    joined = _join(parts)
     lifted = joined.points + joined.normals * (radius / 2)
     distances, nearest = cKDTree(joined.points).query(lifted, k=8, distance_upper_bound=radius)
     near = np.minimum(nearest, len(owners) - 1)
@@ -247,7 +246,7 @@ def _uncovered(parts: list[_Candidates], radius: float) -> list[_Candidates]:
     return [part for part in kept if len(part.points)]
 
 
-def _thinned(part: _Candidates, radius: float, rng: np.random.Generator) -> tuple[_Candidates, Array]:
+def _thin(part: _Candidates, radius: float, rng: np.random.Generator) -> tuple[_Candidates, Array]:
     """Candidates no two of which are nearer than their radius, and the radii."""
     kept = []
     for fine, reach in ((True, radius * FINER), (False, radius)):
@@ -279,7 +278,7 @@ def _poisson_discs(places: Array, reach: float, rng: np.random.Generator) -> NDA
     return np.flatnonzero(chosen)
 
 
-def _joined(parts: list[_Candidates]) -> _Candidates:
+def _join(parts: list[_Candidates]) -> _Candidates:
     return _Candidates(
         *(np.concatenate([getattr(part, name) for part in parts]) for name in _Candidates.__slots__)
     )

@@ -127,7 +127,7 @@ def train(
     else:
         state = start_training(initial, cameras, params, rng)
     extent, compute = scene_extent(initial, cameras), make_compute(device)
-    state.parameters = state.parameters.moved(device)
+    state.parameters = state.parameters.move(device)
     for loss in learning(state, cameras, images, params, extent, compute):
         done = state.iteration
         if checkpoint and (done % checkpoint.every == 0 or done == params.iterations):
@@ -176,7 +176,7 @@ def learning(
             if factor != _factor(params, share):
                 factor = _factor(params, share)
                 views = [
-                    reduce_image(camera, image, factor).moved(compute.device)
+                    reduce_image(camera, image, factor).move(compute.device)
                     for camera, image in zip(cameras, images, strict=True)
                 ]
             if not len(state.order):
@@ -257,7 +257,7 @@ def _grow(state: TrainingState, views: list[TrainingView], params: TrainingParam
     gains = exposure.values.exp()[:, :, None, None]
     targets = [(views[i].target().cpu() / gains[i]).clamp(max=1).numpy() for i in chosen]
     gaussians = gaussians_of(parameters).with_sh_degree(_sh_degree(params, share))
-    cameras = [state.poses.corrected(i, views[i].camera) for i in chosen]
+    cameras = [state.poses.correct(i, views[i].camera) for i in chosen]
     shares = error_shares(gaussians, cameras, targets)
     left = max(1.0, (GROW_WINDOW[1] - share) * params.iterations / params.grow_every)
     count = max(
@@ -265,7 +265,7 @@ def _grow(state: TrainingState, views: list[TrainingView], params: TrainingParam
     )
     dropped = None
     if _clears(params, state.iteration):
-        everywhere = [state.poses.corrected(i, view.camera) for i, view in enumerate(views)]
+        everywhere = [state.poses.correct(i, view.camera) for i, view in enumerate(views)]
         dropped = in_free_space(gaussians.means.astype(np.float64), view_depths(gaussians, everywhere))
     count = min(count, params.max_gaussians)
     grown, _ = relocate_and_grow(parameters, shares, count, params.min_opacity, state.rng, dropped)

@@ -23,7 +23,7 @@ class TrainingView:
     camera: Camera
     image: Tensor
 
-    def moved(self, device: str) -> "TrainingView":
+    def move(self, device: str) -> "TrainingView":
         """The same view with its pixels on a device."""
         return TrainingView(camera=self.camera, image=self.image.to(device))
 
@@ -154,12 +154,12 @@ class PoseIncrements(ImageParameters):
         motion = torch.linalg.matrix_exp(torch.stack(rows))
         return T_given @ torch.linalg.solve(self.to_middle, motion @ self.to_middle)
 
-    def corrected(self, index: int, camera: Camera) -> Camera:
+    def correct(self, index: int, camera: Camera) -> Camera:
         """The camera of an image (at any resolution) with its correction."""
         if not self.enabled:
             return camera
         T_cam_world = self.T_cam_world(camera, self.values[index]).double().numpy()
-        return camera.moved(np.linalg.inv(T_cam_world))
+        return camera.move(np.linalg.inv(T_cam_world))
 
     def step(self, index: int, gradient: Tensor, rate: float, context: native.Context) -> None:
         """Adam on one image's twist; afterwards all twists together hold no gauge motion."""

@@ -201,7 +201,7 @@ def resect(links: Links, lens: Lens, *, focal_known: bool, seed: int) -> Resecti
     estimation.ransac.max_error = MAX_ERROR_PX
     estimation.ransac.random_seed = seed
     refinement = pycolmap.AbsolutePoseRefinementOptions(refine_focal_length=not focal_known)
-    pixels = lens.straightened(links.pixels)
+    pixels = lens.undistort(links.pixels)
     found = pycolmap.estimate_and_refine_absolute_pose(
         pixels, links.points_recon, camera, estimation, refinement
     )
@@ -241,7 +241,8 @@ def choose_view_lens(
     inliers = placed.inliers
     for _ in range(LENS_ROUNDS):
         inliers = (
-            _squared_errors(links, *_refine_camera(links, inliers, plain, start, "full")) <= MAX_ERROR_PX**2
+            _compute_squared_errors(links, *_refine_camera(links, inliers, plain, start, "full"))
+            <= MAX_ERROR_PX**2
         )
     rows = np.random.default_rng(seed).permutation(np.flatnonzero(inliers))
     folds = [np.isin(np.arange(len(inliers)), rows[k::FOLDS]) for k in range(FOLDS)]
@@ -254,7 +255,7 @@ def choose_view_lens(
         return [
             error[None]
             for fold, fit in zip(folds, fits[kind], strict=True)
-            for error in _squared_errors(links, *fit)[fold]
+            for error in _compute_squared_errors(links, *fit)[fold]
         ]
 
     chosen, gain, significance = climb(held_out_errors, stated)
@@ -300,7 +301,7 @@ def _refine_camera(
     return lens_of(camera), T_recon_cam(found["cam_from_world"])
 
 
-def _squared_errors(links: Links, lens: Lens, T: Array) -> Array:
+def _compute_squared_errors(links: Links, lens: Lens, T: Array) -> Array:
     points_cam = (links.points_recon - T[:3, 3]) @ T[:3, :3]
     depths = np.where(np.abs(points_cam[:, 2:]) < 1e-9, 1e-9, points_cam[:, 2:])
     errors = ((lens.pixels(points_cam[:, :2] / depths) - links.pixels) ** 2).sum(1)

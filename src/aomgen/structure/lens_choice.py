@@ -75,7 +75,7 @@ def choose_lens(model: pycolmap.Reconstruction, stated: Intrinsics | None, *, se
             _adjust_lens(fit, kind)
             _copy_cameras(fit, check)
             adjust(check, points_only=True)
-            errors[kind] = squared_errors(check)
+            errors[kind] = compute_squared_errors(check)
         return errors[kind]
 
     chosen, gain, significance = climb(held_out_errors, stated)
@@ -156,7 +156,7 @@ def compare(before: list[Array], after: list[Array]) -> tuple[float, float]:
     return float(gains.mean() / max(level, 1e-12)), float(gains.mean() / max(spread, 1e-12))
 
 
-def squared_errors(model: pycolmap.Reconstruction) -> list[Array]:
+def compute_squared_errors(model: pycolmap.Reconstruction) -> list[Array]:
     """Squared reprojection errors of each registered image, [px^2]."""
     return [(shifts**2).sum(1) for _, shifts in residuals(model)]
 

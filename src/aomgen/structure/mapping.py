@@ -161,7 +161,7 @@ class Workspace:
         if not models:
             return None
         self._model = max(models.values(), key=lambda model: model.num_reg_images())
-        return self.mapped(group)
+        return self.read_model(group)
 
     @property
     def model(self) -> pycolmap.Reconstruction:
@@ -185,7 +185,7 @@ class Workspace:
         options = self._mapper_options("scan")
         self._model = pycolmap.triangulate_points(model, self.database, *folders, True, options)
         adjust(self._model)
-        return self.mapped("scan")
+        return self.read_model("scan")
 
     def pairs(self, group: str, lens: Lens) -> list[Pair]:
         """Every pair of a set that was tried, with its verified matches, in undistorted pixels."""
@@ -194,7 +194,7 @@ class Workspace:
         result = []
         with pycolmap.Database.open(self.database) as database:
             ids = {image.name: image.image_id for image in database.read_all_images()}
-            pixels = {file: lens.straightened(_pixels(database, ids[file])) for file in names}
+            pixels = {file: lens.undistort(_pixels(database, ids[file])) for file in names}
             for a, b in tried:
                 if a not in names or b not in names:
                     continue
@@ -274,7 +274,7 @@ class Workspace:
     def _listing(self) -> Path:
         return self.folder / "pairs.txt"
 
-    def mapped(self, group: str) -> SparseModel:
+    def read_model(self, group: str) -> SparseModel:
         """The model as values."""
         return read_model(self.model, {file: name for name, file in self._files[group].items()})
 

@@ -55,7 +55,7 @@ def _undistort(prompt: Prompt, lens: Lens) -> Prompt:
     size = np.array([lens.width, lens.height], np.float64)
     points = prompt.points
     if len(points):
-        pixels = lens.straightened(points[:, :2])
+        pixels = lens.undistort(points[:, :2])
         kept = ((pixels >= 0) & (pixels <= size)).all(1)
         points = np.concatenate([pixels, points[:, 2:]], 1)[kept]
     box = prompt.box
@@ -65,7 +65,7 @@ def _undistort(prompt: Prompt, lens: Lens) -> Prompt:
         x, y = x0 + share * (x1 - x0), y0 + share * (y1 - y0)
         edges = [(x, y0), (x, y1), (x0, y), (x1, y)]
         outline = np.concatenate([np.stack(np.broadcast_arrays(u, v), 1) for u, v in edges])
-        pixels = np.clip(lens.straightened(outline), 0, size)
+        pixels = np.clip(lens.undistort(outline), 0, size)
         low, high = pixels.min(0), pixels.max(0)
         box = np.concatenate([low, high]) if (high - low > 1).all() else np.zeros(0)
     return replace(prompt, points=points, box=box)

@@ -177,7 +177,7 @@ def _map(
         work.set_lens("scan", lens)
     misfit_px = lens_misfit_px(work.model)
     require_lens_fits(misfit_px, "scan")
-    return work.mapped("scan"), {**asdict(choice), **asdict(lens), "misfit_px": misfit_px}
+    return work.read_model("scan"), {**asdict(choice), **asdict(lens), "misfit_px": misfit_px}
 
 
 def _gate(count: int, inliers: InlierModel) -> None:

@@ -14,7 +14,7 @@ from aomgen.core.values import Array
 from aomgen.robots.robot import RobotModel
 from aomgen.splatting.surfels import Surfels
 from aomgen.twin.relighting import Relit, join_relit
-from aomgen.twin.twin import OBJECT, PART, Twin, TwinState, body_list, body_poses, move_bodies
+from aomgen.twin.twin import OBJECT, PART, TwinModel, TwinState, body_list, body_poses, move_bodies
 
 
 def bind(
@@ -24,7 +24,7 @@ def bind(
     robot: RobotModel,
     joint_world: Joint,
     scan_state: TwinState,
-) -> Twin:
+) -> TwinModel:
     """Fix the Gaussians (N) of an aligned scan to the bodies they belong to.
 
     Args:
@@ -39,13 +39,13 @@ def bind(
     bodies[labels == MOVING] = names.index(PART)
     linked = (labels == ROBOT) & (robot_bodies >= 0)
     bodies[linked] = robot_bodies[linked] + 1
-    twin = Twin(
+    twin = TwinModel(
         robot=robot.name,
         gaussians=gaussians_world,
         bodies=bodies,
         labels=labels,
         body_names=names,
-        joint=joint_world.moved(invert(scan_state.T_world_object)),
+        joint=joint_world.move(invert(scan_state.T_world_object)),
         T_world_object=scan_state.T_world_object,
         scan_state=scan_state,
     )
@@ -82,8 +82,13 @@ def object_frame(static_points_world: ArrayLike, joint_world: Joint, moving_poin
 
 
 def with_object(
-    background: Twin, static: Surfels, moving: Surfels, joint: Joint, light: Light, T_world_object: ArrayLike
-) -> Twin:
+    background: TwinModel,
+    static: Surfels,
+    moving: Surfels,
+    joint: Joint,
+    light: Light,
+    T_world_object: ArrayLike,
+) -> TwinModel:
     """A twin in which an asset stands on the cleared scene, at a pose (4, 4).
 
     Args:
@@ -101,7 +106,7 @@ def with_object(
         light_of=np.zeros(sum(counts), np.int32),
         lights=(light,),
     )
-    return cleared.extended(
+    return cleared.extend(
         concatenate([static.gaussians, moving.gaussians]),
         np.repeat([cleared.body(OBJECT), cleared.body(PART)], counts),
         np.repeat([STATIC, MOVING], counts),

@@ -19,7 +19,7 @@ from aomgen.core.transforms import apply, invert
 from aomgen.core.values import Array, Matrix4, freeze_arrays
 from aomgen.splatting.session import Motion, RenderSession, draw_outputs
 from aomgen.splatting.surfaces import sphere_directions
-from aomgen.twin.twin import OBJECT, PART, Twin
+from aomgen.twin.twin import OBJECT, PART, TwinModel
 
 # Cell of a map of soft light, [m]: it leaves no finer detail in a shadow.
 CELL: Final = 0.015
@@ -78,7 +78,7 @@ class PlaneGrid:
         return csr_array((weights.astype(np.float32), cells, starts), (len(points), self.rows * self.columns))
 
 
-def cast_on_plane(
+def project_shadow(
     bodies: Gaussians,
     parts: NDArray[np.int32],
     Ts_plane_part: Array,
@@ -110,7 +110,7 @@ def cast_on_plane(
     return images["alpha"]
 
 
-def cast_body(
+def project_body_shadow(
     body: Gaussians,
     T_plane_body: Array,
     directions_plane: Array,
@@ -119,7 +119,7 @@ def cast_body(
 ) -> NDArray[np.float32]:
     """Share (D, rows, columns) of the light of D directions that a body at one pose keeps from each cell."""
     index, poses = np.zeros(len(body), np.int32), np.tile(T_plane_body, (len(directions_plane), 1, 1, 1))
-    return cast_on_plane(body, index, poses, directions_plane, grid, threads)
+    return project_shadow(body, index, poses, directions_plane, grid, threads)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -165,7 +165,7 @@ class SoftShadow:
         columns, starts = np.stack([first, first + 1], 1).ravel(), np.arange(0, 2 * len(thetas) + 1, 2)
         return csr_array((weights, columns, starts), (len(thetas), len(self.thetas)))
 
-    def scaled(self, factor: float, prismatic: bool) -> "SoftShadow":
+    def scale_by(self, factor: float, prismatic: bool) -> "SoftShadow":
         """Of the object scaled about its origin."""
         T = np.array(self.T_object_plane)
         T[:3, 3] *= factor
@@ -174,7 +174,9 @@ class SoftShadow:
         return replace(self, T_object_plane=T, grid=grid, thetas=thetas)
 
 
-def cast_soft_shadow(twin: Twin, T_world_plane: ArrayLike, threads: int | None = None) -> SoftShadow | None:
+def compute_soft_shadow(
+    twin: TwinModel, T_world_plane: ArrayLike, threads: int | None = None
+) -> SoftShadow | None:
     """Soft shadow of a twin's lit object on a plane (4, 4) beneath it; None without such an object."""
     lit = (
         np.zeros(len(twin.bodies), bool)
@@ -199,15 +201,15 @@ def cast_soft_shadow(twin: Twin, T_world_plane: ArrayLike, threads: int | None =
     directions = sphere_directions(DIRECTIONS)
     directions = directions[directions[:, 2] > 0]
 
-    def passed(body: Gaussians, T_plane_body: Array) -> NDArray[np.float32]:
-        cast = cast_body(body, T_plane_body, directions, fine, threads)
+    def measure_passed(body: Gaussians, T_plane_body: Array) -> NDArray[np.float32]:
+        cast = project_body_shadow(body, T_plane_body, directions, fine, threads)
         return 1 - cast.reshape(len(directions), rows, FINER, columns, FINER).mean((2, 4))
 
-    around = passed(still, T_plane_object)
+    around = measure_passed(still, T_plane_object)
     return SoftShadow(
         T_object_plane=T_object_plane,
         grid=PlaneGrid(low=low, cell=CELL, columns=columns, rows=rows),
         directions=directions,
         thetas=thetas,
-        passed=np.stack([around * passed(part, T) for T in Ts_part], 1),
+        passed=np.stack([around * measure_passed(part, T) for T in Ts_part], 1),
     )

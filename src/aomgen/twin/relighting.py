@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from aomgen.conventions import srgb_from_linear
-from aomgen.core.light import Light, turned_radiance
+from aomgen.core.light import Light, rotate_radiance
 from aomgen.core.values import Array, freeze_arrays, require_indices
 
 # Weights below this are as good as none.
@@ -124,7 +124,7 @@ class Relighting:
         ends = [*starts[1:].tolist(), self._count]
         # Body, light, first surface, and transfer times albedo by channel (3, R, 9).
         self._groups = [
-            (*divmod(group, len(relit.lights)), start, _colored_transfer(relit, self.order[start:end]))
+            (*divmod(group, len(relit.lights)), start, _compute_color_transfer(relit, self.order[start:end]))
             for group, start, end in zip(found.tolist(), starts.tolist(), ends, strict=True)
         ]
         place = np.empty(self._count, np.int64)
@@ -145,13 +145,13 @@ class Relighting:
         new = np.concatenate([np.ones((1, Rs.shape[1]), bool), (Rs[1:] != Rs[:-1]).any((2, 3))])
         turns = [Rs[new[:, body], body] for body in self._bodies]
         firsts = dict(zip(self._bodies, np.cumsum([0, *map(len, turns)]).tolist(), strict=False))
-        seen = turned_radiance(self._radiance, np.concatenate([np.zeros((0, 3, 3)), *turns]))
+        seen = rotate_radiance(self._radiance, np.concatenate([np.zeros((0, 3, 3)), *turns]))
         seen = np.ascontiguousarray(np.moveaxis(seen, -1, 0), np.float32)
         for body, light, start, transfer in self._groups:
             state_of = np.cumsum(new[:, body]) - 1
             lights = seen[3 * light : 3 * light + 3, firsts[body] : firsts[body] + state_of[-1] + 1]
             for first in range(0, transfer.shape[1], size):
-                lit = _shaded_blocks(transfer[:, first : first + size], lights)
+                lit = _compute_block_colors(transfer[:, first : first + size], lights)
                 block = slice(start + first, start + first + lit.shape[1])
                 colors[:, block] = lit if len(lit) == len(Rs) else lit[state_of]
         for residual, rows, seen_srgb in self._residuals:
@@ -165,12 +165,12 @@ class Relighting:
         return colors
 
 
-def _colored_transfer(relit: Relit, rows: NDArray[np.int64]) -> NDArray[np.float32]:
+def _compute_color_transfer(relit: Relit, rows: NDArray[np.int64]) -> NDArray[np.float32]:
     """Transfer times albedo (3, R, 9) of some surfaces."""
     return relit.transfer[rows] * relit.albedo_linear[rows].T[..., None]
 
 
-def _shaded_blocks(transfer: NDArray[np.float32], lights: NDArray[np.float32]) -> NDArray[np.float32]:
+def _compute_block_colors(transfer: NDArray[np.float32], lights: NDArray[np.float32]) -> NDArray[np.float32]:
     """sRGB colors (T, R, 3) of diffuse surfaces by channel (3, R, 9) in lights (3, T, 9) of their frame, in `LEVELS`.
 
     Products of matrices as small as these are never divided among threads, so that they round in one way only.

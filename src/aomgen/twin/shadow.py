@@ -73,14 +73,14 @@ class DirectionalLight:
         """How much of each pixel (H, W) is the surface, and how much of the light is taken there, 0..1.
 
         Args:
-            world, roles: See `cast_directional_shadow`.
+            world, roles: See `compute_directional_shadow`.
             camera: Where to look from.
         """
         still = (roles == SCENE).astype(np.float32)[:, None]
         drawn = render(world, camera, features=still, with_ids=True)
         depth = np.asarray(drawn.median_depth, np.float64)
         points, belongs = intersect_surface(self.T_world_plane, camera, depth)
-        taken = cast_directional_shadow(world, roles, self.directions, points)
+        taken = compute_directional_shadow(world, roles, self.directions, points)
         return belongs * np.asarray(drawn.features)[..., 0], taken
 
 
@@ -152,7 +152,7 @@ def spread_directions(direction: ArrayLike, width: float) -> Array:
     return found / np.linalg.norm(found, axis=1, keepdims=True)
 
 
-def cast_directional_shadow(
+def compute_directional_shadow(
     world: Gaussians, roles: NDArray[np.uint8], directions: Array, points: ArrayLike
 ) -> Array:
     """Share (...,) of a light from directions (K, 3) that moving bodies take from points (..., 3) below them.
@@ -186,4 +186,4 @@ def surface_share(T_world_plane: Array, points_world: ArrayLike) -> Array:
 
 def remove_shadow(gaussians: Gaussians, dark: Array, shade: Array) -> Gaussians:
     """Gaussians without a shadow that lies on them to some share `dark` (N,), 0..1."""
-    return gaussians.brightened(1 / (1 - dark[:, None] * (1 - shade)))
+    return gaussians.brighten(1 / (1 - dark[:, None] * (1 - shade)))

@@ -50,7 +50,7 @@ class ThingShadow(NamedTuple):
         return (self.at(means) ** (SRGB_POWER * (1 - surface_share(T_world_plane, means))))[:, None]
 
 
-def cast_on_things(
+def compute_surrounding_shadow(
     scene: Gaussians,
     body: Gaussians,
     light: Light,

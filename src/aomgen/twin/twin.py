@@ -46,7 +46,7 @@ class TwinState:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Twin:
+class TwinModel:
     """A scene that can be posed; N Gaussians, B bodies.
 
     Attributes:
@@ -94,7 +94,9 @@ class Twin:
         """Which Gaussians (N,) are not fixed to the world."""
         return self.bodies != 0
 
-    def extended(self, gaussians: Gaussians, bodies: ArrayLike, labels: ArrayLike, **changes: Any) -> "Twin":
+    def extend(
+        self, gaussians: Gaussians, bodies: ArrayLike, labels: ArrayLike, **changes: Any
+    ) -> "TwinModel":
         """The twin with more Gaussians (N) at its end, in body frames; bodies and labels (N,), or one for all."""
         count = len(gaussians)
         return replace(
@@ -115,7 +117,7 @@ class Twin:
         """These, world frame."""
         return self.gaussians.select(self.of_scene)
 
-    def select(self, which: NDArray[np.bool_]) -> "Twin":
+    def select(self, which: NDArray[np.bool_]) -> "TwinModel":
         """The twin with a part of its Gaussians, boolean mask (N,)."""
         return replace(
             self,
@@ -127,7 +129,7 @@ class Twin:
 
 
 def trajectory_body_poses(
-    twin: Twin,
+    twin: TwinModel,
     robot: RobotModel,
     joints: ArrayLike,
     gripper: ArrayLike,
@@ -143,19 +145,19 @@ def trajectory_body_poses(
     return Ts
 
 
-def body_poses(twin: Twin, robot: RobotModel, state: TwinState) -> Array:
+def body_poses(twin: TwinModel, robot: RobotModel, state: TwinState) -> Array:
     """Body poses (B, 4, 4) in one state."""
     return trajectory_body_poses(
         twin, robot, state.joints[None], [state.gripper], [state.theta], state.T_world_object
     )[0]
 
 
-def posed(twin: Twin, robot: RobotModel, state: TwinState) -> Gaussians:
+def pose_twin(twin: TwinModel, robot: RobotModel, state: TwinState) -> Gaussians:
     """All Gaussians in the world frame, in the twin's order."""
-    return posed_by(twin, body_poses(twin, robot, state))
+    return pose_bodies(twin, body_poses(twin, robot, state))
 
 
-def posed_by(twin: Twin, Ts_world_body: Array) -> Gaussians:
+def pose_bodies(twin: TwinModel, Ts_world_body: Array) -> Gaussians:
     """All Gaussians in the world frame, in the twin's order, for body poses (B, 4, 4); relit ones are lit anew."""
     world = move_bodies(twin.gaussians, twin.bodies, Ts_world_body)
     if twin.relit is None:
@@ -172,15 +174,15 @@ def move_bodies(gaussians: Gaussians, bodies: NDArray[np.int32], Ts: Array) -> G
     pieces = []
     for body in np.unique(bodies):
         members = gaussians.select(np.flatnonzero(bodies == body))
-        pieces.append(members if body == 0 else members.transformed(Ts[body]))
+        pieces.append(members if body == 0 else members.transform(Ts[body]))
     return concatenate(pieces).select(np.argsort(order))
 
 
 def render_state(
-    twin: Twin, robot: RobotModel, state: TwinState, camera: Camera, **options: Any
+    twin: TwinModel, robot: RobotModel, state: TwinState, camera: Camera, **options: Any
 ) -> Rendering:
     """Draw a state with its shadows; `options` go to `splatting.rasterizer.render`."""
-    world, light = posed(twin, robot, state), twin.directional_light
+    world, light = pose_twin(twin, robot, state), twin.directional_light
     drawn = render(world, camera, **options)
     if light is None:
         return drawn
@@ -188,7 +190,7 @@ def render_state(
     return replace(drawn, rgb=drawn.rgb * light.factors(surface * taken))
 
 
-def standing_bodies(twin: Twin, robot: RobotModel) -> NDArray[np.bool_]:
+def standing_bodies(twin: TwinModel, robot: RobotModel) -> NDArray[np.bool_]:
     """Which bodies (B,) no joint moves: the world, the robot's base and the object's static part."""
     rest = twin.scan_state
     turned = replace(rest, joints=rest.joints + 1.0)
@@ -196,7 +198,7 @@ def standing_bodies(twin: Twin, robot: RobotModel) -> NDArray[np.bool_]:
     return near.all((1, 2)) & (np.arange(len(near)) != twin.body(PART))
 
 
-def shadow_roles(twin: Twin, robot: RobotModel) -> NDArray[np.uint8]:
+def shadow_roles(twin: TwinModel, robot: RobotModel) -> NDArray[np.uint8]:
     """What each Gaussian (N,) does for shadows, see `twin.shadow`.
 
     The object's static part and the robot's base stand where they were scanned, with their shadows.
@@ -229,7 +231,7 @@ class StaticLayer:
         return self.session.camera
 
 
-def static_layer(twin: Twin, camera: Camera, threads: int | None = None) -> StaticLayer:
+def static_layer(twin: TwinModel, camera: Camera, threads: int | None = None) -> StaticLayer:
     """Prepare a camera's view of what does not move; `threads` as in `RenderSession`."""
     session = RenderSession(twin.gaussians.select(~twin.moves), camera, threads=threads)
     drawn = session.draw(twin.gaussians.select(np.zeros(0, np.int64)), with_ids=True)
@@ -261,7 +263,7 @@ class MovingLayer:
         return Motion(parts=self.bodies, Ts_world_part=Ts, colors=colors)
 
 
-def moving_layer(moving: Twin) -> MovingLayer:
+def moving_layer(moving: TwinModel) -> MovingLayer:
     """Prepare a twin, of which everything moves."""
     lit, relighting = np.zeros(0, np.int64), None
     if moving.relit is not None and len(moving.relit.indices):

@@ -12,7 +12,7 @@ from aomgen.core.plan import LightChange, MaterialChange
 from aomgen.core.transforms import matrix_from_rotvec
 from aomgen.core.values import Array
 from aomgen.twin.relighting import Relit
-from aomgen.twin.twin import OBJECT, PART, Twin
+from aomgen.twin.twin import OBJECT, PART, TwinModel
 
 # Linear sRGB of XYZ. Source: IEC 61966-2-1.
 RGB_OF_XYZ: Final = ((3.2406, -1.5372, -0.4986), (-0.9689, 1.8758, 0.0415), (0.0557, -0.2040, 1.0570))
@@ -20,7 +20,7 @@ RGB_OF_XYZ: Final = ((3.2406, -1.5372, -0.4986), (-0.9689, 1.8758, 0.0415), (0.0
 BLACK: Final = 1e-3
 
 
-def changed(twin: Twin, light: LightChange, material: MaterialChange) -> Twin:
+def change_appearance(twin: TwinModel, light: LightChange, material: MaterialChange) -> TwinModel:
     """The twin in another light and with another material on its object; the same twin where nothing changes.
 
     Intensity and temperature change every color, as a camera with fixed exposure and white balance would see it. A turn
@@ -34,20 +34,20 @@ def changed(twin: Twin, light: LightChange, material: MaterialChange) -> Twin:
     return twin if (gains == 1).all() else _with_gains(twin, gains)
 
 
-def scaled(twin: Twin, factor: float) -> Twin:
+def scale_object(twin: TwinModel, factor: float) -> TwinModel:
     """The twin with its object scaled about the object frame's origin, joint included."""
     if factor == 1:
         return twin
     S = np.diag([factor, factor, factor, 1.0])
     mine = np.isin(twin.bodies, [twin.body(OBJECT), twin.body(PART)])
-    own, g = twin.gaussians.select(mine).transformed(S), twin.gaussians
+    own, g = twin.gaussians.select(mine).transform(S), twin.gaussians
     means, scales = np.array(g.means), np.array(g.scales)
     means[mine], scales[mine] = own.means, own.scales
     theta = twin.scan_state.theta * (factor if twin.joint.type == "prismatic" else 1.0)
     return replace(
         twin,
         gaussians=replace(g, means=means, scales=scales),
-        joint=twin.joint.moved(S),
+        joint=twin.joint.move(S),
         scan_state=replace(twin.scan_state, theta=theta),
     )
 
@@ -92,7 +92,7 @@ def _blackbody_rgb(temperature_k: float) -> Array:
     return np.array(RGB_OF_XYZ) @ np.array([x / y, 1.0, (1 - x - y) / y])
 
 
-def _with_gains(twin: Twin, gains: Array) -> Twin:
+def _with_gains(twin: TwinModel, gains: Array) -> TwinModel:
     relit = twin.relit
     if relit is not None:
         residuals = tuple(
@@ -100,19 +100,19 @@ def _with_gains(twin: Twin, gains: Array) -> Twin:
             for item in relit.residuals
         )
         relit = replace(
-            relit, lights=tuple(light.scaled(gains) for light in relit.lights), residuals=residuals
+            relit, lights=tuple(light.scale_by(gains) for light in relit.lights), residuals=residuals
         )
     everything = np.ones(len(twin.gaussians), bool)
-    return replace(twin, gaussians=_recolored(twin.gaussians, everything, np.diag(gains)), relit=relit)
+    return replace(twin, gaussians=_recolor(twin.gaussians, everything, np.diag(gains)), relit=relit)
 
 
-def _with_turned_light(twin: Twin, R: Array) -> Twin:
+def _with_turned_light(twin: TwinModel, R: Array) -> TwinModel:
     """All light turned by R (3, 3); a body that turns along looks as before."""
     relit, lamp = twin.relit, twin.directional_light
     if relit is not None:
         relit = replace(
             relit,
-            lights=tuple(replace(light, radiance_sh=light.seen_from(R.T)) for light in relit.lights),
+            lights=tuple(replace(light, radiance_sh=light.view_from(R.T)) for light in relit.lights),
             residuals=tuple(replace(item, Rs_world_body=R @ item.Rs_world_body) for item in relit.residuals),
         )
     if lamp is not None:
@@ -120,9 +120,9 @@ def _with_turned_light(twin: Twin, R: Array) -> Twin:
     return replace(twin, relit=relit, directional_light=lamp)
 
 
-def _with_material(twin: Twin, matrix: Array) -> Twin:
+def _with_material(twin: TwinModel, matrix: Array) -> TwinModel:
     bodies = [twin.body(OBJECT), twin.body(PART)]
-    gaussians = _recolored(twin.gaussians, np.isin(twin.bodies, bodies), matrix)
+    gaussians = _recolor(twin.gaussians, np.isin(twin.bodies, bodies), matrix)
     return replace(
         twin, gaussians=gaussians, relit=_with_albedo(twin.relit, np.isin(twin.relit_bodies, bodies), matrix)
     )
@@ -136,7 +136,7 @@ def _with_albedo(relit: Relit | None, rows: NDArray[np.bool_], matrix: Array) ->
     return replace(relit, albedo_linear=albedo)
 
 
-def _recolored(gaussians: Gaussians, which: NDArray[np.bool_], matrix: Array) -> Gaussians:
+def _recolor(gaussians: Gaussians, which: NDArray[np.bool_], matrix: Array) -> Gaussians:
     """Gaussians of which some (N,) have their linear colors mapped; what depends on the view goes along in proportion."""
     sh = np.array(gaussians.sh)
     before = 0.5 + SH_C0 * sh[which, 0].astype(np.float64)

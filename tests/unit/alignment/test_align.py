@@ -215,7 +215,7 @@ def test_a_joint_that_only_turns_the_whole_robot_moves_next_to_nothing():
 def test_the_answer_does_not_depend_on_scale_and_axes_of_the_structure(robot_scan, result, configuration):
     """The same scene in another frame: the robot comes to stand within a millimetre of the same place."""
     S = similarity(20.0, matrix_from_rotvec([2.0, 2.0, -1.5]), 20 * np.array([3.0, -1.0, 2.0]))
-    scan = robot_scan.seen_from(S)
+    scan = robot_scan.view_from(S)
     other = align(scan, configuration, silent, np.random.default_rng(0), PARAMS).S_world_recon @ S
     points = apply(np.linalg.inv(S_WORLD_RECON), configuration.points_world(50))
     assert np.linalg.norm(apply(result.S_world_recon, points) - apply(other, points), axis=1).max() < 0.001

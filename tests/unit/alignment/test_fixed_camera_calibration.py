@@ -97,7 +97,7 @@ FRONT, SIDE = world_camera([-1.7, -1.0, 0.9]), world_camera([0.4, -1.9, 0.7])
 
 def placed(camera: Camera, T_error: np.ndarray = MISPLACED) -> Camera:
     """As structure from motion would place it, recon frame."""
-    return camera_in_world(S_RECON_WORLD, camera.moved(camera.T_world_cam @ T_error))
+    return camera_in_world(S_RECON_WORLD, camera.move(camera.T_world_cam @ T_error))
 
 
 def camera_video(camera: Camera, video: Video, T_world_cam: np.ndarray | None = None) -> FixedCameraVideo:
@@ -196,7 +196,7 @@ def test_a_film_without_the_arm_moves_no_camera(stage: Stage) -> None:
     found = calibrate(stage, cameras, clock_offset_s=0.2).cameras["front"]
     assert found.warnings("front")
     # The scan views alone place the similarity.
-    assert error_px(found.camera, FRONT.moved(FRONT.T_world_cam @ MISPLACED)) < 0.2
+    assert error_px(found.camera, FRONT.move(FRONT.T_world_cam @ MISPLACED)) < 0.2
 
 
 def test_without_frames_cameras_stay_and_a_known_clock_is_kept(stage: Stage) -> None:

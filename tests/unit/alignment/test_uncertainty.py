@@ -73,7 +73,7 @@ def test_covariance_follows_the_frame():
     )
     moved = [camera_in_world(S_OTHER_WORLD, camera) for camera in cameras()]
     there = camera_covariance(moved, apply(S_OTHER_WORLD, points), sightings, 0.5)
-    assert here.seen_from(S_OTHER_WORLD).covariance == pytest.approx(there, rel=1e-3, abs=1e-4 * there.max())
+    assert here.view_from(S_OTHER_WORLD).covariance == pytest.approx(there, rel=1e-3, abs=1e-4 * there.max())
 
 
 def test_covariance_grows_with_the_reprojection_error_and_shrinks_with_points():

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 from rich.console import Console
 
-from aomgen.api.display import PlainDisplay, TerminalDisplay, finished_line
+from aomgen.api.display import PlainDisplay, TerminalDisplay, format_finished_line
 from aomgen.pipeline.stages import STAGES
 
 STRUCTURE = STAGES[0]
@@ -60,7 +60,7 @@ def test_nothing_is_said_between_stages(capsys) -> None:
 
 
 def test_good_and_poor_are_colored_on_a_terminal() -> None:
-    line = finished_line(STRUCTURE, 37.4, FIGURES)
+    line = format_finished_line(STRUCTURE, 37.4, FIGURES)
     assert line.plain == f"  {SENTENCE}"
     assert [span.style for span in line.spans] == ["yellow", "green"]
 
@@ -68,7 +68,7 @@ def test_good_and_poor_are_colored_on_a_terminal() -> None:
 def test_text_with_brackets_is_shown_as_it_is() -> None:
     """Titles and notes are text, not markup of the terminal library."""
     output = io.StringIO()
-    Console(file=output).print(finished_line(replace(STRUCTURE, title="parts [/bold] of"), 1.0, {}))
+    Console(file=output).print(format_finished_line(replace(STRUCTURE, title="parts [/bold] of"), 1.0, {}))
     assert "parts [/bold] of" in output.getvalue()
 
 

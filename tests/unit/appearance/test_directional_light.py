@@ -13,8 +13,8 @@ from aomgen.core.gaussians import SH_C0
 from aomgen.errors import MalformedFileError
 from aomgen.io.artifact import load_artifact, read_json, save_artifact
 from aomgen.io.atomic import write_json
-from aomgen.twin.shadow import DirectionalLight, cast_directional_shadow, remove_shadow, spread_directions
-from aomgen.twin.twin import Twin, posed, render_state, shadow_roles
+from aomgen.twin.shadow import DirectionalLight, compute_directional_shadow, remove_shadow, spread_directions
+from aomgen.twin.twin import TwinModel, pose_twin, render_state, shadow_roles
 
 SHADE = np.array([0.6, 0.58, 0.55])
 PLANE = np.eye(4)
@@ -109,10 +109,10 @@ def test_a_surface_that_is_not_seen_gives_no_lamp(toy_scene):
 def baked(scene, lamp):
     """The scene as a scan under the lamp gives it, and how much of each Gaussian is in shadow."""
     twin = scene.twin
-    world = posed(twin, scene.robot, twin.scan_state)
+    world = pose_twin(twin, scene.robot, twin.scan_state)
     roles = shadow_roles(twin, scene.robot)
     flat = (twin.bodies == 0) & (np.abs(world.means[:, 2]) < 0.005)
-    dark = flat * cast_directional_shadow(world, roles, lamp.directions, world.means)
+    dark = flat * compute_directional_shadow(world, roles, lamp.directions, world.means)
     sh = np.array(twin.gaussians.sh)
     colors = 0.5 + SH_C0 * sh[:, 0]
     factor = 1 - dark[:, None] * (1 - lamp.shade)
@@ -132,7 +132,7 @@ def test_the_table_without_its_shadow_is_the_table_in_light(toy_scene):
     assert freed.directional_light is lamp
     assert (dark > 0.9).sum() > 100
     assert error(freed) < 0.25 * error(scanned)
-    world = posed(scanned, toy_scene.robot, scanned.scan_state)
+    world = pose_twin(scanned, toy_scene.robot, scanned.scan_state)
     away = cKDTree(world.means[dark > 0]).query(world.means)[0] > 2 * EDGE_M
     np.testing.assert_allclose(freed.gaussians.sh[away], scanned.gaussians.sh[away], atol=1e-6)
     # Cast anew, the configuration of the scan looks as it was scanned, but for blurred edges.
@@ -172,19 +172,19 @@ def test_training_under_a_lamp_does_not_learn_its_shadow(toy_scene):
 
 def test_the_base_throws_no_shadow_that_moves(toy_scene):
     lamp = lamp_from(0.5, 0.0)
-    world = posed(toy_scene.twin, toy_scene.robot, toy_scene.twin.scan_state)
+    world = pose_twin(toy_scene.twin, toy_scene.robot, toy_scene.twin.scan_state)
     roles = shadow_roles(toy_scene.twin, toy_scene.robot)
     base = toy_scene.twin.body(toy_scene.robot.body_names[0])
     assert (roles[toy_scene.twin.bodies == base] == 1).all()
     # Right under the base only the base is in the way.
-    assert cast_directional_shadow(world, roles, lamp.directions, np.array([[-0.02, 0.0, 0.0]]))[0] < 0.2
+    assert compute_directional_shadow(world, roles, lamp.directions, np.array([[-0.02, 0.0, 0.0]]))[0] < 0.2
 
 
 def test_a_lamp_is_stored_with_its_twin(toy_scene, tmp_path):
     lamp = lamp_from(0.2, -0.3)
     for twin in (toy_scene.twin, replace(toy_scene.twin, directional_light=lamp)):
         save_artifact(tmp_path, "twin", twin)
-        again = load_artifact(tmp_path, "twin", Twin).directional_light
+        again = load_artifact(tmp_path, "twin", TwinModel).directional_light
         assert (again is None) == (twin.directional_light is None)
         if again is not None:
             np.testing.assert_array_equal(again.direction, lamp.direction)
@@ -207,7 +207,7 @@ def test_a_spoiled_lamp_is_refused(toy_scene, tmp_path, spoil):
     spoil(header)
     write_json(tmp_path / "twin.json", header)
     with pytest.raises(MalformedFileError, match="twin"):
-        load_artifact(tmp_path, "twin", Twin)
+        load_artifact(tmp_path, "twin", TwinModel)
 
 
 def test_a_lamp_needs_a_direction_and_a_shade():

@@ -14,7 +14,7 @@ from aomgen.core.joint import Joint
 from aomgen.core.transforms import apply, transform
 from aomgen.robots.robot import RobotModel
 from aomgen.twin.binding import bind
-from aomgen.twin.twin import Twin, TwinState, render_state
+from aomgen.twin.twin import TwinModel, TwinState, render_state
 
 TRAVEL = 0.2
 CAMERA = Camera(
@@ -52,7 +52,7 @@ def tray() -> Gaussians:
     )
 
 
-def cabinet(robot: RobotModel, moving: list[Gaussians], joint: Joint) -> Twin:
+def cabinet(robot: RobotModel, moving: list[Gaussians], joint: Joint) -> TwinModel:
     body = [
         box([0.48, 0.3, 0.25], [0.82, 0.6, 0.27], [0.5, 0.3, 0.2]),
         box([0.48, 0.3, 0.0], [0.49, 0.6, 0.25], [0.5, 0.3, 0.2]),
@@ -81,7 +81,7 @@ def slide() -> Joint:
     )
 
 
-def make_images(twin: Twin, robot: RobotModel) -> PosedImages:
+def make_images(twin: TwinModel, robot: RobotModel) -> PosedImages:
     thetas = [0.0, 0.0, *np.linspace(0, TRAVEL, 9)]
     states = tuple(replace(twin.scan_state, theta=float(theta)) for theta in thetas)
     images = [np.clip(render_state(twin, robot, state, CAMERA).rgb, 0, 1) for state in states]

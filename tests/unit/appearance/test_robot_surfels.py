@@ -14,7 +14,7 @@ from aomgen.core.light import Light, open_transfer
 from aomgen.core.transforms import matrix_from_rotvec, transform
 from aomgen.io.artifact import load_artifact, save_artifact
 from aomgen.twin.relighting import Relit, ResidualAppearance, orientation_weights
-from aomgen.twin.twin import Twin, render_state
+from aomgen.twin.twin import TwinModel, render_state
 from diffuse_shading import shaded_srgb
 
 BEHIND = look_at((0.5, 1.1, 0.7), (0.2, 0.0, 0.3))
@@ -97,7 +97,7 @@ def test_dressing_repeats_itself(toy_scene, dressing):
 def test_a_dressed_twin_survives_storage(dressing, tmp_path):
     _, _, twin = dressing
     save_artifact(tmp_path, "twin", twin)
-    again = load_artifact(tmp_path, "twin", Twin)
+    again = load_artifact(tmp_path, "twin", TwinModel)
     assert again.relit is not None
     assert twin.relit is not None
     np.testing.assert_array_equal(again.relit.light_of, twin.relit.light_of)
@@ -167,7 +167,7 @@ def observe_a_ball(light, albedo, pictures) -> tuple[SurfelObservations, np.ndar
         Ts[t, 1] = transform(matrix_from_rotvec(np.array([0, 0, 2 * np.pi * t / pictures])), np.zeros(3))
         R = Ts[t, 1, :3, :3]
         seen = np.flatnonzero(normals @ R.T @ [0, -1.0, 0.3] > 0.2)
-        colors = shaded_srgb(np.tile(albedo, (400, 1)), open_transfer(normals), light.seen_from(R))
+        colors = shaded_srgb(np.tile(albedo, (400, 1)), open_transfer(normals), light.view_from(R))
         rows.append((seen, np.full(len(seen), t), colors[seen], np.tile([0, 1.0, -0.3] @ R, (len(seen), 1))))
     disc, picture, color, directions = (np.concatenate(items) for items in zip(*rows, strict=True))
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
@@ -193,8 +193,8 @@ def test_light_is_told_from_paint_by_turning(toy_scene):
     colors = fit_robot_colors(observations, discs)
     # Orientations between those seen, without their memories.
     R = matrix_from_rotvec(np.array([0, 0, 0.4]))
-    want = shaded_srgb(np.tile(albedo, (400, 1)), open_transfer(normals), toy_scene.light.seen_from(R))
-    got = shaded_srgb(colors.albedo, open_transfer(normals), colors.lights[0].seen_from(R))
+    want = shaded_srgb(np.tile(albedo, (400, 1)), open_transfer(normals), toy_scene.light.view_from(R))
+    got = shaded_srgb(colors.albedo, open_transfer(normals), colors.lights[0].view_from(R))
     seen = normals @ R.T @ [0, -1.0, 0.3] > 0.3
     assert np.abs(got - want)[seen].mean() < 0.02
 

@@ -12,7 +12,7 @@ from typer.testing import CliRunner
 from aomgen.assets.asset_check import check_asset
 from aomgen.assets.doctor import examine
 from aomgen.assets.import_model import import_model
-from aomgen.assets.normalization import cleared, closed
+from aomgen.assets.normalization import clear_path, close
 from aomgen.assets.usd_read import read_usd
 from aomgen.assets.usd_write import write_usd
 from aomgen.cli.app import app
@@ -200,7 +200,7 @@ def test_a_usd_with_two_joints_opens_the_named_one(tmp_path: Path) -> None:
 
 def test_closing_takes_the_smaller_box_and_nothing_where_it_is_closed(tmp_path: Path) -> None:
     asset = import_model(written(tmp_path / "chest.urdf", URDF))
-    again = closed(asset)
+    again = close(asset)
     np.testing.assert_allclose(bounds(again), bounds(asset))
     assert again.joint.upper == asset.joint.upper
 
@@ -209,7 +209,7 @@ def test_colliders_give_way_to_what_moves(tmp_path: Path) -> None:
     text = MJCF.replace('size="0.2 0.01 0.3" pos="0 0.19 0"', 'size="0.2 0.03 0.3" pos="0 0.16 0"')
     asset = import_model(written(tmp_path / "cupboard.xml", text), joint="slide")
     assert check_asset(asset) == []
-    np.testing.assert_allclose(bounds(cleared(asset)), bounds(asset))
+    np.testing.assert_allclose(bounds(clear_path(asset)), bounds(asset))
 
 
 @pytest.mark.parametrize(

@@ -291,7 +291,7 @@ def test_check_wants_room_for_a_finger_on_both_sides_of_a_rim(made: Made) -> Non
 
 def test_check_refuses_wrong_units(made: Made) -> None:
     asset = made("microwave", 0)
-    assert "metersPerUnit" in check_asset(asset.transformed(np.diag([100.0, 100, 100, 1])))[0]
+    assert "metersPerUnit" in check_asset(asset.transform(np.diag([100.0, 100, 100, 1])))[0]
     degrees = replace(asset, joint=replace(asset.joint, upper=100.0))
     assert any("degrees" in problem for problem in check_asset(degrees))
     stuck = replace(asset, joint=replace(asset.joint, upper=0.1))
@@ -299,5 +299,5 @@ def test_check_refuses_wrong_units(made: Made) -> None:
 
 
 def test_scaled_asset_stays_usable(made: Made) -> None:
-    asset = made("microwave", 3).transformed(np.diag([0.9, 0.9, 0.9, 1.0]))
+    asset = made("microwave", 3).transform(np.diag([0.9, 0.9, 0.9, 1.0]))
     assert check_asset(asset) == []

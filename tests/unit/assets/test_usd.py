@@ -70,7 +70,7 @@ def test_text_round_trip(usd: Path, microwave: ArticulatedAsset) -> None:
 
 
 def test_binary_round_trip_of_a_scaled_drawer(tmp_path: Path) -> None:
-    asset = make_asset("drawer", 2).transformed(np.diag([0.8, 0.8, 0.8, 1.0]))
+    asset = make_asset("drawer", 2).transform(np.diag([0.8, 0.8, 0.8, 1.0]))
     write_usd(asset, tmp_path / "drawer.usdc")
     assert_same(asset, read_usd(tmp_path / "drawer.usdc"))
 

@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import pytest
 
 from aomgen.errors import EstimationError
-from aomgen.replacement.correspondence import recorded_contact
+from aomgen.replacement.correspondence import describe_contact
 from benchmarks import replace_fits
 from recordings import gripped_recording
 
@@ -14,7 +14,7 @@ from recordings import gripped_recording
 def films(monkeypatch, robot):
     """Films of a microwave, of which that of seed 7 shows nothing."""
     demo, recorded = gripped_recording("microwave")
-    contact = recorded_contact(demo, recorded, "opening")
+    contact = describe_contact(demo, recorded, "opening")
     shown = []
 
     def film(category, number, folder, kind):

@@ -14,7 +14,7 @@ from aomgen.core.transforms import apply
 from aomgen.episodes.ik import ik_solver
 from aomgen.episodes.planning import PlanParams, plan_episode
 from aomgen.episodes.record import episode_of
-from aomgen.episodes.variations import scaled_fit
+from aomgen.episodes.variations import scale_fit
 from aomgen.io.artifact import read_json, save_artifact
 from aomgen.results import ASSET_USD
 from aomgen.robots.robot import RobotModel
@@ -72,7 +72,7 @@ def test_the_demonstrated_place_is_feasible_and_one_out_of_reach_is_not(
     fitted: FittedAsset, demo: Demonstration, scene: Scene
 ) -> None:
     for x, feasible in ((0.0, True), (2.0, False), (-0.85, False)):
-        placed = scene.placed(replace(HERE, x=x).placed(fitted))
+        placed = scene.place_at(replace(HERE, x=x).place_at(fitted))
         assert can_hold(placed, fitted, demo.joints[0], np.random.default_rng(0), 60) == feasible, x
 
 
@@ -119,7 +119,7 @@ def test_exported_actions_open_the_drawer_and_miss_a_moved_one(
 def test_a_drawer_of_another_file_is_not_opened(
     robot: RobotModel, verified: VerifiedEpisode, tmp_path: Path
 ) -> None:
-    smaller = scaled_fit(verified.plan.fitted, 0.7).asset
+    smaller = scale_fit(verified.plan.fitted, 0.7).asset
     write_usd(smaller, tmp_path / ASSET_USD)
     assert judge_exported(verified, robot, tmp_path / ASSET_USD)["failure"].startswith("replay")
 

@@ -12,7 +12,7 @@ from aomgen.cli.app import main
 from aomgen.core.project import Project
 from aomgen.errors import BackendError, ConfigError, LockedError, MalformedFileError, StorageError
 from aomgen.pipeline import preflight
-from aomgen.pipeline.runner import locked
+from aomgen.pipeline.runner import lock
 from aomgen.pipeline.stages import PROJECT_FILE, run_pipeline
 from broken_captures import CAPTURES, write_tight_usd
 
@@ -114,7 +114,7 @@ def test_a_second_run_leaves_the_choices_of_the_first(small_capture, tmp_path, n
     project = project_of(small_capture, tmp_path / "out")
     run_pipeline(project, Heard())
     choices = (project.out / PROJECT_FILE).read_text()
-    with locked(project.out), pytest.raises(LockedError, match="is in use by another run; wait for it"):
+    with lock(project.out), pytest.raises(LockedError, match="is in use by another run; wait for it"):
         run_pipeline(project.model_copy(update={"poses": 9}), Heard())
     assert (project.out / PROJECT_FILE).read_text() == choices
     assert no_work == ["stages"]

@@ -52,14 +52,14 @@ def test_harmonics_come_back_from_the_map_drawn_of_them() -> None:
 @pytest.mark.parametrize("angle_deg", [90.0, 33.0, -200.0])
 def test_a_turned_map_has_the_turned_light(angle_deg: float) -> None:
     angle = np.radians(angle_deg)
-    turned = rendered(harmonics()).turned(angle).light()
+    turned = rendered(harmonics()).turn(angle).light()
     # What a body turned the other way sees.
-    want = harmonics().seen_from(matrix_from_rotvec(np.array([0, 0, -angle])))
+    want = harmonics().view_from(matrix_from_rotvec(np.array([0, 0, -angle])))
     np.testing.assert_allclose(turned.radiance_sh, want, atol=3e-3)
 
 
 def test_a_brighter_map_has_a_brighter_light() -> None:
     around = rendered(harmonics())
     np.testing.assert_allclose(
-        around.scaled(2.5).light().radiance_sh, 2.5 * around.light().radiance_sh, rtol=1e-5, atol=1e-6
+        around.scale_by(2.5).light().radiance_sh, 2.5 * around.light().radiance_sh, rtol=1e-5, atol=1e-6
     )

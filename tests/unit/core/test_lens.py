@@ -35,7 +35,7 @@ def test_a_straightened_point_is_on_the_pinhole_cameras_ray(lens):
     pixels = np.random.default_rng(1).uniform([0, 0], [640, 480], (100, 2))
     straight = lens.straight()
     assert not straight.bends
-    assert np.abs(straight.rays(lens.straightened(pixels)) - lens.rays(pixels)).max() < 1e-9
+    assert np.abs(straight.rays(lens.undistort(pixels)) - lens.rays(pixels)).max() < 1e-9
 
 
 def test_a_pinhole_is_left_alone():

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
-from aomgen.core.robust import SD_OF_MAD, masked_median, regress_robustly, robust_sd
+from aomgen.core.robust import SD_OF_MAD, compute_masked_median, regress_robustly, robust_sd
 
 
 def test_normal_noise_keeps_its_deviation_beside_outliers():
@@ -27,6 +27,6 @@ def test_outliers_do_not_bend_a_line() -> None:
 def test_a_masked_median_knows_where_it_knows_nothing() -> None:
     values = np.array([[1.0, 5.0], [2.0, 6.0], [90.0, 7.0]])
     known = np.array([[True, False], [True, False], [False, False]])
-    median, some = masked_median(values, known)
+    median, some = compute_masked_median(values, known)
     assert median.tolist() == [1.5, 0.0]
     assert some.tolist() == [True, False]

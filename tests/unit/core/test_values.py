@@ -85,7 +85,7 @@ def test_arrays_take_the_declared_type():
 def test_moving_there_and_back_changes_nothing():
     gaussians = some_gaussians()
     S = similarity(3.0, matrix_from_rotvec([0.3, -0.5, 0.8]), [1, 2, 3])
-    back = gaussians.transformed(S).transformed(np.linalg.inv(S))
+    back = gaussians.transform(S).transform(np.linalg.inv(S))
     assert np.allclose(back.means, gaussians.means, atol=1e-5)
     assert np.allclose(back.scales, gaussians.scales, atol=1e-6)
     assert np.allclose(back.sh, gaussians.sh, atol=1e-5)
@@ -124,7 +124,7 @@ def test_surface_samples_spread_by_area():
 def test_a_scaled_asset_scales_everything():
     asset = make_asset("microwave", 4)
     S = similarity(1.5, matrix_from_rotvec([0, 0, 0.7]), [0.2, 0.1, 0.0])
-    moved = asset.transformed(S)
+    moved = asset.transform(S)
     assert moved.static.mass == pytest.approx(asset.static.mass * 1.5**3)
     assert moved.joint.upper == asset.joint.upper
     assert np.allclose(moved.handle_point, apply(S, asset.handle_point))

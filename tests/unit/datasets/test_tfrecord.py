@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from aomgen.datasets.tfrecord import (
     decode_example,
     encode_example,
-    masked_crc,
+    mask_crc,
     read_records,
     records_bytes,
 )
@@ -34,15 +34,15 @@ def unmasked(masked: int) -> int:
     ],
 )
 def test_crc_of_known_vectors(data, crc):
-    assert unmasked(masked_crc(data)) == crc
+    assert unmasked(mask_crc(data)) == crc
 
 
 def test_a_record_is_framed_as_tensorflow_does():
     data = records_bytes([b"abc"])
     assert data[:8] == struct.pack("<Q", 3)
-    assert data[8:12] == struct.pack("<I", masked_crc(data[:8]))
+    assert data[8:12] == struct.pack("<I", mask_crc(data[:8]))
     assert data[12:15] == b"abc"
-    assert data[15:] == struct.pack("<I", masked_crc(b"abc"))
+    assert data[15:] == struct.pack("<I", mask_crc(b"abc"))
 
 
 @given(st.lists(st.binary(max_size=300), max_size=5))

@@ -22,7 +22,7 @@ from aomgen.episodes.ledger import (
     DRAWS_FILE,
     Request,
     Unit,
-    ended_units,
+    list_ended_units,
     read_accounts,
     read_draws,
     read_rejection,
@@ -223,7 +223,7 @@ def test_episodes_of_a_toy_run_are_real(tmp_path):
     assert found is not None
     assert (found.name, found.turn_ratio) == (chosen.name, chosen.turn_ratio)
     assert (folder / DRAWS_FILE).is_file()
-    committed, _ = ended_units(folder)
+    committed, _ = list_ended_units(folder)
     for path in list_committed(folder):
         item = read_episode(path)
         assert sorted(item.videos) == ["free0", "front", "side"]

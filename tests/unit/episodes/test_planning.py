@@ -86,7 +86,7 @@ def test_same_object_at_the_same_place_gives_the_demonstrated_motion(
 
 
 def test_contact_segment_moves_rigidly_with_the_object(demo: Demonstration, fitted: FittedAsset) -> None:
-    T = Variation(seed=0, index=0, x=0.04, y=-0.03, yaw=0.3).placed(fitted)
+    T = Variation(seed=0, index=0, x=0.04, y=-0.03, yaw=0.3).place_at(fitted)
     there, here = motion_of(demo, fitted, T), motion_of(demo, fitted, fitted.T_world_asset)
     moments = there.shown.moments
     times = np.linspace(moments.close, moments.free, 40)

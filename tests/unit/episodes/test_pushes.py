@@ -9,7 +9,7 @@ from aomgen.core.demonstration import Demonstration
 from aomgen.core.plan import EpisodePlan, FittedAsset, Variation, VerifiedEpisode
 from aomgen.episodes.ik import IkSolver
 from aomgen.episodes.planning import PlanParams, plan_episode
-from aomgen.episodes.pushes import CALM_S, pushed_joints
+from aomgen.episodes.pushes import CALM_S, push_joints
 from aomgen.episodes.retarget import CONTACT
 from aomgen.episodes.variations import Ranges
 from aomgen.errors import ConfigError
@@ -40,25 +40,25 @@ def ways_mm(robot: RobotModel, plan: EpisodePlan, joints: np.ndarray) -> np.ndar
 def test_the_hand_is_pushed_by_no_more_than_asked_and_comes_back_before_it_holds(
     robot: RobotModel, solver: IkSolver, plan: EpisodePlan
 ) -> None:
-    ways = ways_mm(robot, plan, pushed_joints(plan, solver))
+    ways = ways_mm(robot, plan, push_joints(plan, solver))
     first = int(np.argmax(plan.phases == CONTACT))
     assert 3.0 < ways.max() < 21.0
     assert ways[0] < 1e-6
     assert ways[first - round(CALM_S * plan.fps) :].max() < 1e-6
     # Smooth: from one frame to the next by a third of the largest way at most.
     assert np.abs(np.diff(ways)).max() < 7.0
-    np.testing.assert_array_equal(pushed_joints(plan, solver), pushed_joints(plan, solver))
+    np.testing.assert_array_equal(push_joints(plan, solver), push_joints(plan, solver))
 
 
 def test_without_pushes_the_plan_is_told(solver: IkSolver, plan: EpisodePlan) -> None:
     calm = replace(plan, variation=replace(PUSHED, push_m=0.0))
-    np.testing.assert_array_equal(pushed_joints(calm, solver), plan.joints)
+    np.testing.assert_array_equal(push_joints(calm, solver), plan.joints)
 
 
 def test_a_pushed_demonstration_is_certified_and_its_actions_are_the_plans(
     robot: RobotModel, scene: Scene, solver: IkSolver, plan: EpisodePlan
 ) -> None:
-    commanded = pushed_joints(plan, solver)
+    commanded = push_joints(plan, solver)
     made = verify_plan(plan, scene, commanded=commanded)
     assert isinstance(made, VerifiedEpisode), made
     # The arm went where it was told, off the plan that the actions are taken from.

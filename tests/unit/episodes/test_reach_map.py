@@ -45,7 +45,7 @@ def test_the_map_covers_the_ranges_and_is_coarse(found: ReachMap, fitted: Fitted
     assert (found.x[0], found.x[-1]) == RANGES.x_m
     middle = found.places_world[3, 3]
     here = Variation(seed=0, index=0, x=found.x[3], y=found.y[3], yaw=0.0)
-    place = here.placed(fitted) @ np.append(fitted.middle_asset, 1.0)
+    place = here.place_at(fitted) @ np.append(fitted.middle_asset, 1.0)
     np.testing.assert_allclose(middle, place[:2], atol=1e-9)
     # A draw that lies beside the map is left to planning.
     assert found.may_reach(replace(here, x=2.0))

@@ -22,8 +22,8 @@ from aomgen.io.episode_folder import commit_episode, list_committed, read_episod
 from aomgen.io.video import encode_video, read_video
 from aomgen.twin.binding import with_object
 from aomgen.twin.shadow import DirectionalLight
-from aomgen.twin.twin import Twin, TwinState, render_state
-from aomgen.twin.variation import changed
+from aomgen.twin.twin import TwinModel, TwinState, render_state
+from aomgen.twin.variation import change_appearance
 from drawer_episode import no_contacts
 
 FRAMES = 4
@@ -31,7 +31,7 @@ ZEROS_RAD = np.array([0.0, 0.002, -0.003, 0.0, 0.001, 0.0])
 
 
 @pytest.fixture(scope="module")
-def twin(toy_scene) -> Twin:
+def twin(toy_scene) -> TwinModel:
     static, moving = toy_scene.surfels
     return with_object(
         toy_scene.twin, static, moving, toy_scene.asset.joint, toy_scene.light, toy_scene.twin.T_world_object
@@ -40,8 +40,8 @@ def twin(toy_scene) -> Twin:
 
 @pytest.fixture(scope="module")
 def cameras(toy_scene) -> dict[str, Camera]:
-    other = toy_scene.camera.moved(look_at((0.1, 0.9, 0.8), (0.6, -0.1, 0.1)))
-    return {"front": toy_scene.camera.resized(80, 60), "side": other.resized(80, 60)}
+    other = toy_scene.camera.move(look_at((0.1, 0.9, 0.8), (0.6, -0.1, 0.1)))
+    return {"front": toy_scene.camera.resize(80, 60), "side": other.resize(80, 60)}
 
 
 def verified(toy_scene, turn: float) -> VerifiedEpisode:
@@ -109,7 +109,7 @@ def commit(
         paths = robot.camera_paths(made.reached.joints, made.reached.gripper) if images.robot_cameras else {}
         usd = Path("../asset.usda")
         episode = episode_of(made, index, usd, robot, "open the microwave", cameras, ZEROS_RAD, paths)
-        shown = changed(twin, made.plan.variation.light, made.plan.variation.material)
+        shown = change_appearance(twin, made.plan.variation.light, made.plan.variation.material)
         layers = static_layers(shown, cameras)
         drawn = render_episode(shown, robot, episode, layers, np.eye(4), paths=paths, params=images)
         folders.append(store_episode(folder, episode, drawn, images))
@@ -196,7 +196,7 @@ def test_a_lamp_throws_the_shadow_of_the_whole_object_to_its_other_side(toy_scen
 
 def test_all_kinds_of_images_are_stored(toy_scene, twin, cameras, tmp_path):
     wanted = ImageParams(codec="av1", depth=True, labels=True, robot_cameras=True)
-    small = {"front": cameras["front"].resized(96, 72)}
+    small = {"front": cameras["front"].resize(96, 72)}
     (folder,) = commit(toy_scene, twin, small, tmp_path / "episodes", usual(toy_scene)[:1], wanted)
     item = read_episode(folder)
     assert set(item.videos) == {"front", "wrist"}

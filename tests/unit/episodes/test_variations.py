@@ -11,8 +11,8 @@ from aomgen.core.demonstration import SupportPlane
 from aomgen.core.plan import FittedAsset, OrbitChange, Variation
 from aomgen.core.transforms import apply, matrix_from_rotvec, transform
 from aomgen.episodes.distributions import distributions
-from aomgen.episodes.screening import Place, orbited
-from aomgen.episodes.variations import OrbitRanges, Ranges, area, draw, inside, scaled_fit
+from aomgen.episodes.screening import Place, orbit_camera
+from aomgen.episodes.variations import OrbitRanges, Ranges, area, draw, inside, scale_fit
 from aomgen.errors import ConfigError
 from aomgen.robots.reach import Reach, longest_reach
 from aomgen.robots.robot import RobotModel
@@ -49,7 +49,7 @@ def place(
 
 
 def reason(where: Place, variation: Variation, fitted: FittedAsset) -> str:
-    rejection = where.screened(variation, fitted)
+    rejection = where.screen(variation, fitted)
     return rejection.reason if rejection else ""
 
 
@@ -93,13 +93,13 @@ def test_places_of_an_area_lie_in_it(fitted: FittedAsset, camera: Camera) -> Non
     assert reason(place(camera, ranges=ranges), outside, fitted) == "outside_area"
     chosen = drawn[within.index(True)]
     low, high = fitted.asset.static.bounds
-    middle = apply(chosen.placed(fitted), np.append((low[:2] + high[:2]) / 2, 0.0))
+    middle = apply(chosen.place_at(fitted), np.append((low[:2] + high[:2]) / 2, 0.0))
     np.testing.assert_allclose(middle[:2], [chosen.x, chosen.y], atol=1e-9)
 
 
 def test_x_and_y_may_be_the_objects_own(fitted: FittedAsset) -> None:
     own = replace(HERE, y=-0.1, frame="object")
-    moved = own.placed(fitted)[:3, 3] - fitted.T_world_asset[:3, 3]
+    moved = own.place_at(fitted)[:3, 3] - fitted.T_world_asset[:3, 3]
     # The front faces -y of the asset's frame: towards the robot, which is along -x of the world.
     np.testing.assert_allclose(moved, [-0.1, 0, 0], atol=1e-9)
 
@@ -123,13 +123,13 @@ def test_ranges_that_hold_nothing_are_refused() -> None:
 
 
 def test_a_scaled_object_is_held_where_it_was_and_stands_on_the_table(fitted: FittedAsset) -> None:
-    small = scaled_fit(fitted, 0.7)
+    small = scale_fit(fitted, 0.7)
     held, before = (apply(fit.T_world_asset, fit.contact_asset) for fit in (small, fitted))
     np.testing.assert_allclose(held[:2], before[:2], atol=1e-9)
     assert held[2] - SUPPORT.height == pytest.approx(0.7 * (before[2] - SUPPORT.height))
     np.testing.assert_allclose(small.asset.static.bounds[1], 0.7 * fitted.asset.static.bounds[1])
     assert small.target_theta == pytest.approx(0.7 * fitted.target_theta)
-    assert scaled_fit(fitted, 1.0) is fitted
+    assert scale_fit(fitted, 1.0) is fitted
 
 
 def test_a_small_slide_is_opened_as_far_as_counts_where_it_can_be(fitted: FittedAsset) -> None:
@@ -139,11 +139,11 @@ def test_a_small_slide_is_opened_as_far_as_counts_where_it_can_be(fitted: Fitted
     long = replace(
         fitted, asset=replace(fitted.asset, joint=replace(fitted.asset.joint, upper=least / share / 0.9))
     )
-    assert abs(scaled_fit(long, share).travel) >= least
-    assert abs(scaled_fit(long, share).travel) < 1.001 * least
+    assert abs(scale_fit(long, share).travel) >= least
+    assert abs(scale_fit(long, share).travel) < 1.001 * least
     stop = replace(fitted.asset.joint, upper=1.001 * abs(fitted.travel))
     short = replace(fitted, asset=replace(fitted.asset, joint=stop))
-    assert abs(scaled_fit(short, share).travel) == pytest.approx(0.9 * least)
+    assert abs(scale_fit(short, share).travel) == pytest.approx(0.9 * least)
 
 
 def test_poses_off_the_table_or_out_of_reach_are_not_tried(fitted: FittedAsset, camera: Camera) -> None:
@@ -183,7 +183,7 @@ def test_a_pose_that_a_camera_does_not_show_is_not_in_view(fitted: FittedAsset, 
     assert reason(place(camera), HERE, fitted) == ""
     away = replace(HERE, y=0.5)
     assert reason(place(replace(camera, fx=900, fy=900)), away, fitted) == "out_of_view"
-    behind = camera.moved(
+    behind = camera.move(
         look_at(camera.center, 2 * camera.center - apply(fitted.T_world_asset, fitted.contact_asset))
     )
     assert reason(place(behind), HERE, fitted) == "out_of_view"
@@ -194,19 +194,19 @@ def test_a_pose_that_a_camera_does_not_show_is_not_in_view(fitted: FittedAsset, 
 def test_a_camera_orbits_about_its_point(camera: Camera) -> None:
     target = np.array([0.7, -0.2, 0.1])
     before, _ = camera.project(target)
-    moved = orbited(camera, target, OrbitChange(turn=0.4, tilt=0.2, distance=1.3))
+    moved = orbit_camera(camera, target, OrbitChange(turn=0.4, tilt=0.2, distance=1.3))
     np.testing.assert_allclose(moved.project(target)[0], before, atol=1e-6)
     arm, new = camera.center - target, moved.center - target
     assert np.linalg.norm(new) == pytest.approx(1.3 * np.linalg.norm(arm))
     assert new[2] / np.linalg.norm(new) > arm[2] / np.linalg.norm(arm), "tilted upwards"
-    assert orbited(camera, target, OrbitChange()) is camera
+    assert orbit_camera(camera, target, OrbitChange()) is camera
 
 
 def test_added_cameras_look_at_the_object_where_it_stands(fitted: FittedAsset, camera: Camera) -> None:
     ranges = Ranges(free=OrbitRanges())
     variation = replace(draw(0, 0, 0, ranges, cameras=1, free=1), x=0.05, y=0.2, yaw=0.0)
     views = place(camera, ranges=ranges, free=1).views(variation, fitted)
-    held = apply(variation.placed(fitted), fitted.contact_asset)
+    held = apply(variation.place_at(fitted), fitted.contact_asset)
     np.testing.assert_allclose(views["free0"].project(held)[0], [160, 120], atol=1e-6)
     assert views["front"] is camera
 

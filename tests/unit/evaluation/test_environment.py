@@ -81,7 +81,7 @@ def test_observations_are_named_and_ordered_as_in_the_dataset(world: World, toy)
 
 def test_smaller_pictures_are_averaged_from_those_of_the_run(world: World) -> None:
     width, height = world.suite.drawn_size
-    small = {name: camera.resized(width // 2, height // 2) for name, camera in world.suite.cameras.items()}
+    small = {name: camera.resize(width // 2, height // 2) for name, camera in world.suite.cameras.items()}
     halved = World(replace(world.suite, cameras=small), world.factory.results).rollout(1).observation()
     for name, picture in world.rollout(1).observation()["pixels"].items():
         blocks = picture.reshape(height // 2, 2, width // 2, 2, 3).mean((1, 3))
@@ -91,7 +91,7 @@ def test_smaller_pictures_are_averaged_from_those_of_the_run(world: World) -> No
 def test_a_camera_on_the_hand_shows_what_it_shows_in_an_episode(world: World, toy) -> None:
     """Against the episode's renderer, through the dataset's averaging; fixed cameras show what they showed without it."""
     robot, scene = toy.robot, toy.episode_scene
-    wrist = robot.cameras["wrist"].view.resized(160, 120)
+    wrist = robot.cameras["wrist"].view.resize(160, 120)
     both = World(replace(world.suite, cameras={"wrist": wrist, **world.suite.cameras}), toy).rollout(0)
     alone = world.rollout(0)
     for action in shaken(world):
@@ -99,7 +99,7 @@ def test_a_camera_on_the_hand_shows_what_it_shows_in_an_episode(world: World, to
         alone.step(action)
     seen, reached = both.observation()["pixels"], both.reached
     variation = both.trial.variation
-    twin, layers, soft = world.factory.asset(0).seen(variation, world.factory.place.cameras)
+    twin, layers, soft = world.factory.asset(0).show_variation(variation, world.factory.place.cameras)
     state = SceneTrajectory(
         times_s=reached.times_s,
         joints=reached.joints,

@@ -14,7 +14,7 @@ from aomgen.core.transforms import matrix_from_rotvec, transform
 from aomgen.datasets.features import ee_targets
 from aomgen.errors import AomgenError, BackendError, ConfigError, PolicyServerError
 from aomgen.evaluation import policy_servers
-from aomgen.evaluation.policy_servers import OpenpiServer, _encoded, _packed, read_array
+from aomgen.evaluation.policy_servers import OpenpiServer, _encode, _pack, read_array
 from aomgen.evaluation.remote import RemoteTask, delta_of_openvla, open_remote
 from served_policies import json_array, msgpack_array, openpi_server, openvla_server
 
@@ -59,9 +59,9 @@ CHUNK = np.arange(35, dtype=np.float32).reshape(5, 7)
 def test_messages_are_those_of_the_public_libraries():
     import msgpack
 
-    packed = msgpack.packb({"images": {"front": IMAGE}, "state": STATE, "prompt": "open"}, default=_packed)
+    packed = msgpack.packb({"images": {"front": IMAGE}, "state": STATE, "prompt": "open"}, default=_pack)
     assert packed.hex() == OPENPI_PACKED
-    assert json.loads(json.dumps({"image": IMAGE, "s": STATE}, default=_encoded)) == JSON_NUMPY
+    assert json.loads(json.dumps({"image": IMAGE, "s": STATE}, default=_encode)) == JSON_NUMPY
 
 
 def test_an_answer_of_the_public_library_is_read():

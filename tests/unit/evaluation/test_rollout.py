@@ -7,7 +7,7 @@ import pytest
 
 from aomgen.datasets.features import ACTION_SPACES
 from aomgen.errors import ConfigError
-from aomgen.evaluation.actions import Targets, action_size, planned_action
+from aomgen.evaluation.actions import Targets, action_size, choose_planned_action
 from aomgen.evaluation.evaluate import roll_out
 from aomgen.evaluation.policies import OracleReplay
 from aomgen.evaluation.rollout import Rollout, World
@@ -31,7 +31,7 @@ def test_a_plan_in_closed_loop_is_the_simulation_of_its_certificate(world: World
     plan, trial = world.plan(0), world.suite.trials[0]
     fitted, scene = world.factory.asset(0).sized(1.0)
     run = simulate(
-        scene.placed(plan.T_world_object),
+        scene.place_at(plan.T_world_object),
         plan.joints,
         plan.gripper,
         plan.fps,
@@ -44,7 +44,7 @@ def test_a_plan_in_closed_loop_is_the_simulation_of_its_certificate(world: World
         tick = run.frame_ticks[frame]
         np.testing.assert_array_equal(rollout.reached.joints[0], run.joints[tick])
         assert rollout.reached.thetas[0] == run.thetas[tick]
-        rollout.step(planned_action(plan, frame, "joint"))
+        rollout.step(choose_planned_action(plan, frame, "joint"))
 
 
 @pytest.mark.parametrize("space", ACTION_SPACES)
@@ -61,7 +61,7 @@ def test_planned_actions_mean_the_planned_joints(world: World, space) -> None:
     plan, solver = world.plan(0), world.factory.solver
     targets = Targets(space, solver, np.append(plan.joints[0], plan.gripper[0]))
     for frame in range(0, 30):
-        action = planned_action(plan, frame, space)
+        action = choose_planned_action(plan, frame, space)
         assert len(action) == action_size(space, 6)
         target = targets.take(action)
         assert target is not None
@@ -80,7 +80,7 @@ def test_an_arm_that_is_nearly_stretched_does_not_lag_behind_its_hand(world: Wor
     stretched = replace(plan, joints=joints, Ts_world_ee=solver.robot.ee_poses(joints))
     targets = Targets(space, solver, np.append(joints[0], 0.0))
     for frame in range(len(plan) - 1):
-        target = targets.take(planned_action(stretched, frame, space).astype(np.float32).astype(float))
+        target = targets.take(choose_planned_action(stretched, frame, space).astype(np.float32).astype(float))
         assert target is not None
         np.testing.assert_allclose(target[:-1], joints[frame + 1], atol=np.deg2rad(0.2))
 
@@ -96,7 +96,7 @@ def test_who_does_nothing_opens_nothing(world: World) -> None:
 def test_success_has_to_last_half_a_second(world: World) -> None:
     rollout, plan, shares = world.rollout(0), world.plan(0), []
     while rollout.fail_reason is None:
-        rollout.step(planned_action(plan, rollout.frame, "joint"))
+        rollout.step(choose_planned_action(plan, rollout.frame, "joint"))
         shares.append(rollout.opening_share)
     opened = np.flatnonzero(np.array(shares) >= 0.9)
     assert rollout.fail_reason == ""
@@ -150,7 +150,7 @@ def test_pushing_the_part_with_the_arm_does_not_count(world: World) -> None:
     rollout = world.rollout(0)
     plan = world.plan(0)
     for frame in range(5):
-        rollout.step(planned_action(plan, frame, "joint"))
+        rollout.step(choose_planned_action(plan, frame, "joint"))
     # Somebody moves the part by hand.
     address = rollout._scene.object_qpos
     still = np.append(plan.joints[5], plan.gripper[5])

@@ -27,7 +27,7 @@ from toy_run import ToyResults
 
 def test_a_suite_comes_back_as_it_was(suite: Suite, toy: ToyResults, tmp_path: Path) -> None:
     write_suite(tmp_path / "again.json", suite)
-    assert read_suite(tmp_path / "again.json").digest == suite.digest == suite.sealed().digest
+    assert read_suite(tmp_path / "again.json").digest == suite.digest == suite.seal().digest
     assert [file.name for file in tmp_path.iterdir()] == ["again.json"]
     assert (toy.out / suite.run).resolve() == toy.out.resolve()
     assert len(suite.trials) == 3

@@ -15,16 +15,16 @@ from aomgen.errors import (
 )
 from aomgen.io import artifact
 from aomgen.io.artifact import read_json
-from aomgen.io.atomic import remove_staging, staged_folder, write_bytes, write_json
+from aomgen.io.atomic import remove_staging, stage_folder, write_bytes, write_json
 from aomgen.io.images import image_size, read_image, read_labels, write_image
 from aomgen.io.paths import resolve_inside
 from aomgen.io.video import encode_video, read_video
 
 
 def test_a_failed_folder_leaves_the_old_one(tmp_path):
-    with staged_folder(tmp_path / "x") as folder:
+    with stage_folder(tmp_path / "x") as folder:
         (folder / "a").write_text("1")
-    with pytest.raises(KeyError), staged_folder(tmp_path / "x") as folder:
+    with pytest.raises(KeyError), stage_folder(tmp_path / "x") as folder:
         (folder / "a").write_text("2")
         raise KeyError
     assert (tmp_path / "x" / "a").read_text() == "1"

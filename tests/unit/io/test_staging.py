@@ -13,7 +13,7 @@ import pytest
 
 from aomgen.errors import StorageError
 from aomgen.io import atomic
-from aomgen.io.atomic import STAGING_PREFIX, remove_staging, staged_folder, write_bytes
+from aomgen.io.atomic import STAGING_PREFIX, remove_staging, stage_folder, write_bytes
 
 WRITER = """
 import sys, time
@@ -31,7 +31,7 @@ def staged(folder: Path) -> list[Path]:
 
 
 def fill(path: Path, text: str) -> None:
-    with staged_folder(path) as folder:
+    with stage_folder(path) as folder:
         (folder / text).write_text(text)
 
 
@@ -52,7 +52,7 @@ def test_staging_stays_as_long_as_its_writer_lives(tmp_path):
 
 
 def test_staging_of_another_thread_stays(tmp_path):
-    with staged_folder(tmp_path / "x") as folder:
+    with stage_folder(tmp_path / "x") as folder:
         remove_staging(tmp_path)
         (folder / "a").write_text("")
     assert (tmp_path / "x" / "a").is_file()
@@ -142,7 +142,7 @@ def test_what_appears_has_been_synced(tmp_path, monkeypatch):
 
     monkeypatch.setattr(os, "fsync", note)
     monkeypatch.setattr(os, "replace", check)
-    with staged_folder(tmp_path / "x") as folder:
+    with stage_folder(tmp_path / "x") as folder:
         (folder / "deep" / "deeper").mkdir(parents=True)
         (folder / "deep" / "deeper" / "a").write_text("")
         (folder / "b").write_text("")

@@ -300,7 +300,7 @@ def tip_m(robot: RobotModel) -> float:
     from aomgen.robots.gripper_surface import hand_surface
 
     bodies = robot.link_poses(JOINTS[None], np.array([1.0]))[0]
-    points, _ = hand_surface(robot).posed(invert(robot.ee_poses(JOINTS[None])[0]) @ bodies)
+    points, _ = hand_surface(robot).pose(invert(robot.ee_poses(JOINTS[None])[0]) @ bodies)
     return float(points[:, 2].max())
 
 

@@ -95,6 +95,6 @@ def test_a_turned_and_moved_world_changes_neither() -> None:
     poses = following(door(), THETAS, slips, pivots)
     T = transform(matrix_from_rotvec(rng.normal(size=3)), rng.normal(size=3))
     here = measure_slip(door(), THETAS, poses, HELD, 2)
-    there = measure_slip(door().moved(T), THETAS, T @ poses, HELD, 2)
+    there = measure_slip(door().move(T), THETAS, T @ poses, HELD, 2)
     assert np.linalg.norm(there[0], axis=1) == pytest.approx(np.linalg.norm(here[0], axis=1), abs=1e-12)
     assert np.linalg.norm(there[1], axis=1) == pytest.approx(np.linalg.norm(here[1], axis=1), abs=1e-9)

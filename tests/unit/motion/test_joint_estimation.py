@@ -174,7 +174,7 @@ def test_moving_the_world_moves_the_joint_along(joint: Joint, travel: float) -> 
     path = hand_path(joint, travel, Flaws(turn_ratio=0.8), np.random.default_rng(10))
     T = transform(matrix_from_rotvec([0.4, -1.1, 0.7]), [0.3, -2, 0.5])
     here = estimate_joint(path, HOLD).joint
-    there = estimate_joint(T @ path, HOLD).joint.moved(invert(T))
+    there = estimate_joint(T @ path, HOLD).joint.move(invert(T))
     assert np.degrees(angle_between(here.axis, there.axis)) < 0.05
     assert there.upper == pytest.approx(here.upper, rel=1e-3)
     if joint.type == "revolute":

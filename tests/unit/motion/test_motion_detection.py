@@ -88,7 +88,7 @@ def filmed(offsets: Array, shadow: bool = False) -> np.ndarray:
         T = np.eye(4)
         T[0, 3] = offset
         moved = concatenate(
-            [gaussians.select(labels == MOVING).transformed(T), gaussians.select(labels == STATIC)]
+            [gaussians.select(labels == MOVING).transform(T), gaussians.select(labels == STATIC)]
         )
         image = 255 * render(moved, CAMERA).rgb
         if shadow:

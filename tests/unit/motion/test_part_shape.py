@@ -154,7 +154,7 @@ CASES = {
 def test_there_is_opening_and_back_is_closing(name: str, turned: bool) -> None:
     item, static, moving, theta = CASES[name]
     T = transform(matrix_from_rotvec([0.1, -0.2, 2.0]), np.array([0.4, -0.7, 0.1])) if turned else np.eye(4)
-    item, static, moving = item.moved(T), apply(T, static), apply(T, moving)
+    item, static, moving = item.move(T), apply(T, static), apply(T, moving)
     assert infer_direction(item, theta, static, moving) == "opening"
     gone = apply(item.motion(theta), moving)
     back = Joint(type=item.type, axis=-item.axis, origin=item.origin, lower=0.0, upper=1.0)

@@ -33,7 +33,7 @@ from aomgen.paper.automatic_masks import (
 from aomgen.parts.label import smooth_posterior
 from aomgen.parts.prompted_images import PromptedImage, segment_prompts
 from aomgen.parts.scan_views import ScanView
-from aomgen.segmentation.interface import PointMasks, given_masks, masks_of_logits
+from aomgen.segmentation.interface import PointMasks, masks_of_logits, wrap_masks
 from aomgen.splatting.rasterizer import render
 
 TRAINING = AffinityParams(views=6, channels=8, iterations=40, pixels=200, width=96)
@@ -109,7 +109,7 @@ class TrueSegmenter:
                     for m in (whole, lid, body, beside)
                     if m[r, c]
                 ]
-                return given_masks(hit, whole.shape)
+                return wrap_masks(hit, whole.shape)
 
         return Image()
 

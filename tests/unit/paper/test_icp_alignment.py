@@ -13,7 +13,7 @@ from aomgen.core.gaussians import Gaussians, gaussians_of
 from aomgen.core.transforms import apply, invert, matrix_from_rotvec, similarity, similarity_parts, transform
 from aomgen.errors import AlignmentError
 from aomgen.paper import icp_alignment as paper_alignment
-from aomgen.paper.icp_alignment import align_as_paper, rigid_icp, robot_points, weighted_rigid
+from aomgen.paper.icp_alignment import align_as_paper, fit_weighted_rigid, rigid_icp, robot_points
 from aomgen.paper.methods import bodies_in_boxes
 from aomgen.robots.robot import RobotConfiguration, RobotModel
 
@@ -113,13 +113,15 @@ def test_the_answer_moves_with_the_clouds(model: np.ndarray) -> None:
 
 def test_points_without_weight_stay() -> None:
     points = np.random.default_rng(3).normal(size=(5, 3))
-    assert np.array_equal(weighted_rigid(points, points + 1, np.zeros(5)), np.eye(4))
-    assert weighted_rigid(points, points + 1, np.ones(5)) == pytest.approx(transform(np.eye(3), [1, 1, 1]))
+    assert np.array_equal(fit_weighted_rigid(points, points + 1, np.zeros(5)), np.eye(4))
+    assert fit_weighted_rigid(points, points + 1, np.ones(5)) == pytest.approx(
+        transform(np.eye(3), [1, 1, 1])
+    )
 
 
 def test_mirrored_points_are_not_mirrored() -> None:
     points = np.random.default_rng(4).normal(size=(20, 3))
-    T = weighted_rigid(points, points * [1, 1, -1], np.ones(20))
+    T = fit_weighted_rigid(points, points * [1, 1, -1], np.ones(20))
     assert np.linalg.det(T[:3, :3]) == pytest.approx(1.0)
 
 

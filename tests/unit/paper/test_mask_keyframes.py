@@ -6,11 +6,11 @@ import pytest
 from aomgen.errors import InputError, NoMotionError
 from aomgen.paper.mask_keyframes import (
     PartMasks,
-    flagged_frames,
+    flag_frames,
     motion_scores,
+    score_frames,
     score_threshold,
-    scored_frames,
-    smoothed_scores,
+    smooth_scores,
 )
 
 
@@ -58,14 +58,14 @@ def two_levels(share: float, count: int = 300, height: float = 0.08, noise: floa
 @pytest.mark.parametrize("share", [0.2, 0.35, 0.5, 0.65, 0.8])
 def test_the_printed_threshold_never_fires_for_usual_motions(share):
     scores = two_levels(share)
-    smoothed = smoothed_scores(scores)
+    smoothed = smooth_scores(scores)
     assert not np.any(smoothed > score_threshold(scores, smoothed, "printed"))
 
 
 @pytest.mark.parametrize("share", [0.05, 0.2, 0.5, 0.75])
 def test_the_repaired_threshold_finds_them(share):
     scores = two_levels(share)
-    smoothed = smoothed_scores(scores)
+    smoothed = smooth_scores(scores)
     flagged = np.flatnonzero(smoothed > score_threshold(scores, smoothed, "repaired"))
     moving = round(share * 300)
     first = (300 - moving) // 2
@@ -83,8 +83,8 @@ def sliding(still: int, moving: int) -> list[np.ndarray]:
 
 
 def test_a_short_motion_is_flagged_where_it_is():
-    found = scored_frames(masks_of(sliding(90, 10)))
-    first, last = flagged_frames(found)
+    found = score_frames(masks_of(sliding(90, 10)))
+    first, last = flag_frames(found)
     assert 85 <= first <= 92
     assert 97 <= last <= 104
     assert len(found.scores) == len(found.smoothed) == 190
@@ -94,15 +94,15 @@ def test_a_short_motion_is_flagged_where_it_is():
 def test_one_glitch_far_away_sets_the_end():
     moving = sliding(90, 10)
     moving[20] = square(30, 20)
-    assert flagged_frames(scored_frames(masks_of(moving)))[0] < 25
+    assert flag_frames(score_frames(masks_of(moving)))[0] < 25
 
 
 @pytest.mark.parametrize("moving", [[square(10, 20)] * 30, [square(10, 8 + k) for k in range(30)]])
 def test_nothing_that_leaves_its_place_is_refused(moving):
     with pytest.raises(NoMotionError, match=r"threshold 0\.0000.*aomotion"):
-        flagged_frames(scored_frames(masks_of(moving)))
+        flag_frames(score_frames(masks_of(moving)))
 
 
 def test_one_frame_is_no_film():
     with pytest.raises(InputError, match="1 frames"):
-        scored_frames(masks_of([square(10, 8)]))
+        score_frames(masks_of([square(10, 8)]))

@@ -13,7 +13,7 @@ from aomgen.core.transforms import angle_between, apply, invert
 from aomgen.errors import InputError, NoMotionError
 from aomgen.io.video import Video
 from aomgen.motion.inputs import MotionInput
-from aomgen.paper.mask_keyframes import PartMasks, changed_masks
+from aomgen.paper.mask_keyframes import PartMasks, change_masks
 from aomgen.paper.motion_estimate import PaperMotionParams, contact_path, estimate_motion_paper, nearest_pair
 from aomgen.robots.robot import RobotModel
 
@@ -54,7 +54,7 @@ def demonstration(robot: RobotModel) -> MotionInput:
     return MotionInput(
         video=Video(times_s=TIMES_S, frames_srgb=np.zeros((FRAMES, 12, 16, 3), np.uint8), fps=20.0),
         camera=Camera(fx=15, fy=15, cx=8, cy=6, width=16, height=12, T_world_cam=pose),
-        log=drawing_log(robot).shifted(OFFSET_S),
+        log=drawing_log(robot).shift(OFFSET_S),
         robot=robot,
         scene=gaussians_of(
             means=means,
@@ -158,7 +158,7 @@ def test_what_changed_beside_the_part_is_the_part_and_its_shadow_is_not() -> Non
     frames += rng.normal(0, 1.0, frames.shape)
     robot = np.zeros_like(true)
     robot[:, :12, :20] = True
-    found = changed_masks(np.clip(frames, 0, 255).astype(np.uint8), robot, true[0], 4)
+    found = change_masks(np.clip(frames, 0, 255).astype(np.uint8), robot, true[0], 4)
     assert not np.any(found & robot)
     shadow = found[-1, 31:36].mean()
     assert shadow < 0.05

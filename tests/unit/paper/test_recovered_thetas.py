@@ -6,7 +6,7 @@ import pytest
 from aomgen.core.joint import Joint
 from aomgen.core.transforms import apply, matrix_from_rotvec, transform
 from aomgen.core.values import Array
-from aomgen.paper.motion_estimate import recovered_thetas
+from aomgen.paper.motion_estimate import recover_thetas
 
 AXIS = np.array([0.1, -0.2, 0.97]) / np.linalg.norm([0.1, -0.2, 0.97])
 HINGE = Joint(type="revolute", axis=AXIS, origin=np.array([0.5, 0.2, 0.3]), lower=0, upper=1.5)
@@ -44,12 +44,12 @@ def recovery_error(
 
 def test_an_exact_arc_gives_its_angles():
     path = apply(HINGE.motion(THETAS), CONTACT)
-    assert recovered_thetas(HINGE, CONTACT, NORMAL, path) == pytest.approx(THETAS, abs=1e-9)
+    assert recover_thetas(HINGE, CONTACT, NORMAL, path) == pytest.approx(THETAS, abs=1e-9)
 
 
 def test_an_arc_the_other_way_gives_negative_angles():
     path = apply(HINGE.motion(-THETAS), CONTACT)
-    assert recovered_thetas(HINGE, CONTACT, NORMAL, path) == pytest.approx(-THETAS, abs=1e-9)
+    assert recover_thetas(HINGE, CONTACT, NORMAL, path) == pytest.approx(-THETAS, abs=1e-9)
 
 
 def test_sliding_along_the_face_changes_nothing():
@@ -57,34 +57,34 @@ def test_sliding_along_the_face_changes_nothing():
     across = np.cross(AXIS, NORMAL) / np.linalg.norm(np.cross(AXIS, NORMAL))
     slid = CONTACT + np.outer(np.linspace(0, 0.03, len(THETAS)), across)
     path = np.array([apply(T, point) for T, point in zip(HINGE.motion(THETAS), slid, strict=True)])
-    assert recovered_thetas(HINGE, CONTACT, NORMAL, path) == pytest.approx(THETAS, abs=1e-9)
+    assert recover_thetas(HINGE, CONTACT, NORMAL, path) == pytest.approx(THETAS, abs=1e-9)
 
 
 def test_an_exact_line_gives_its_distances():
     distances = np.linspace(0, 0.2, 30)
     path = apply(SLIDE.motion(distances), CONTACT)
     tilted = np.array([0.3, -0.95, 0.0]) / np.linalg.norm([0.3, -0.95, 0.0])
-    assert recovered_thetas(SLIDE, CONTACT, tilted, path) == pytest.approx(distances, abs=1e-12)
+    assert recover_thetas(SLIDE, CONTACT, tilted, path) == pytest.approx(distances, abs=1e-12)
 
 
 def test_a_plane_that_slides_within_itself_tells_nothing():
     path = apply(SLIDE.motion(np.linspace(0, 0.2, 30)), CONTACT)
-    assert not np.any(recovered_thetas(SLIDE, CONTACT, np.array([0.0, 0.0, 1.0]), path))
-    assert not np.any(recovered_thetas(HINGE, CONTACT, AXIS, path))
+    assert not np.any(recover_thetas(SLIDE, CONTACT, np.array([0.0, 0.0, 1.0]), path))
+    assert not np.any(recover_thetas(HINGE, CONTACT, AXIS, path))
 
 
 def test_a_law_of_rigid_motion():
     T = transform(matrix_from_rotvec(np.array([0.4, -1.1, 0.3])), np.array([1.0, 2.0, -0.5]))
     path = apply(HINGE.motion(THETAS), CONTACT) + np.random.default_rng(0).normal(0, 0.002, (40, 3))
-    moved = recovered_thetas(HINGE.moved(T), apply(T, CONTACT), T[:3, :3] @ NORMAL, apply(T, path))
-    assert moved == pytest.approx(recovered_thetas(HINGE, CONTACT, NORMAL, path), abs=1e-9)
+    moved = recover_thetas(HINGE.move(T), apply(T, CONTACT), T[:3, :3] @ NORMAL, apply(T, path))
+    assert moved == pytest.approx(recover_thetas(HINGE, CONTACT, NORMAL, path), abs=1e-9)
 
 
 @pytest.mark.parametrize("frame", [1, 12, 38])
 def test_the_closed_form_is_where_the_printed_distance_vanishes(frame):
     """And nothing near it does as well: the distance is the plane's and the path's, not the formula's."""
     path = apply(HINGE.motion(THETAS), CONTACT) + np.random.default_rng(1).normal(0, 0.001, (40, 3))
-    theta = float(recovered_thetas(HINGE, CONTACT, NORMAL, path)[frame])
+    theta = float(recover_thetas(HINGE, CONTACT, NORMAL, path)[frame])
     at = recovery_error(HINGE, CONTACT, NORMAL, path, frame, theta)
     assert at < 1e-9
     for other in (theta - 0.02, theta + 0.02):
@@ -106,7 +106,7 @@ def test_no_intersection_is_infinitely_far():
 def test_a_contact_that_no_plane_reaches_takes_the_nearest():
     """The face passes 0.3 m from the axis; a point 0.1 m from it is met by no turn of the plane."""
     joint = Joint(type="revolute", axis=np.array([0.0, 0, 1]), origin=np.zeros(3), lower=0, upper=1)
-    found = recovered_thetas(
+    found = recover_thetas(
         joint,
         np.array([0.3, 0, 0]),
         np.array([1.0, 0, 0]),

@@ -158,7 +158,7 @@ def test_labels_of_a_known_scene_are_recovered(configuration, tmp_path):
 def test_what_shows_through_the_object_far_behind_it_is_not_the_object(configuration, tmp_path):
     near, labels = toy_scene(configuration)
     views = toy_views(near, labels, configuration, tmp_path)
-    sky = near.select(np.flatnonzero(labels == STATIC)[:50]).transformed(
+    sky = near.select(np.flatnonzero(labels == STATIC)[:50]).transform(
         transform(np.eye(3), np.array([0.0, 860.0, 0.0]))
     )
     prompts = tuple(tight_prompt(part, 2, tmp_path) for part in ("static", "moving"))
@@ -177,7 +177,7 @@ def test_cut_parts_are_stored_with_their_pieces(configuration, tmp_path):
     scan = segmented(gaussians, views, prompts, tmp_path, configuration)
     parts = find_parts(*cut_scan(scan, weigh_evidence(scan), None))
     assert len(parts.cut.sources) > 0
-    assert len(parts.labels) == len(parts.cut.applied(gaussians)) > len(gaussians)
+    assert len(parts.labels) == len(parts.cut.apply(gaussians)) > len(gaussians)
     save_artifact(tmp_path, "parts", parts)
     stored = load_artifact(tmp_path, "parts", Parts).cut
     assert np.array_equal(stored.sources, parts.cut.sources)

@@ -345,7 +345,7 @@ def spread_gaussians(count: int, width: float, seed: int = 0) -> Gaussians:
 
 def cut_all(gaussians: Gaussians) -> tuple:
     cut = cut_at_faces(gaussians, PANEL, np.ones(len(gaussians), bool))
-    return cut, cut.applied(gaussians), cut.origins(len(gaussians))
+    return cut, cut.apply(gaussians), cut.origins(len(gaussians))
 
 
 def weights(gaussians: Gaussians) -> np.ndarray:
@@ -422,4 +422,4 @@ def test_no_cut_changes_nothing():
     gaussians = spread_gaussians(20, 0.05)
     cut = no_cut(gaussians)
     assert np.array_equal(cut.origins(20), np.arange(20))
-    assert np.array_equal(cut.applied(gaussians).means, gaussians.means)
+    assert np.array_equal(cut.apply(gaussians).means, gaussians.means)

@@ -9,7 +9,7 @@ from aomgen.errors import ReconstructionError
 from aomgen.parts.panel_terms import box_misfit
 from aomgen.parts.prompted_images import segment_prompts
 from aomgen.parts.scan_views import ScanView
-from aomgen.segmentation.interface import Mask, PointMasks, given_masks
+from aomgen.segmentation.interface import Mask, PointMasks, wrap_masks
 
 SHAPE = (80, 100)
 BOX = np.array([20.0, 20.0, 70.0, 60.0])
@@ -40,7 +40,7 @@ class Pieces:
     def at_points(self, points_px: np.ndarray) -> PointMasks:
         things = (TRAY, FRONT, TABLE & ~TRAY & ~FRONT)
         found = [m for x, y in points_px for m in things if m[int(y), int(x)]]
-        return given_masks(found, SHAPE)
+        return wrap_masks(found, SHAPE)
 
 
 def asked(answer: Mask, robot: Mask | None = None, box: np.ndarray = BOX) -> tuple[Mask, ...]:

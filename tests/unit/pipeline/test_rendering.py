@@ -14,7 +14,7 @@ from aomgen.errors import ConfigError, UnknownNameError
 from aomgen.pipeline import rendering as run_cameras
 from aomgen.pipeline.rendering import parse_camera, parse_state
 from aomgen.robots.robot import RobotModel
-from aomgen.twin.twin import Twin, TwinState
+from aomgen.twin.twin import TwinModel, TwinState
 
 WHERE = Path("camera.json")
 CAMERA = {
@@ -53,7 +53,7 @@ def test_what_is_no_camera_is_told_in_words(data: Any, words: str) -> None:
 
 
 def state_of(data: Any) -> TwinState:
-    twin = cast(Twin, SimpleNamespace(scan_state=REST))
+    twin = cast(TwinModel, SimpleNamespace(scan_state=REST))
     robot = cast(RobotModel, SimpleNamespace(joint_names=("shoulder", "elbow")))
     return parse_state(data, twin, robot, Path("state.json"))
 
@@ -83,7 +83,7 @@ def test_what_is_no_state_is_told_in_words(data: Any, words: str) -> None:
 
 
 VIDEO = Camera(fx=600, fy=600, cx=320, cy=240, width=640, height=480, T_world_cam=np.eye(4))
-EPISODES = VIDEO.resized(320, 240)
+EPISODES = VIDEO.resize(320, 240)
 SCAN = replace(VIDEO, fx=500)
 
 

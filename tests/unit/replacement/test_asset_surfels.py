@@ -58,9 +58,7 @@ def difference(asset: ArticulatedAsset, static: Gaussians, moving: Gaussians) ->
     with AssetRenderer(asset, SIZE) as renderer:
         for azimuth, theta in ((-1.2, 0.0), (-2.0, 0.7), (0.4, 1.3), (2.5, 0.3)):
             truth = renderer.draw(view(azimuth), theta)
-            drawn = render(
-                concatenate([static, moving.transformed(asset.joint.motion(theta))]), view(azimuth)
-            )
+            drawn = render(concatenate([static, moving.transform(asset.joint.motion(theta))]), view(azimuth))
             psnrs.append(psnr(np.clip(drawn.rgb, 0, 1), truth[..., :3]))
             covers.append(np.mean((drawn.alpha > 0.5) != (truth[..., 3] > 0.5)))
     return float(np.median(psnrs)), float(np.median(covers))
@@ -102,7 +100,7 @@ def test_what_lies_behind_a_window_shows_through(asset: ArticulatedAsset) -> Non
     block = slice(SIZE // 2 - 4, SIZE // 2 + 4)
     np.testing.assert_allclose(truth[block, block, 3], 0.64, atol=0.02)
     static, moving = small_fit(clear, 40, 2 * SIZE)
-    posed = concatenate([static.gaussians, moving.gaussians.transformed(asset.joint.motion(theta))])
+    posed = concatenate([static.gaussians, moving.gaussians.transform(asset.joint.motion(theta))])
     drawn = render(posed, camera)
     np.testing.assert_allclose(drawn.alpha[block, block].mean(), 0.64, atol=0.1)
     np.testing.assert_allclose(

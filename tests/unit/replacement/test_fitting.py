@@ -13,10 +13,10 @@ from aomgen.core.transforms import apply, transform
 from aomgen.errors import EstimationError
 from aomgen.replacement.correspondence import (
     bar_reach,
+    describe_contact,
     frontal,
     held_point_of,
     mirror_asset,
-    recorded_contact,
     smooth_rise,
     way_to_rim,
 )
@@ -28,13 +28,13 @@ from recordings import PLACE, SCALE, YAW, recording
 
 def fitted(asset: ArticulatedAsset, mode: str, **changes: float) -> FittedAsset | Rejection:
     demo, recorded = recording(make_asset("microwave", 1), **changes)
-    return fit_asset(asset, recorded_contact(demo, recorded, "opening"), demo.joint.type, mode, FitParams())
+    return fit_asset(asset, describe_contact(demo, recorded, "opening"), demo.joint.type, mode, FitParams())
 
 
 @pytest.mark.parametrize("category", ["microwave", "drawer"])
 def test_front_of_a_turned_asset_is_found(category: str) -> None:
     demo, recorded = recording(make_asset(category, 1))
-    yaw = recorded_contact(demo, recorded, "opening").front.yaw
+    yaw = describe_contact(demo, recorded, "opening").front.yaw
     assert np.rad2deg(abs(yaw - YAW)) < 2.0
 
 
@@ -56,10 +56,10 @@ def test_an_object_that_is_closed_is_fitted_as_one_that_is_opened(
 ) -> None:
     asset = make_asset(category, seed)
     demo, recorded = recording(asset, noise_m=0.001)
-    closing = recorded_contact(closing_of(demo), scanned_open(demo, recorded), "closing")
+    closing = describe_contact(closing_of(demo), scanned_open(demo, recorded), "closing")
     opened, closed = (
         fit_asset(asset, contact, demo.joint.type, mode, FitParams())
-        for contact in (recorded_contact(demo, recorded, "opening"), closing)
+        for contact in (describe_contact(demo, recorded, "opening"), closing)
     )
     assert isinstance(opened, FittedAsset)
     assert isinstance(closed, FittedAsset)
@@ -74,7 +74,7 @@ def test_an_object_that_is_closed_is_fitted_as_one_that_is_opened(
 def test_a_panel_that_slides_the_other_way_is_mirrored() -> None:
     right = make_asset("cabinet", 2)
     demo, recorded = recording(right)
-    contact = recorded_contact(demo, recorded, "opening")
+    contact = describe_contact(demo, recorded, "opening")
     assert not contact.front.opens_left
     result = fit_asset(mirror_asset(right), contact, "prismatic", "object", FitParams())
     assert isinstance(result, FittedAsset)
@@ -92,7 +92,7 @@ def test_what_a_mirror_leaves_as_it_is_is_never_mirrored(category: str, seed: in
     demo, recorded = recording(asset)
     result = fit_asset(
         mirror_asset(asset),
-        recorded_contact(demo, recorded, "opening"),
+        describe_contact(demo, recorded, "opening"),
         demo.joint.type,
         "object",
         FitParams(),
@@ -115,7 +115,7 @@ def test_object_mode_recovers_a_known_scale_place_and_motion() -> None:
 def test_object_mode_recovers_a_drawer() -> None:
     asset = make_asset("drawer", 1)
     demo, recorded = recording(asset)
-    result = fit_asset(asset, recorded_contact(demo, recorded, "opening"), "prismatic", "object", FitParams())
+    result = fit_asset(asset, describe_contact(demo, recorded, "opening"), "prismatic", "object", FitParams())
     assert isinstance(result, FittedAsset)
     assert abs(result.scale - SCALE) < 0.03
     assert abs(result.target_theta - 0.16) < 0.003
@@ -146,7 +146,7 @@ def test_hinge_on_the_other_side_is_mirrored_or_refused() -> None:
     assert result.mirrored
     demo, recorded = recording(make_asset("microwave", 1))
     strict = FitParams(allow_mirror=False)
-    refused = fit_asset(other, recorded_contact(demo, recorded, "opening"), "revolute", "object", strict)
+    refused = fit_asset(other, describe_contact(demo, recorded, "opening"), "revolute", "object", strict)
     assert isinstance(refused, Rejection)
     assert refused.reason == "hinge_side"
 
@@ -162,7 +162,7 @@ def test_asset_that_cannot_open_far_enough_is_refused() -> None:
 def test_auto_scales_where_that_fits_and_else_keeps_the_size() -> None:
     asset = make_asset("microwave", 1)
     demo, recorded = recording(asset)
-    contact = recorded_contact(demo, recorded, "opening")
+    contact = describe_contact(demo, recorded, "opening")
     for given, mode in (
         (asset, "object"),
         (replace(asset, joint=replace(asset.joint, upper=0.6)), "trajectory"),
@@ -230,7 +230,7 @@ def test_a_lid_held_at_its_rim_is_scaled_by_width_and_depth_and_not_by_its_blurr
     blur = np.random.default_rng(1).normal(0, 0.006, recorded.moving_points_world.shape) * [0, 0, 1]
     blurred = replace(recorded, moving_points_world=recorded.moving_points_world + blur)
     result = fit_asset(
-        asset, recorded_contact(demo, blurred, "opening"), demo.joint.type, "object", FitParams()
+        asset, describe_contact(demo, blurred, "opening"), demo.joint.type, "object", FitParams()
     )
     assert isinstance(result, FittedAsset)
     assert abs(result.scale - SCALE) < 0.03

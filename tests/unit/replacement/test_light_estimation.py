@@ -26,7 +26,7 @@ from aomgen.replacement.light_estimation import (
 from aomgen.replacement.probe import Probe, probe_light
 from aomgen.replacement.tone_curve import ToneCurve
 from aomgen.splatting.surfaces import sphere_directions, transfer_past
-from aomgen.twin.twin import posed
+from aomgen.twin.twin import pose_twin
 
 AXES = np.concatenate([np.eye(3), -np.eye(3)])
 COUNT = 2000
@@ -201,7 +201,7 @@ def shaded_by_itself(scene, rays=64):
     palette = np.array([linear_from_srgb(mesh.color_srgb) for mesh in scene.robot.meshes])
     nearest = cKDTree(np.concatenate(points))
     normals = np.concatenate(normals)
-    world = posed(scene.twin, scene.robot, scene.twin.scan_state)
+    world = pose_twin(scene.twin, scene.robot, scene.twin.scan_state)
     sh = np.array(scene.twin.gaussians.sh)
     hits, distances = np.zeros(rays, np.int32), np.zeros(rays)
     mean = scene.light.irradiance(sphere_directions(200)).mean(0)

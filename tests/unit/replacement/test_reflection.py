@@ -102,7 +102,7 @@ def test_turning_object_and_light_together_changes_nothing(link):
     radiance[0] = 3.0
     light = Light(radiance_sh=radiance)
     R = matrix_from_rotvec([0.0, 0.0, 0.8])
-    turned, tone = Light(radiance_sh=light.seen_from(R.T)), ToneCurve(0.8, 0.1)
+    turned, tone = Light(radiance_sh=light.view_from(R.T)), ToneCurve(0.8, 0.1)
     one = show_in_light(link, SceneLight(light, tone, "robot"), UPRIGHT)
     other = show_in_light(link, SceneLight(turned, tone, "robot"), R)
     np.testing.assert_allclose(one.albedo_linear, other.albedo_linear, atol=1e-4)

@@ -12,7 +12,7 @@ from aomgen.errors import ReconstructionError
 from aomgen.replacement.inpainting import inpaint
 from aomgen.replacement.mosaic import Photograph
 from aomgen.replacement.removal import _hardly_seen, clear_object
-from aomgen.twin.twin import posed, render_state
+from aomgen.twin.twin import pose_twin, render_state
 
 TABLE_SRGB = (0.6, 0.45, 0.3)
 
@@ -80,8 +80,8 @@ def test_what_no_photograph_shows_behind_the_object_is_taken_away(toy_scene, pho
         )
         for means in (hidden, seen)
     ]
-    clutter = twin.extended(more[0], 0, BACKGROUND).extended(more[1], 0, BACKGROUND)
-    world = posed(clutter, toy_scene.robot, clutter.scan_state)
+    clutter = twin.extend(more[0], 0, BACKGROUND).extend(more[1], 0, BACKGROUND)
+    world = pose_twin(clutter, toy_scene.robot, clutter.scan_state)
     chosen = _hardly_seen(world, np.isin(clutter.labels, (STATIC, MOVING)), photographs)
     assert chosen[count : count + 200].mean() > 0.95
     assert not chosen[count + 200 :].any()

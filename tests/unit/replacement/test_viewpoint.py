@@ -17,8 +17,8 @@ def scan_cameras(toy_scene) -> dict[str, Camera]:
         "behind_wall": (2.2, 0.3, 0.6),
         "looks_away": (0.1, 0.9, 0.7),
     }
-    cameras = {name: toy_scene.camera.moved(look_at(eye, target)) for name, eye in eyes.items()}
-    cameras["looks_away"] = toy_scene.camera.moved(look_at(eyes["looks_away"], (0.1, 3.0, 0.7)))
+    cameras = {name: toy_scene.camera.move(look_at(eye, target)) for name, eye in eyes.items()}
+    cameras["looks_away"] = toy_scene.camera.move(look_at(eyes["looks_away"], (0.1, 3.0, 0.7)))
     return cameras
 
 

@@ -101,7 +101,7 @@ def test_silhouette_covers_exactly_the_projected_vertices(robot, renderer):
 
 
 def test_a_camera_turned_away_sees_nothing(renderer):
-    away = camera().moved(look_at([1.6, -1.1, 0.9], [3.2, -2.2, 1.5]))
+    away = camera().move(look_at([1.6, -1.1, 0.9], [3.2, -2.2, 1.5]))
     bodies, depth = renderer.draw(away, JOINTS, 0.0)
     assert np.all(bodies == -1)
     assert np.all(depth == 0)
@@ -134,4 +134,4 @@ def test_unknown_robots_are_refused(tmp_path):
 
 def test_a_picture_larger_than_the_context_is_refused(renderer):
     with pytest.raises(BackendError, match="exceeds"):
-        renderer.draw(camera().resized(640, 480), JOINTS, 0.0)
+        renderer.draw(camera().resize(640, 480), JOINTS, 0.0)

@@ -96,7 +96,7 @@ def test_the_arm_keeps_clear_of_the_object_by_as_much_as_is_asked(robot: RobotMo
     met, free = elbow[2], elbow[2] + 0.5
     while free - met > 1e-4:
         middle = 0.5 * (met + free)
-        near = scene.placed(transform(np.eye(3), [elbow[0], elbow[1], middle]), clearance)
+        near = scene.place_at(transform(np.eye(3), [elbow[0], elbow[1], middle]), clearance)
         met, free = (middle, free) if isinstance(check(near, joints, still), Rejection) else (met, middle)
     data, roles = mujoco.MjData(near.model), near.roles
     data.qpos[:] = near.qpos(NEAR[None], 0.0, 0.0)[0]

@@ -304,7 +304,7 @@ def test_the_kinematic_check_sees_it_first(drawer: Episode, name: str) -> None:
     assert bar is not None
     held = holding_gripper(scene.robot, 2 * float(bar.half_extents.min()), 0.7)
     result = check_kinematics(
-        scene.placed(moved.T_world_object),
+        scene.place_at(moved.T_world_object),
         plan.joints,
         np.full(FRAMES, held),
         plan.thetas,

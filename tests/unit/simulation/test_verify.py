@@ -323,7 +323,7 @@ def test_kinematic_check_sees_grip_and_collision(scene: Scene, plan: EpisodePlan
     assert figures["grip_gap_mm"] < 3
     closed = check_kinematics(scene, plan.joints, gripper, np.zeros(46), holding, limits)
     assert isinstance(closed, Rejection)
-    inside = scene.placed(plan.T_world_object @ transform(np.eye(3), np.array([0.0, -0.1, 0.0])))
+    inside = scene.place_at(plan.T_world_object @ transform(np.eye(3), np.array([0.0, -0.1, 0.0])))
     struck = check_kinematics(inside, plan.joints, gripper, plan.thetas, ~holding, limits)
     assert isinstance(struck, Rejection)
     assert struck.reason == "collision"

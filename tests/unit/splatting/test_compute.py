@@ -24,9 +24,9 @@ def losses(compute: Compute) -> tuple[list[float], torch.Tensor]:
     scene, cameras = checkered(600, 0), ring(4)
     images, initial = photograph(scene, cameras), start(scene, 500)
     state = start_training(initial, cameras, PARAMS, np.random.default_rng(0))
-    state.parameters = state.parameters.moved(compute.device)
+    state.parameters = state.parameters.move(compute.device)
     found = list(learning(state, cameras, images, PARAMS, scene_extent(initial, cameras), compute))
-    return found, state.parameters.moved("cpu").values["means"]
+    return found, state.parameters.move("cpu").values["means"]
 
 
 @pytest.mark.parametrize("device", ["cpu", "cuda"])

@@ -37,7 +37,7 @@ def with_floaters(g: Gaussians) -> Gaussians:
 
 @pytest.mark.parametrize("scale", [1e-3, 1.0, 1e3])
 def test_everything_is_in_view(scale: float) -> None:
-    g = ball().transformed(similarity(scale, matrix_from_rotvec(np.array([0.3, 1, 2])), (1, 2, 3)))
+    g = ball().transform(similarity(scale, matrix_from_rotvec(np.array([0.3, 1, 2])), (1, 2, 3)))
     for angles in [(0, 0), (130, 40), (250, -89), (0, 90)]:
         camera = framing_camera(g, (80, 60), up=(0, 0.1, 1), angles_deg=angles)
         pixels, depths = camera.project(g.means)

@@ -138,7 +138,7 @@ def test_gaussians_move_with_their_parts() -> None:
     )
     for part, T in enumerate(Ts):
         rows = np.arange(12) % 3 == part
-        want = gaussians.select(rows).transformed(T)
+        want = gaussians.select(rows).transform(T)
         np.testing.assert_allclose(means[rows], want.means, atol=1e-6)
         have = quats[rows] / 3
         signs = torch.sign((have * torch.tensor(want.quats)).sum(-1, keepdim=True))
@@ -153,7 +153,7 @@ def test_colors_turn_with_their_parts() -> None:
     center = invert(T_cam_world)[:3, 3]
     for part, T in enumerate(Ts):
         rows = np.arange(12) % 3 == part
-        moved = gaussians.select(rows).transformed(T)
+        moved = gaussians.select(rows).transform(T)
         want = np.einsum("nk,nkc->nc", _basis(moved.means - center), moved.sh)
         have = np.einsum("nk,nkc->nc", _basis(directions[rows]), gaussians.sh[rows])
         np.testing.assert_allclose(have, want, atol=1e-4)

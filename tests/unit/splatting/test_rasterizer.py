@@ -83,17 +83,17 @@ def test_turning_scene_and_camera_together_changes_nothing() -> None:
     g = scatter(300)
     T = transform(matrix_from_rotvec(np.array([0.7, -1.1, 0.4])), np.array([0.3, -0.2, 0.5]))
     want = render(g, CAMERA)
-    have = render(g.transformed(T), CAMERA.moved(T @ CAMERA.T_world_cam))
+    have = render(g.transform(T), CAMERA.move(T @ CAMERA.T_world_cam))
     np.testing.assert_allclose(have.rgb, want.rgb, atol=2e-4)
     np.testing.assert_allclose(have.depth, want.depth, atol=2e-3)
     only_moved = Gaussians(
-        means=g.transformed(T).means,
-        quats=g.transformed(T).quats,
+        means=g.transform(T).means,
+        quats=g.transform(T).quats,
         scales=g.scales,
         opacities=g.opacities,
         sh=g.sh,
     )
-    unturned_sh = render(only_moved, CAMERA.moved(T @ CAMERA.T_world_cam))
+    unturned_sh = render(only_moved, CAMERA.move(T @ CAMERA.T_world_cam))
     assert np.abs(unturned_sh.rgb - want.rgb).max() > 0.05
 
 
@@ -153,7 +153,7 @@ def test_enormous_and_vanishing_gaussians() -> None:
 
 def test_a_camera_inside_the_cloud() -> None:
     pose = look_at([0.0, 0.0, 0.0], [1.0, 0.2, 0.1])
-    drawn = render(scatter(2000), CAMERA.moved(pose), with_ids=True)
+    drawn = render(scatter(2000), CAMERA.move(pose), with_ids=True)
     assert np.isfinite(drawn.rgb).all()
     assert drawn.alpha.max() <= 1
 

@@ -112,7 +112,7 @@ def test_broken_and_extreme_parameters() -> None:
 
 
 def _degenerate_shapes_from_within() -> None:
-    inside = CAMERA.moved(look_at([0.0, 0.0, 0.0], [1.0, 0.2, 0.1]))
+    inside = CAMERA.move(look_at([0.0, 0.0, 0.0], [1.0, 0.2, 0.1]))
     for scales in ((0, 0, 0), (1e-20, 1e-20, 1e-20), (1e20, 1e20, 1e20), (1e4, 1e-6, 1e-6), (1e3, 1e3, 0)):
         for camera in (CAMERA, inside):
             g = replace(scatter(300), scales=np.tile(scales, (300, 1)))
@@ -251,7 +251,7 @@ def _three_million() -> None:
     )
     before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss << 10
     start = time.process_time()
-    drawn = render(g, CAMERA.resized(320, 240))
+    drawn = render(g, CAMERA.resize(320, 240))
     seconds = time.process_time() - start
     more = (resource.getrusage(resource.RUSAGE_SELF).ru_maxrss << 10) - before
     assert drawn.alpha.max() > 0.9

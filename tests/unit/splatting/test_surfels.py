@@ -102,7 +102,7 @@ def test_maps_of_roughness_and_normals_hold_where_they_lie():
     }
     mesh = replace(plate(texture=np.full((64, 64, 3), 99, np.uint8)), maps=maps)
     R = matrix_from_rotvec([0.3, -0.5, 0.9])
-    surfels = surfels_of([mesh.transformed(transform(R, np.zeros(3)))], 3000, np.random.default_rng(0))
+    surfels = surfels_of([mesh.transform(transform(R, np.zeros(3)))], 3000, np.random.default_rng(0))
     x = (surfels.gaussians.means @ R)[:, 0]
     # Either side of a lone sheet may be the outer one.
     outward = np.sign(surfels.normals @ R[:, 2])[:, None]
@@ -156,7 +156,7 @@ def test_light_turns_the_other_way_when_the_body_turns():
     R = matrix_from_rotvec(np.array([0.3, -0.8, 0.5]))
     normal_body = np.array([[0.6, 0.0, 0.8]])
     world = light.irradiance(normal_body @ R.T)
-    body = open_transfer(normal_body) @ light.seen_from(R)
+    body = open_transfer(normal_body) @ light.view_from(R)
     np.testing.assert_allclose(body, world, atol=1e-5)
 
 

@@ -27,7 +27,7 @@ def perturbed(cameras: list[Camera], angle: float, length: float) -> list[Camera
     moved = []
     for camera in cameras:
         R = matrix_from_rotvec(angle * rng.normal(size=3))
-        moved.append(camera.moved(camera.T_world_cam @ transform(R, length * rng.normal(size=3))))
+        moved.append(camera.move(camera.T_world_cam @ transform(R, length * rng.normal(size=3))))
     return moved
 
 
@@ -63,7 +63,7 @@ def test_perturbed_poses_are_found_again() -> None:
     state = start_training(initial, given, PARAMS, np.random.default_rng(0))
     for _ in learning(state, given, photograph(scene, truth), PARAMS, scene_extent(initial, given)):
         pass
-    found = [state.poses.corrected(i, camera) for i, camera in enumerate(given)]
+    found = [state.poses.correct(i, camera) for i, camera in enumerate(given)]
     before, after = errors(given, truth), errors(found, truth)
     assert after[0] < before[0] / 3
     assert after[1] < before[1] / 3
@@ -76,7 +76,7 @@ def test_without_refinement_poses_stay() -> None:
     for _ in learning(state, cameras, photograph(scene, cameras), params, 1.0):
         pass
     assert not state.poses.values.any()
-    assert state.poses.corrected(1, cameras[1]) is cameras[1]
+    assert state.poses.correct(1, cameras[1]) is cameras[1]
 
 
 def test_refinement_waits_for_its_share() -> None:

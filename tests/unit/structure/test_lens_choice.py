@@ -196,9 +196,9 @@ def test_prompts_move_with_the_image():
     box = np.array([0.0, 100.0, 200.0, 300.0])
     (moved,) = undistort_prompts((Prompt(part="moving", image="a", points=points, box=box),), lens)
     assert np.allclose(moved.points[0], [320, 240, 1])
-    corners = lens.straightened([[200.0, 100.0], [200.0, 300.0]])
+    corners = lens.undistort([[200.0, 100.0], [200.0, 300.0]])
     assert moved.box[0] == 0
     assert moved.box[2] >= corners[:, 0].max() - 1e-9
     assert not np.allclose(moved.box[2], 200, atol=2)
     gone = Prompt(part="moving", image="a", points=np.array([[0.0, 0.0, 1.0]]), box=np.zeros(0))
-    assert undistort_prompts((gone,), lens) == () or lens.straightened([[0.0, 0.0]]).min() >= 0
+    assert undistort_prompts((gone,), lens) == () or lens.undistort([[0.0, 0.0]]).min() >= 0

@@ -101,7 +101,7 @@ def test_the_far_side_of_a_carton_placed_at_its_front_is_found_by_what_is_missin
     group = set(names[12:19])
     half_turn = transform(matrix_from_rotvec([0, 0, np.pi + 0.05]), [0, 0, 0])
     views = _views(cameras, group, half_turn)
-    shown = {name: cameras[name].moved(views.Ts_recon_cam[name]) for name in names}
+    shown = {name: cameras[name].move(views.Ts_recon_cam[name]) for name in names}
     pairs = []
     for pair in _pairs(points, cameras, rng):
         if (pair.a in group) == (pair.b in group):

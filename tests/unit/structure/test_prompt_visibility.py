@@ -57,7 +57,7 @@ def test_scale_and_place_of_the_model_do_not_matter(seed):
     for name, item in cameras.items():
         T = np.eye(4)
         T[:3, :3], T[:3, 3] = R @ item.T_world_cam[:3, :3], apply(S, item.center)
-        moved[name] = item.moved(T)
+        moved[name] = item.move(T)
     (after,) = measure_prompt_visibility((prompt("2.jpg"),), moved, apply(S, points), observations)
     assert after.views == before.views
     assert after.angle_deg == pytest.approx(before.angle_deg, abs=1e-6)

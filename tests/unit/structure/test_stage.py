@@ -29,5 +29,5 @@ def test_a_bent_scan_becomes_straight(capture_copy, tmp_path):
     pairs = [(old, new) for old, new in zip(capture.prompts, scan.prompts, strict=True) if len(old.points)]
     assert pairs
     for old, new in pairs:
-        assert np.allclose(new.points[:, :2], bent.straightened(old.points[:, :2]))
+        assert np.allclose(new.points[:, :2], bent.undistort(old.points[:, :2]))
         assert np.array_equal(new.points[:, 2], old.points[:, 2])

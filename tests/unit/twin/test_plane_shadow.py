@@ -9,15 +9,15 @@ from aomgen.core.gaussians import Gaussians, gaussians_of
 from aomgen.core.light import Light
 from aomgen.core.transforms import apply, matrix_from_rotvec, transform
 from aomgen.twin.binding import with_object
-from aomgen.twin.plane_shadow import FILL, PlaneGrid, SoftShadow, cast_on_plane, cast_soft_shadow
+from aomgen.twin.plane_shadow import FILL, PlaneGrid, SoftShadow, compute_soft_shadow, project_shadow
 from aomgen.twin.shadow import silhouette
-from aomgen.twin.twin import Twin
+from aomgen.twin.twin import TwinModel
 
 GRID = PlaneGrid(low=(-0.5, -0.4), cell=0.01, columns=100, rows=80)
 
 
 @pytest.fixture(scope="module")
-def twin(toy_scene) -> Twin:
+def twin(toy_scene) -> TwinModel:
     static, moving = toy_scene.surfels
     T = toy_scene.twin.T_world_object
     return with_object(toy_scene.twin, static, moving, toy_scene.asset.joint, toy_scene.light, T)
@@ -25,7 +25,7 @@ def twin(toy_scene) -> Twin:
 
 @pytest.fixture(scope="module")
 def soft(twin) -> SoftShadow:
-    found = cast_soft_shadow(twin, np.eye(4))
+    found = compute_soft_shadow(twin, np.eye(4))
     assert found is not None
     return found
 
@@ -54,14 +54,14 @@ def test_a_cast_shadow_is_the_silhouette_that_the_light_sees():
         matrix_from_rotvec([[0, 0, 0.3], [0.2, 0, 0], [0, 0, 0.0]]), [[0, 0, 0], [0.1, 0, 0.1], [0, 0, 0]]
     )
     bodies, parts = box(), np.zeros(20_000, np.int32)
-    cast = cast_on_plane(bodies, parts, Ts[:, None], directions, GRID)
+    cast = project_shadow(bodies, parts, Ts[:, None], directions, GRID)
     for image, T, direction in zip(cast, Ts, directions, strict=True):
-        want = silhouette(bodies.transformed(T), direction).at(cells(GRID))
+        want = silhouette(bodies.transform(T), direction).at(cells(GRID))
         assert np.abs(image - want).mean() < 0.01
         assert ((image > 0.5) != (want > 0.5)).mean() < 0.02
         assert (want > 0.5).any()
     np.testing.assert_array_equal(
-        cast, cast_on_plane(bodies, parts, Ts[:, None], directions, GRID, threads=1)
+        cast, project_shadow(bodies, parts, Ts[:, None], directions, GRID, threads=1)
     )
 
 
@@ -91,10 +91,10 @@ def test_soft_shadow_lies_away_from_the_light_and_fades_out(soft, twin, toy_scen
 def test_soft_shadow_is_what_silhouettes_from_everywhere_leave(soft, twin, toy_scene):
     rows, grid = twin.relit.indices, soft.grid
     T = twin.T_world_object
-    solid = twin.gaussians.select(rows[twin.relit_bodies == twin.body("object")]).transformed(T)
+    solid = twin.gaussians.select(rows[twin.relit_bodies == twin.body("object")]).transform(T)
     door = twin.gaussians.select(rows[twin.relit_bodies == twin.body("part")])
     state = 3
-    door = door.transformed(T @ twin.joint.motion(soft.thetas[state]))
+    door = door.transform(T @ twin.joint.motion(soft.thetas[state]))
     points = apply(T @ soft.T_object_plane, cells(grid))
     R = (T @ soft.T_object_plane)[:3, :3]
     for index in range(0, len(soft.directions), 16):
@@ -113,12 +113,12 @@ def test_soft_shadow_turns_with_the_object_in_an_even_light(soft, twin):
 
 
 def test_a_scaled_object_has_a_scaled_shadow(soft):
-    double = soft.scaled(2.0, prismatic=True)
+    double = soft.scale_by(2.0, prismatic=True)
     assert double.grid.cell == 2 * soft.grid.cell
     np.testing.assert_array_equal(double.thetas, 2 * soft.thetas)
-    again = double.scaled(0.5, prismatic=True)
+    again = double.scale_by(0.5, prismatic=True)
     np.testing.assert_allclose(again.T_object_plane, soft.T_object_plane, atol=1e-12)
-    np.testing.assert_array_equal(soft.scaled(2.0, prismatic=False).thetas, soft.thetas)
+    np.testing.assert_array_equal(soft.scale_by(2.0, prismatic=False).thetas, soft.thetas)
 
 
 def test_states_interpolate_between_neighbours(soft):
@@ -128,4 +128,4 @@ def test_states_interpolate_between_neighbours(soft):
 
 
 def test_without_a_lit_object_there_is_no_soft_shadow(twin):
-    assert cast_soft_shadow(replace(twin, relit=None), np.eye(4)) is None
+    assert compute_soft_shadow(replace(twin, relit=None), np.eye(4)) is None

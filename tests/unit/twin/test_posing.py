@@ -11,18 +11,18 @@ from aomgen.splatting.rasterizer import render
 from aomgen.twin.binding import object_frame, with_object
 from aomgen.twin.twin import (
     PART,
-    Twin,
+    TwinModel,
     body_poses,
     moving_layer,
-    posed,
-    posed_by,
+    pose_bodies,
+    pose_twin,
     render_state,
     static_layer,
 )
 
 
 def test_the_scanned_state_gives_the_scan_back(toy_scene):
-    again = posed(toy_scene.twin, toy_scene.robot, toy_scene.twin.scan_state)
+    again = pose_twin(toy_scene.twin, toy_scene.robot, toy_scene.twin.scan_state)
     np.testing.assert_allclose(again.means, toy_scene.gaussians.means, atol=1e-6)
     np.testing.assert_allclose(again.sh, toy_scene.gaussians.sh, atol=1e-5)
     picture = render_state(toy_scene.twin, toy_scene.robot, toy_scene.twin.scan_state, toy_scene.camera)
@@ -31,7 +31,7 @@ def test_the_scanned_state_gives_the_scan_back(toy_scene):
 
 def test_a_part_moves_by_its_joint_alone(toy_scene):
     twin, state = toy_scene.twin, replace(toy_scene.twin.scan_state, theta=0.8)
-    before, after = toy_scene.gaussians, posed(twin, toy_scene.robot, state)
+    before, after = toy_scene.gaussians, pose_twin(twin, toy_scene.robot, state)
     part = twin.bodies == twin.body(PART)
     np.testing.assert_array_equal(
         after.means[~part & (twin.bodies == 0)], before.means[~part & (twin.bodies == 0)]
@@ -46,7 +46,7 @@ def test_harmonics_turn_with_their_body(toy_scene):
         twin, gaussians=twin.gaussians.with_sh(np.random.default_rng(0).normal(size=(len(twin.bodies), 9, 3)))
     )
     Ts = body_poses(colored, toy_scene.robot, replace(twin.scan_state, joints=twin.scan_state.joints + 0.5))
-    after = posed(colored, toy_scene.robot, replace(twin.scan_state, joints=twin.scan_state.joints + 0.5))
+    after = pose_twin(colored, toy_scene.robot, replace(twin.scan_state, joints=twin.scan_state.joints + 0.5))
     which = int(np.flatnonzero(twin.bodies == 6)[0])
     direction_body = np.array([[0.36, 0.48, 0.8]])
     seen_body = sh_basis(direction_body, 2) @ colored.gaussians.sh[which]
@@ -70,8 +70,8 @@ def test_a_door_gets_darker_when_it_turns_away_from_the_light(toy_scene):
     )
     surface = twin.relit
     assert surface is not None
-    closed = posed(twin, toy_scene.robot, twin.scan_state)
-    opened = posed(twin, toy_scene.robot, replace(twin.scan_state, theta=1.5))
+    closed = pose_twin(twin, toy_scene.robot, twin.scan_state)
+    opened = pose_twin(twin, toy_scene.robot, replace(twin.scan_state, theta=1.5))
     part = twin.bodies == twin.body(PART)
     assert np.abs(closed.sh[part, 0] - opened.sh[part, 0]).mean() > 0.05
     normals = np.concatenate([static.normals, moving.normals])
@@ -79,8 +79,8 @@ def test_a_door_gets_darker_when_it_turns_away_from_the_light(toy_scene):
     # The same door in a light without direction stays as it is.
     even = replace(toy_scene.light, radiance_sh=toy_scene.light.radiance_sh * (np.arange(9) == 0)[:, None])
     flat = replace(twin, relit=replace(surface, lights=(even,)))
-    a = posed(flat, toy_scene.robot, twin.scan_state).sh[part, 0]
-    b = posed(flat, toy_scene.robot, replace(twin.scan_state, theta=1.5)).sh[part, 0]
+    a = pose_twin(flat, toy_scene.robot, twin.scan_state).sh[part, 0]
+    b = pose_twin(flat, toy_scene.robot, replace(twin.scan_state, theta=1.5)).sh[part, 0]
     np.testing.assert_allclose(a, b, atol=1e-5)
 
 
@@ -102,7 +102,7 @@ def test_with_object_leaves_nothing_of_the_recorded_one(toy_scene):
 def test_the_object_frame_is_found_from_points(toy_scene):
     means, labels = toy_scene.gaussians.means, toy_scene.labels
     T_true = toy_scene.twin.T_world_object
-    joint = toy_scene.asset.joint.moved(T_true)
+    joint = toy_scene.asset.joint.move(T_true)
     T = object_frame(means[labels == 2], joint, means[labels == 3])
     assert np.rad2deg(angle_between(T[:3, 1], T_true[:3, 1])) < 5
     np.testing.assert_allclose(T[:3, 2], [0, 0, 1], atol=1e-12)
@@ -137,7 +137,7 @@ def test_lit_surfaces_of_a_layer_move_as_the_posed_twin_does(toy_scene):
     assert (frames[2] != frames[1]).any()
     bodies_alone = twin.select(twin.moves)
     for frame, poses in zip(frames[1:], Ts[1:], strict=True):
-        want = layer.session.draw(posed_by(bodies_alone, poses)).rgb
+        want = layer.session.draw(pose_bodies(bodies_alone, poses)).rgb
         assert np.abs(frame / 255 - want).max() < 0.502 / 255 + 2e-3
 
 
@@ -149,7 +149,7 @@ def test_a_twin_survives_storage_byte_for_byte(toy_scene, tmp_path):
     (tmp_path / "a").mkdir()
     (tmp_path / "b").mkdir()
     save_artifact(tmp_path / "a", "twin", twin)
-    again = load_artifact(tmp_path / "a", "twin", Twin)
+    again = load_artifact(tmp_path / "a", "twin", TwinModel)
     save_artifact(tmp_path / "b", "twin", again)
     for name in ("twin.json", "twin.npz"):
         assert (tmp_path / "a" / name).read_bytes() == (tmp_path / "b" / name).read_bytes()
@@ -159,14 +159,14 @@ def test_a_twin_survives_storage_byte_for_byte(toy_scene, tmp_path):
 
 def test_damaged_twins_are_refused(toy_scene, tmp_path):
     with pytest.raises(MissingFileError):
-        load_artifact(tmp_path, "twin", Twin)
+        load_artifact(tmp_path, "twin", TwinModel)
     save_artifact(tmp_path, "twin", toy_scene.twin)
     data = (tmp_path / "twin.npz").read_bytes()
     (tmp_path / "twin.npz").write_bytes(data[: len(data) // 2])
     with pytest.raises(MalformedFileError):
-        load_artifact(tmp_path, "twin", Twin)
+        load_artifact(tmp_path, "twin", TwinModel)
     (tmp_path / "twin.npz").write_bytes(data)
     text = (tmp_path / "twin.json").read_text().replace('"part"', '"lid"').replace('"object",', "")
     (tmp_path / "twin.json").write_text(text)
     with pytest.raises(MalformedFileError):
-        load_artifact(tmp_path, "twin", Twin)
+        load_artifact(tmp_path, "twin", TwinModel)

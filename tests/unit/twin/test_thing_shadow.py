@@ -7,7 +7,7 @@ from aomgen.core.gaussians import Gaussians, gaussians_of
 from aomgen.core.light import Light, hemisphere_light
 from aomgen.core.transforms import quat_from_matrix, transform
 from aomgen.twin.shadow import DirectionalLight
-from aomgen.twin.thing_shadow import REACH_M, cast_on_things
+from aomgen.twin.thing_shadow import REACH_M, compute_surrounding_shadow
 
 RNG = np.random.default_rng(0)
 EYES = np.array([[0.0, -1.5, 1.0], [0.5, -1.5, 1.2]])
@@ -20,8 +20,8 @@ def passed(
 ) -> np.ndarray:
     """Share of the light that each of the wall's Gaussians gets past the box."""
     T = np.eye(4) if T is None else T
-    scene, body, eyes = wall.transformed(T), box.transformed(T), EYES + T[:3, 3]
-    return cast_on_things(scene, body, light, lamp, eyes, PLANE, len(wall)).at(scene.means)
+    scene, body, eyes = wall.transform(T), box.transform(T), EYES + T[:3, 3]
+    return compute_surrounding_shadow(scene, body, light, lamp, eyes, PLANE, len(wall)).at(scene.means)
 
 
 def sheet(axis: int, at: float, low: tuple[float, float], high: tuple[float, float]) -> Gaussians:
@@ -97,14 +97,14 @@ def test_the_shadow_moves_with_the_scene(wall, box):
 
 def test_a_few_places_tell_what_all_do(wall, box):
     light = hemisphere_light(np.ones(3), np.full(3, 0.4))
-    few = cast_on_things(wall, box, light, None, EYES, PLANE, 400)
+    few = compute_surrounding_shadow(wall, box, light, None, EYES, PLANE, 400)
     assert len(few.points) <= 400
     assert np.abs(few.at(wall.means) - passed(wall, box, light)).mean() < 0.02
 
 
 def test_the_table_and_what_is_far_get_no_shadow(wall, box):
     light = hemisphere_light(np.ones(3), np.ones(3))
-    far = wall.transformed(transform(np.eye(3), [0.0, 5.0, 0.0]))
-    assert (cast_on_things(far, box, light, None, EYES, PLANE, 4000).at(far.means) == 1).all()
+    far = wall.transform(transform(np.eye(3), [0.0, 5.0, 0.0]))
+    assert (compute_surrounding_shadow(far, box, light, None, EYES, PLANE, 4000).at(far.means) == 1).all()
     table = sheet(2, 0.0, (-0.5, -0.5), (0.5, 0.5))
-    assert not len(cast_on_things(table, box, light, None, EYES, np.eye(4), 4000).points)
+    assert not len(compute_surrounding_shadow(table, box, light, None, EYES, np.eye(4), 4000).points)

@@ -104,17 +104,17 @@ class LinkBuilder:
         self, name: str, rows: Mapping[str, AlignedBox], surface: Material, *, symmetric: bool = False
     ) -> None:
         """One mesh of several boxes, each a collider of its own; `symmetric` ones are given for both sides."""
-        sided = rows if symmetric else {key: self._sided(row) for key, row in rows.items()}
+        sided = rows if symmetric else {key: self._orient(row) for key, row in rows.items()}
         self.meshes.append(boxes_mesh(name, list(sided.values()), surface))
         self.colliders += [row.collider(key) for key, row in sided.items()]
 
     def shell(self, name: str, rows: Sequence[AlignedBox], surface: Material) -> None:
         """One mesh of several boxes that nothing touches."""
-        self.meshes.append(boxes_mesh(name, [self._sided(row) for row in rows], surface))
+        self.meshes.append(boxes_mesh(name, [self._orient(row) for row in rows], surface))
 
     def solid(self, name: str, row: AlignedBox) -> None:
         """A collider that nobody sees."""
-        self.colliders.append(self._sided(row).collider(name))
+        self.colliders.append(self._orient(row).collider(name))
 
     def print(
         self,
@@ -132,7 +132,7 @@ class LinkBuilder:
         place = corner + PRINT_GAP * np.cross(right, up)
         self.meshes.append(panel(name, place, size[0] * right, size[1] * up, surface))
 
-    def rounded(self, rows: Mapping[str, RoundedBox], surface: Material, *, name: str = "") -> None:
+    def add_rounded(self, rows: Mapping[str, RoundedBox], surface: Material, *, name: str = "") -> None:
         """Rounded boxes as one mesh, by default of the first one's name; never mirrored."""
         meshes = [row.mesh(key, surface) for key, row in rows.items()]
         self.meshes.append(merge_meshes(name or meshes[0].name, meshes))
@@ -148,7 +148,7 @@ class LinkBuilder:
     def behind(self, name: str, handle: Handle, surface: Material) -> None:
         """A handle that nobody opens anything with, turned half round to the back."""
         turn = np.diag([-1.0, -1.0, 1.0, 1.0])
-        self.meshes.append(replace(handle.mesh(surface), name=name).transformed(turn))
+        self.meshes.append(replace(handle.mesh(surface), name=name).transform(turn))
         for part in handle.colliders(f"{name}_"):
             self.colliders.append(replace(part, T_asset_box=turn @ part.T_asset_box))
 
@@ -158,8 +158,8 @@ class LinkBuilder:
             name=self._name, meshes=tuple(self.meshes), colliders=tuple(self.colliders), mass=mass
         )
 
-    def _sided(self, row: AlignedBox) -> AlignedBox:
-        return row.mirrored() if self.mirrored else row
+    def _orient(self, row: AlignedBox) -> AlignedBox:
+        return row.mirror() if self.mirrored else row
 
 
 def carcass(w: float, depth: Span, height: Span, board: float) -> dict[str, AlignedBox]:

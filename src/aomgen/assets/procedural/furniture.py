@@ -112,7 +112,7 @@ def _add_base_and_top(body: LinkBuilder, s: SimpleNamespace, wood: Material) -> 
         front, edge = y0 - 2 * GAP - s.board - s.overhang, w + s.overhang
         whole = box(-edge, edge, front, y1, s.height, s.top)
         radii = (TOP_RADIUS, TOP_RADIUS)
-        body.rounded({"table_top": RoundedBox(whole=whole, axis=2, radii=radii, corners=ALL_EDGES)}, wood)
+        body.add_rounded({"table_top": RoundedBox(whole=whole, axis=2, radii=radii, corners=ALL_EDGES)}, wood)
     if s.upstand > 0:
         rows = {"upstand": box(-w, w, y1 - s.board, y1, s.top, s.top + s.upstand, "z")}
         body.boxes("upstand", rows, wood, symmetric=True)
@@ -246,9 +246,9 @@ def _wood(rng: np.random.Generator, kind: str, roughness: float) -> Material:
 
 
 def _paint(rng: np.random.Generator, color: Color) -> Material:
-    return Material(texture_srgb=textures.speckled(rng, color), roughness=0.5)
+    return Material(texture_srgb=textures.make_speckles(rng, color), roughness=0.5)
 
 
 def _metal(rng: np.random.Generator) -> Material:
-    brushed = textures.brushed_metal(rng, pick_color(rng, "metal"), 256)
+    brushed = textures.make_brushed_metal(rng, pick_color(rng, "metal"), 256)
     return Material(texture_srgb=brushed, metallic=0.8, roughness=0.3)

@@ -110,7 +110,7 @@ def _add_toolbox_body(
 def _add_tools(body: LinkBuilder, s: SimpleNamespace, rng: np.random.Generator) -> None:
     """What lies inside: a tray with a screwdriver, a hammer and a wrench."""
     w, y0, y1, wall, z = s.width / 2, -s.depth / 2, s.depth / 2, s.wall, s.seam - 0.035
-    felt = Material(texture_srgb=textures.speckled(rng, (0.52, 0.50, 0.46), 256), roughness=0.7)
+    felt = Material(texture_srgb=textures.make_speckles(rng, (0.52, 0.50, 0.46), 256), roughness=0.7)
     size = (2 * (w - wall), 0, 0), (0, y1 - y0 - 2 * wall, 0)
     body.meshes.append(panel("tray", (-w + wall, y0 + wall, z), *size, felt))
     half = 0.30 * s.width
@@ -156,7 +156,7 @@ def _add_top(lid: LinkBuilder, s: SimpleNamespace, plastic: Material) -> tuple[S
         across = s.crown_share * d
         whole, radii = box(-w, w, -d, d, s.eaves, top), (across, s.crown - LEAST_CROWN)
         crown = RoundedBox(whole=whole, axis=0, radii=radii, corners=UPPER_EDGES, bevel=s.edge == "bevel")
-        lid.rounded({"crown": crown}, plastic, name="lid")
+        lid.add_rounded({"crown": crown}, plastic, name="lid")
         flat = (w, d - across)
     if s.tier > 0:
         flat = (flat[0] - TIER_INSET, flat[1] - TIER_INSET)
@@ -211,7 +211,7 @@ def _tread_plate(
 
 
 def _steel(rng: np.random.Generator) -> Material:
-    return Material(texture_srgb=textures.brushed_metal(rng, (0.70, 0.70, 0.72), 256), metallic=0.8)
+    return Material(texture_srgb=textures.make_brushed_metal(rng, (0.70, 0.70, 0.72), 256), metallic=0.8)
 
 
 def make_laptop(rng: np.random.Generator, table: Mapping[str, Any]) -> ArticulatedAsset:
@@ -241,10 +241,10 @@ def _add_base(base: LinkBuilder, s: SimpleNamespace, color: Color, rng: np.rando
         body = RoundedBox(
             whole=slabs.pop("base"), axis=0, radii=(WEDGE_SHARE * s.depth, s.wedge), corners=((-1, -1),), bevel=True
         )  # fmt: skip
-        base.rounded({"base": body}, case)
+        base.add_rounded({"base": body}, case)
         base.boxes("front", slabs, case)
     elif s.corner > 0:
-        base.rounded({key: _round(s, row) for key, row in slabs.items()}, case)
+        base.add_rounded({key: _round(s, row) for key, row in slabs.items()}, case)
     else:
         base.boxes("base", slabs, case)
     _add_strips(base, s)
@@ -276,7 +276,7 @@ def _add_armour(base: LinkBuilder, s: SimpleNamespace, case: Material) -> None:
         base.boxes("tail", {"tail": box(-half, half, d, d + s.tail, *z, "y")}, case)
     if s.wing > 0:
         sides = {"wing_left": box(-w - s.wing, -w, WING_INSET - d, d, *z, "X")}
-        sides["wing_right"] = sides["wing_left"].mirrored()
+        sides["wing_right"] = sides["wing_left"].mirror()
         base.boxes("wings", sides, BLACK)
     if s.post > 0:
         base.boxes("posts", corner_posts(w, (-d, d), z, s.post), RUBBER)
@@ -304,7 +304,7 @@ def _add_laptop_lid(lid: LinkBuilder, s: SimpleNamespace, color: Color, rng: np.
     display = Material(texture_srgb=textures.screen(rng), roughness=0.2)
     rows = {"lid": slab, "handle_rim": rim}
     if s.corner > 0:
-        lid.rounded({key: _round(s, row) for key, row in rows.items()}, case)
+        lid.add_rounded({key: _round(s, row) for key, row in rows.items()}, case)
     else:
         lid.boxes("lid", rows, case)
     if s.ridge > 0:
@@ -335,4 +335,4 @@ def _add_cover_print(
 
 
 def _case(rng: np.random.Generator, color: Color) -> Material:
-    return Material(texture_srgb=textures.brushed_metal(rng, color), roughness=0.4, metallic=0.4)
+    return Material(texture_srgb=textures.make_brushed_metal(rng, color), roughness=0.4, metallic=0.4)

@@ -95,7 +95,7 @@ def _add_body(body: LinkBuilder, s: SimpleNamespace, color: Color, rng: np.rando
     z0, z1, wall = s.feet, s.height, s.wall
     (cx0, cx1), (cz0, cz1) = s.cavity
     (px0, px1), (pz0, pz1) = s.panel_rect
-    sheet = textures.brushed_metal if rng.random() < 0.6 else textures.speckled
+    sheet = textures.make_brushed_metal if rng.random() < 0.6 else textures.make_speckles
     level = {
         "wall_bottom": box(-w, w, y0, y1, z0, cz0, "Z"),
         "wall_top": box(-w, w, y0, y1, cz1, z1, "z"),
@@ -110,7 +110,9 @@ def _add_body(body: LinkBuilder, s: SimpleNamespace, color: Color, rng: np.rando
     surface = Material(texture_srgb=sheet(rng, color), roughness=0.45, metallic=0.3)
     if s.corner > 0:
         body.boxes("sides", upright, surface)
-        body.rounded({key: _round(s, row) for key, row in (level | fascia).items()}, surface, name="shell")
+        body.add_rounded(
+            {key: _round(s, row) for key, row in (level | fascia).items()}, surface, name="shell"
+        )
     else:
         body.boxes("shell", level | upright | fascia, surface)
     if s.trim > 0:
@@ -129,7 +131,7 @@ def _add_cavity(body: LinkBuilder, s: SimpleNamespace, rng: np.random.Generator)
     """Inner lining and the turntable."""
     (left, column), (z0, z1) = s.cavity
     hollow = lining((left, column), (-s.depth / 2, s.depth / 2 - s.wall), (z0, z1))
-    enamel = textures.speckled(rng, (0.70, 0.70, 0.68), 256)
+    enamel = textures.make_speckles(rng, (0.70, 0.70, 0.68), 256)
     body.shell("cavity", hollow, Material(texture_srgb=enamel, roughness=0.5))
     centre = np.array([body.across((left + column) / 2), 0.0, z0 + 0.004])
     radius = 0.42 * min(column - left, s.depth - s.wall)
@@ -174,7 +176,7 @@ def _add_door(
     back = (left + size, s.seam - inset, low)
     door.meshes.append(panel("window_inside", back, (-size, 0, 0), up, glass))
     door.print("brand", "front", (left + size / 2 - 0.05, s.front, z[0] + 0.009), (0.10, 0.022), name)
-    steel = textures.brushed_metal(rng, (0.78, 0.78, 0.80), 256)
+    steel = textures.make_brushed_metal(rng, (0.78, 0.78, 0.80), 256)
     door.handle(handle, Material(texture_srgb=steel, metallic=0.8, roughness=0.3))
 
 
@@ -192,4 +194,4 @@ def _add_frame(
     door.shell("uprights", uprights, grain)
     middle = replace(low, lower=(*low.lower[:2], low.upper[2]), upper=(*top.upper[:2], top.lower[2]))
     door.solid("door", middle)
-    door.rounded({"frame_low": _round(s, low), "frame_top": _round(s, top)}, grain, name="frame")
+    door.add_rounded({"frame_low": _round(s, low), "frame_top": _round(s, top)}, grain, name="frame")

@@ -76,7 +76,7 @@ class AlignedBox:
     upper: tuple[float, float, float]
     skip: str = ""
 
-    def mirrored(self) -> "AlignedBox":
+    def mirror(self) -> "AlignedBox":
         """Its image behind the plane x = 0."""
         (x0, y0, z0), (x1, y1, z1) = self.lower, self.upper
         return box(-x1, -x0, y0, y1, z0, z1, self.skip.translate(str.maketrans("xX", "Xx")))

@@ -42,7 +42,7 @@ def wood(rng: np.random.Generator, color_srgb: ArrayLike, size: int = 512) -> Te
     return tint(color_srgb, shade + 0.05 * noise(rng, size, 50))
 
 
-def brushed_metal(rng: np.random.Generator, color_srgb: ArrayLike, size: int = 512) -> Texture:
+def make_brushed_metal(rng: np.random.Generator, color_srgb: ArrayLike, size: int = 512) -> Texture:
     """Metal brushed along u, with faint smudges."""
     shade = 0.045 * noise(rng, size, (0.5, 40.0)) + 0.03 * noise(rng, size, (30, 30))
     return tint(color_srgb, shade + 0.015 * noise(rng, size, 0.7))
@@ -53,7 +53,7 @@ def plastic(rng: np.random.Generator, color_srgb: ArrayLike, size: int = 256) ->
     return tint(color_srgb, 0.03 * noise(rng, size, 0.8) + 0.02 * noise(rng, size, 18))
 
 
-def speckled(rng: np.random.Generator, color_srgb: ArrayLike, size: int = 512) -> Texture:
+def make_speckles(rng: np.random.Generator, color_srgb: ArrayLike, size: int = 512) -> Texture:
     """Enamel or laminate with dark and light speckles."""
     fine = noise(rng, size, 1.1)
     return tint(color_srgb, 0.22 * ((fine > 1.7).astype(float) - (fine < -1.6)) + 0.03 * noise(rng, size, 20))
@@ -151,7 +151,7 @@ def keyboard(rng: np.random.Generator, color_srgb: ArrayLike) -> Texture:
         x = left + start * pitch
         draw.rounded_rectangle((x, y, x + length * pitch - 4, y + 0.8 * pitch - 4), 3, fill=key)
     pad = (0.34 * width, y + 1.0 * pitch, 0.66 * width, 0.96 * height)
-    draw.rounded_rectangle(pad, 6, fill=_painted(color_srgb, 200), outline=key)
+    draw.rounded_rectangle(pad, 6, fill=_to_pixel(color_srgb, 200), outline=key)
     _sticker(draw, rng, np.array([0.84 * width, 0.85 * height]), np.array([0.11 * width, 0.08 * height]))
     return np.asarray(image)
 
@@ -159,7 +159,7 @@ def keyboard(rng: np.random.Generator, color_srgb: ArrayLike) -> Texture:
 def keypad(rng: np.random.Generator, color_srgb: ArrayLike) -> Texture:
     """Control panel with a clock and twelve keys, upright when v points up."""
     width, height = 192, 448
-    image = Image.new("RGB", (width, height), _painted(np.round(255 * np.asarray(color_srgb)), 1))
+    image = Image.new("RGB", (width, height), _to_pixel(np.round(255 * np.asarray(color_srgb)), 1))
     draw = ImageDraw.Draw(image)
     ink = (235, 235, 230) if np.asarray(color_srgb).mean() < 0.5 else (30, 30, 34)
     margin, top = int(0.12 * width), int(0.06 * height)
@@ -184,7 +184,7 @@ def keypad(rng: np.random.Generator, color_srgb: ArrayLike) -> Texture:
 def key_strip(rng: np.random.Generator, color_srgb: ArrayLike) -> Texture:
     """Low control panel: a name, a clock, two rows of keys."""
     width, height = 640, 96
-    image = Image.new("RGB", (width, height), _painted(color_srgb))
+    image = Image.new("RGB", (width, height), _to_pixel(color_srgb))
     draw = ImageDraw.Draw(image)
     ink = (235, 235, 230) if np.asarray(color_srgb).mean() < 0.5 else (30, 30, 34)
     write(draw, (90, height / 2), str(rng.choice(WORDS)).upper(), 34, ink, "mm")
@@ -201,7 +201,7 @@ def key_strip(rng: np.random.Generator, color_srgb: ArrayLike) -> Texture:
 def label(rng: np.random.Generator) -> Texture:
     """Rating plate: name, lines of small print, a bar code."""
     width, height = 320, 200
-    image = Image.new("RGB", (width, height), _painted(rng.integers(215, 250, 3), 1))
+    image = Image.new("RGB", (width, height), _to_pixel(rng.integers(215, 250, 3), 1))
     draw = ImageDraw.Draw(image)
     draw.rectangle((4, 4, width - 5, height - 5), outline=(40, 40, 40), width=2)
     write(draw, (16, 12), f"{rng.choice(WORDS)} {rng.integers(100, 999)}", 34, (20, 20, 20))
@@ -215,7 +215,7 @@ def label(rng: np.random.Generator) -> Texture:
 def vents(rng: np.random.Generator, color_srgb: ArrayLike) -> Texture:
     """Rows of ventilation slots in a painted sheet."""
     width, height = 256, 160
-    image = Image.new("RGB", (width, height), _painted(color_srgb))
+    image = Image.new("RGB", (width, height), _to_pixel(color_srgb))
     draw = ImageDraw.Draw(image)
     columns, rows = int(rng.integers(8, 13)), int(rng.integers(3, 5))
     for i in range(columns):
@@ -228,7 +228,7 @@ def vents(rng: np.random.Generator, color_srgb: ArrayLike) -> Texture:
 
 def nameplate(rng: np.random.Generator, color_srgb: ArrayLike, height: int = 56) -> Texture:
     """Brand name in light or dark letters on the surface's color."""
-    image = Image.new("RGB", (256, height), _painted(color_srgb))
+    image = Image.new("RGB", (256, height), _to_pixel(color_srgb))
     ink = (225, 225, 225) if np.asarray(color_srgb).mean() < 0.5 else (35, 35, 40)
     write(ImageDraw.Draw(image), (128, height / 2), str(rng.choice(WORDS)).upper(), 36, ink, "mm")
     return np.asarray(image)
@@ -263,7 +263,7 @@ def draw_ink(rng: np.random.Generator) -> tuple[int, int, int]:
     return r, g, b
 
 
-def _painted(color_srgb: ArrayLike, scale: int = 255) -> tuple[int, ...]:
+def _to_pixel(color_srgb: ArrayLike, scale: int = 255) -> tuple[int, ...]:
     return tuple(int(scale * c) for c in np.asarray(color_srgb, np.float64).tolist())
 
 
