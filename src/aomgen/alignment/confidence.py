@@ -229,7 +229,7 @@ def find_wrist_rotation(
         return replace(drawing, configuration=replace(drawing.configuration, joints=joints))
 
     own, count = confirm(logged)
-    shares = [confirm(collect_evidence(S, views, turn(turn), contour_points))[0] for turn in TURNS_DEG]
+    shares = [confirm(collect_evidence(S, views, turn(angle), contour_points))[0] for angle in TURNS_DEG]
     best = int(np.argmax(shares))
     if count == 0 or shares[best] <= own:
         return WristRotation(turn_rad=0.0, gain=0.0, gain_sd=0.0)

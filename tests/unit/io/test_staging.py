@@ -18,8 +18,8 @@ from aomgen.io.atomic import STAGING_PREFIX, remove_staging, stage_folder, write
 WRITER = """
 import sys, time
 from pathlib import Path
-from aomgen.io.atomic import staged_folder
-with staged_folder(Path(sys.argv[1])) as folder:
+from aomgen.io.atomic import stage_folder
+with stage_folder(Path(sys.argv[1])) as folder:
     (folder / "a").write_text("half")
     print("ready", flush=True)
     time.sleep(60)
