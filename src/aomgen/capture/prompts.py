@@ -30,14 +30,14 @@ def read_prompts(
         InputError: A box without extent, outside the image or away from its points, a point that is
             neither on nor off the part, or a part without a box.
     """
-    prompts = tuple(_prompt(section, names, size, path) for section in sections)
+    prompts = tuple(check_prompt(section, names, size, path) for section in sections)
     boxed = {prompt.part for prompt in prompts if len(prompt.box)}
     missing = [part for part in PARTS if part not in boxed]
     if missing:
         raise InputError(
             path,
             f"has no prompt with a box for {' and '.join(missing)}",
-            "add a [[prompts]] entry with a box around it on each of two scan images",
+            "mark it on two scan images with `aomgen prompts`, or add [[prompts]] entries with a box by hand",
         )
     return prompts
 
@@ -53,7 +53,8 @@ def prompt_warnings(prompts: tuple[Prompt, ...]) -> list[str]:
     ]
 
 
-def _prompt(section: PromptSection, names: set[str], size: tuple[int, int], path: Path) -> Prompt:
+def check_prompt(section: PromptSection, names: set[str], size: tuple[int, int], path: Path) -> Prompt:
+    """Check one prompt; arguments and errors as for `read_prompts`."""
     where = f"{path}: the {section.part} prompt on '{section.image}'"
     if section.image not in names:
         raise MissingFileError(

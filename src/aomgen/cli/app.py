@@ -10,6 +10,7 @@ import typer
 from aomgen.cli.asset_commands import assets_app
 from aomgen.cli.dataset_commands import RunFolder, audit, export
 from aomgen.cli.evaluate_commands import evaluate_app
+from aomgen.cli.prompting import prompts
 from aomgen.cli.robot_draft import robot_app
 from aomgen.cli.run import COMMAND_LINE, run_command, run_project, sample_capture
 from aomgen.errors import ConfigError
@@ -19,6 +20,7 @@ app = typer.Typer(**COMMAND_LINE)
 app.add_typer(assets_app, name="assets")
 app.add_typer(evaluate_app, name="evaluate")
 app.add_typer(robot_app, name="robot")
+app.command()(prompts)
 app.command()(export)
 app.command()(audit)
 

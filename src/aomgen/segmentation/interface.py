@@ -30,8 +30,8 @@ class PreparedImage(Protocol):
 
         Args:
             part: "moving", "static" or "object" (both); only label images need it.
-            box_px: x0, y0, x1, y1 (4,), [px], around the part.
-            points: (N, 3): x, y [px] and 1 = on the part, 0 = not on it; may be empty.
+            box_px: x0, y0, x1, y1 (4,), [px], around the part; or (0,), where points alone mark it.
+            points: (N, 3): x, y [px] and 1 = on the part, 0 = not on it; may be empty beside a box.
         """
         ...
 

@@ -74,11 +74,13 @@ class _EncodedImage:
     scale: float
 
     def mask(self, part: str, box_px: ArrayLike, points: ArrayLike) -> Mask:
-        box = np.asarray(box_px, np.float64).reshape(2, 2)
+        corners = np.asarray(box_px, np.float64).reshape(-1, 2)
         clicks = np.asarray(points, np.float64).reshape(-1, 3)
-        coords = np.concatenate([clicks[:, :2], box]) * self.scale
-        # Labels of the decoder: 1 on, 0 off, 2 and 3 the corners of a box.
-        labels = np.concatenate([clicks[:, 2], [2.0, 3.0]])
+        # Labels of the decoder: 1 on, 0 off, 2 and 3 the corners of a box; without a box it wants a point of label -1.
+        ends = np.array([2.0, 3.0]) if len(corners) else np.array([-1.0])
+        corners = corners if len(corners) else np.zeros((1, 2))
+        coords = np.concatenate([clicks[:, :2], corners]) * self.scale
+        labels = np.concatenate([clicks[:, 2], ends])
         logits = self._ask(None, coords, labels)[0][0, 0]
         return clean(logits > 0)
 

@@ -1,0 +1,154 @@
+"""Mark robot and object parts on scan images: what is marked, masks of it, and what is still missing."""
+
+import threading
+from collections.abc import Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from aomgen.capture.capture_schema import PromptSection, read_manifest
+from aomgen.capture.prompts import PARTS, check_prompt
+from aomgen.capture.scan_images import common_size, find_images
+from aomgen.core.recording import frame_name
+from aomgen.errors import BackendError
+from aomgen.io.paths import resolve_inside
+from aomgen.io.video import probe_video
+from aomgen.prompting.prompts_file import save_prompts
+from aomgen.prompting.scan_choice import ScanImages, propose_images
+from aomgen.segmentation.interface import Mask, PreparedImage, Segmenter
+from aomgen.segmentation.segmenter import choose_segmenter
+
+# Boxes of a part on so many images let the run go on where one of their cameras is not found.
+WANTED_IMAGES: Final = 2
+# A box from a mask leaves so much room around it, [px]: masks end a little inside the part.
+MARGIN_PX: Final = 2.0
+
+
+class PromptSession:
+    """The prompts of one capture while a person marks them.
+
+    Attributes:
+        capture: Folder with a capture.toml.
+        images: Of the scan.
+        size: Their width and height, [px].
+        prompts: As saved last.
+        no_masks: Why there are no masks, or empty.
+    """
+
+    def __init__(self, capture: Path) -> None:
+        """Read the capture's manifest and scan; prompts need not be complete yet.
+
+        Raises:
+            InputError: The capture has no valid capture.toml or no readable scan.
+        """
+        self._file = capture / "capture.toml"
+        manifest = read_manifest(self._file)
+        scan = resolve_inside(capture, manifest.scan.images, named_by=self._file)
+        video = scan if scan.is_file() else None
+        images = () if video else find_images(scan)
+        if video:
+            info = probe_video(video)
+            self.size = (info.width, info.height)
+            self._names = {frame_name(index) for index in range(info.frames)}
+        else:
+            self.size, self._names = common_size(images), {path.name for path in images}
+        self.capture, self.images, self.prompts = capture, ScanImages(images, video), manifest.prompts
+        self.no_masks = ""
+        try:
+            self._segmenter: Segmenter | None = choose_segmenter({}, "mobile_sam")
+        except BackendError as error:
+            self._segmenter, self.no_masks = None, str(error)
+        self._pool = ThreadPoolExecutor(max_workers=1, thread_name_prefix="encode")
+        self._lock = threading.Lock()
+        self._encoded: dict[int, Future[PreparedImage]] = {}
+
+    def describe(self) -> dict[str, Any]:
+        """What a page shows: image names, size, proposals in the order of the walk, prompts, and why there are no masks."""
+        return {
+            "capture": self.capture.name,
+            "images": self.images.names,
+            "blurs": [round(float(value), 3) for value in self.images.blurs],
+            "proposed": propose_images(self.images.blurs),
+            "size": list(self.size),
+            "parts": list(PARTS),
+            "wanted_images": WANTED_IMAGES,
+            "prompts": [prompt.model_dump() for prompt in self.prompts],
+            "no_masks": self.no_masks,
+        }
+
+    def encode(self, index: int) -> "Future[PreparedImage] | None":
+        """Begin to encode an image, once; None without a segmenter."""
+        segmenter = self._segmenter
+        if segmenter is None:
+            return None
+        with self._lock:
+            if index not in self._encoded:
+                name = self.images.names[index]
+                self._encoded[index] = self._pool.submit(
+                    lambda: segmenter.prepare(name, self.images.read(index))
+                )
+            return self._encoded[index]
+
+    def segment(
+        self, index: int, part: str, points: Sequence[Sequence[float]], box: Sequence[float]
+    ) -> Mask | None:
+        """Mask (H, W) of what points and box mark; None without a segmenter or where they mark nothing.
+
+        Args:
+            index: Of the image.
+            part: One of `PARTS`.
+            points: Rows of x, y [px] and 1 on the part or 0 off it.
+            box: x0, y0, x1, y1 [px]; or empty.
+        """
+        encoded = self.encode(index)
+        if encoded is None or not (len(box) or any(row[2] == 1 for row in points)):
+            return None
+        return encoded.result().mask(
+            part, np.array(box, np.float64), np.array(points, np.float64).reshape(-1, 3)
+        )
+
+    def save(self, prompts: Sequence[PromptSection]) -> None:
+        """Check all prompts, and write them to capture.toml; incomplete ones are saved as well.
+
+        Raises:
+            InputError: One is invalid; nothing is written.
+        """
+        for prompt in prompts:
+            check_prompt(prompt, self._names, self.size, self._file)
+        save_prompts(self._file, prompts)
+        self.prompts = list(prompts)
+
+
+def find_missing(prompts: Sequence[PromptSection]) -> dict[str, int]:
+    """Number of images on which each part still wants a box, without the parts that want none.
+
+    Example:
+        >>> find_missing([PromptSection(part="robot", image="0.jpg", box=[0, 0, 9, 9])])
+        {'robot': 1, 'static': 2, 'moving': 2}
+    """
+    boxed = {part: {item.image for item in prompts if item.part == part and item.box} for part in PARTS}
+    return {part: WANTED_IMAGES - len(found) for part, found in boxed.items() if len(found) < WANTED_IMAGES}
+
+
+def box_of_mask(mask: NDArray[np.bool_]) -> list[float]:
+    """Box x0, y0, x1, y1 [px] around a mask (H, W) with a margin, inside the image; empty for an empty mask.
+
+    Example:
+        >>> mask = np.zeros((40, 60), bool)
+        >>> mask[10:20, 30:50] = True
+        >>> box_of_mask(mask)
+        [28.0, 8.0, 52.0, 22.0]
+    """
+    rows, columns = np.flatnonzero(mask.any(1)), np.flatnonzero(mask.any(0))
+    if not len(rows):
+        return []
+    height, width = mask.shape
+    return [
+        max(0.0, columns[0] - MARGIN_PX),
+        max(0.0, rows[0] - MARGIN_PX),
+        min(float(width), columns[-1] + 1 + MARGIN_PX),
+        min(float(height), rows[-1] + 1 + MARGIN_PX),
+    ]
