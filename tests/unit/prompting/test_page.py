@@ -41,8 +41,11 @@ def test_clicks_give_the_bundled_prompts_again(capture_copy: Path):
             page.click(f"[data-part={prompt['part']}]")
             page.locator(f"[data-index='{index}'].thumb").last.click()
             page.wait_for_selector(f"canvas[data-index='{index}']")
-            session.encode(index).result()  # As after the seconds in which a person looks.
+            encoded = session.encode(index)
+            assert encoded is not None
+            encoded.result()  # As after the seconds in which a person looks.
             area = page.locator("canvas").bounding_box()
+            assert area is not None
             scale = area["width"] / session.size[0]
 
             def at(x: float, y: float, area=area, scale=scale) -> tuple[float, float]:
@@ -51,7 +54,7 @@ def test_clicks_give_the_bundled_prompts_again(capture_copy: Path):
             page.evaluate("delete document.body.dataset.maskMs")
             page.mouse.click(*at(*prompt["points"][0][:2]))
             page.wait_for_selector("body[data-mask-ms]")
-            milliseconds.append(int(page.locator("body").get_attribute("data-mask-ms")))
+            milliseconds.append(page.evaluate("Number(document.body.dataset.maskMs)"))
             page.mouse.move(*at(*prompt["box"][:2]))
             page.mouse.down()
             page.mouse.move(*at(*prompt["box"][2:]), steps=3)
