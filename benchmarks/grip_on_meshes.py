@@ -1,5 +1,7 @@
 """How the pads of a hand that holds a fitted asset lie on its meshes, which physics does not see."""
 
+from collections.abc import Callable
+from functools import cache
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -22,6 +24,8 @@ BEHIND_M: Final = 0.012
 HALVINGS: Final = 12
 # Points along each side of a box.
 BOX_STEPS: Final = 41
+# Poses of the contact that are measured: the pads lie on the handle alike all along it.
+POSES: Final = 5
 # Pads that are farther off hold nothing, and that are deeper in cut into what is seen, [mm].
 MAX_GAP_MM, MAX_PENETRATION_MM = 3.0, 2.0
 
@@ -51,36 +55,46 @@ def grip_on_meshes(fitted: FittedAsset, demo: Demonstration, robot: RobotModel) 
     shown = DemonstratedMotion(demo)
     boxes, surface = (_near(points(fitted.asset), fitted) for points in (_box_points, _mesh_points))
     motions = list_motions(fitted, shown, fitted.T_world_asset, robot)
-    grips = (_grip(motion, robot, boxes, surface)._replace(tried=k) for k, motion in enumerate(motions))
+    pads = cache(lambda gripper: _pad_poses(robot, gripper))
+    grips = (_grip(motion, pads, boxes, surface)._replace(tried=k) for k, motion in enumerate(motions))
     first = next(grips)
     return first if first.holds else next((grip for grip in grips if grip.holds), first)
 
 
-def _grip(motion: RetargetedMotion, robot: RobotModel, boxes: Array, surface: Array) -> Grip:
+# Pads and their poses in the end effector's frame (4, 4), by the gripper's value.
+Pads = Callable[[float], list[tuple[FingerPad, Array]]]
+
+
+def _grip(motion: RetargetedMotion, pads: Pads, boxes: Array, surface: Array) -> Grip:
     """Of one grasp, on points of colliders and meshes (N, 3)."""
-    times, fitted = motion.shown.knots[MOVE], motion.fitted
+    knots, fitted = motion.shown.knots[MOVE], motion.fitted
+    times = np.linspace(knots[0], knots[-1], POSES)
     moved = fitted.T_world_asset @ fitted.asset.joint.motion(motion.thetas(times))
     Ts_part_ee = invert(moved) @ motion.holding(times)
-    clearances = [_clearances(robot, T, _stalled(robot, T, boxes), surface) for T in Ts_part_ee]
+    clearances = [_clearances(pads(_stall(pads, T, boxes)), T, surface) for T in Ts_part_ee]
     low, high = np.min(clearances), np.max(clearances)
     return Grip(gap_mm=1000 * max(float(high), 0.0), penetration_mm=1000 * max(-float(low), 0.0))
 
 
-def _stalled(robot: RobotModel, T_part_ee: Array, points: Array) -> float:
+def _stall(pads: Pads, T_part_ee: Array, points: Array) -> float:
     """Gripper value at which the pads, on average, touch points (N, 3)."""
     opened, closed = 0.0, 1.0
     for _ in range(HALVINGS):
         middle = (opened + closed) / 2
-        touches = sum(_clearances(robot, T_part_ee, middle, points)) <= 0
+        touches = sum(_clearances(pads(middle), T_part_ee, points)) <= 0
         opened, closed = (opened, middle) if touches else (middle, closed)
     return opened
 
 
-def _clearances(robot: RobotModel, T_part_ee: Array, gripper: float, points: Array) -> list[float]:
-    """How far points (N, 3) before the pads are from the faces of these, below 0 inside, [m]."""
+def _pad_poses(robot: RobotModel, gripper: float) -> list[tuple[FingerPad, Array]]:
     joints = np.zeros((1, len(robot.joint_names)))
-    bodies = T_part_ee @ invert(robot.ee_poses(joints)[0]) @ robot.link_poses(joints, gripper)[0]
-    return [_clearance(pad, bodies[pad.body] @ pad.T_body_pad, points) for pad in robot.pads]
+    Ts_ee_body = invert(robot.ee_poses(joints)[0]) @ robot.link_poses(joints, gripper)[0]
+    return [(pad, Ts_ee_body[pad.body] @ pad.T_body_pad) for pad in robot.pads]
+
+
+def _clearances(pads: list[tuple[FingerPad, Array]], T_part_ee: Array, points: Array) -> list[float]:
+    """How far points (N, 3) before the pads are from the faces of these, below 0 inside, [m]."""
+    return [_clearance(pad, T_part_ee @ T_ee_pad, points) for pad, T_ee_pad in pads]
 
 
 def _clearance(pad: FingerPad, T_part_pad: Array, points: Array) -> float:
