@@ -72,8 +72,15 @@ def demo(
 @app.command()
 def check(
     path: Annotated[Path, typer.Argument(help="A capture folder, a project.toml or a USD asset.")],
+    html: Annotated[
+        Path | None, typer.Option(help="Write a page about a capture, its worst images first.")
+    ] = None,
 ) -> None:
-    """Validate a capture, a project or an asset, with reasons; changes nothing."""
+    """Validate a capture, a project or an asset, with reasons; changes nothing.
+
+    Scan images of a capture are matched at a small size, which takes some ten seconds: images that overlap with none of
+    the others, and those that are exposed otherwise, are named before a run spends minutes on them.
+    """
     from aomgen.assets.choice import asset_file, open_asset
 
     if asset_file(str(path)) is not None:
@@ -97,7 +104,16 @@ def check(
         capture = read_capture(path.parent if path.name == "capture.toml" else path)
         checked = check_capture(capture)
         warnings = checked.warnings + category_warnings(capture) + machine_warnings("auto", capture)
-        print(f"{capture.folder}: fine\n{checked.summary(capture)}")
+        facts = checked.summary(capture)
+        if capture.scan_images:
+            from aomgen.report.capture_page import write_capture_page
+            from aomgen.structure.overlap import measure_overlap
+
+            overlap = measure_overlap(capture.scan_images)
+            warnings += tuple(overlap.list_warnings())
+            if html is not None:
+                write_capture_page(html, capture, overlap, facts, warnings)
+        print(f"{capture.folder}: fine\n{facts}")
     for sentence in warnings:
         print(f"  warning: {sentence}")
 

@@ -1,0 +1,113 @@
+"""A page about a capture before anything is computed from it: warnings, and the scan's images with the worst first."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image, ImageDraw
+
+from aomgen.capture.scan_images import BLURRED, blur, read_grey
+from aomgen.core.recording import Prompt, Recording
+from aomgen.io.atomic import write_text
+from aomgen.io.images import read_image, resize
+from aomgen.report.html import jpeg_url, page, paragraph, picture, section, table, text
+from aomgen.structure.overlap import MAX_EXPOSURE_EV, MIN_PARTNERS, ScanOverlap
+
+THUMBNAIL_PX: Final = 320
+MATRIX_PX: Final = 480
+# Matches from which a pair is drawn as bright as can be.
+MANY_MATCHES: Final = 100
+COLORS: Final = {"robot": (209, 73, 91), "static": (31, 111, 139), "moving": (232, 163, 61)}
+
+
+def write_capture_page(
+    path: Path, capture: Recording, overlap: ScanOverlap, facts: str, warnings: Sequence[str]
+) -> None:
+    """Write the page, one file without script or network.
+
+    Args:
+        path: HTML file.
+        overlap: Of the capture's scan images.
+        facts: Lines about robot, scan, videos and log.
+        warnings: Sentences.
+    """
+    cards = [_draw_card(capture, overlap, index) for index in range(len(overlap.names))]
+    worst_first = sorted(cards, key=lambda card: card[0], reverse=True)
+    body = [
+        f"<h1>Capture {text(capture.name)}</h1>",
+        f"<pre>{text(facts)}</pre>",
+        section("Warnings", *(paragraph(sentence) for sentence in warnings or ("There are none.",))),
+        section(
+            "Overlap",
+            paragraph(
+                f"Each pixel is a pair of scan images in the order of their names, white where geometry confirms "
+                f"{MANY_MATCHES} matches or more. A dark row is an image that overlaps with no other one."
+            ),
+            picture(_draw_matrix(overlap), "confirmed matches of all pairs"),
+            table(
+                ("images", "in the largest group", "overlaps of an image, median"),
+                [(len(overlap.names), int((~overlap.isolated).sum()), int(np.median(overlap.partners)))],
+            ),
+        ),
+        section(
+            "Scan images, the worst first",
+            f'<div class="cards">{"".join(html for _, html in worst_first)}</div>',
+        ),
+    ]
+    write_text(path, page(f"Capture {capture.name}", body))
+
+
+def _draw_card(capture: Recording, overlap: ScanOverlap, index: int) -> tuple[tuple[int, float], str]:
+    """How bad an image is (number of problems, then blur), and its HTML."""
+    name = overlap.names[index]
+    source = capture.scan_images[index]
+    blurred, partners, exposure = (
+        blur(read_grey(source)),
+        overlap.partners[index],
+        overlap.exposures_ev[index],
+    )
+    problems = [
+        words
+        for wrong, words in (
+            (overlap.isolated[index], "overlaps with none of the others"),
+            (not overlap.isolated[index] and partners < MIN_PARTNERS, "overlaps with one other image only"),
+            (abs(exposure) > MAX_EXPOSURE_EV, "exposed otherwise"),
+            (blurred > BLURRED, "blurred"),
+            (name in overlap.repeated, f"shows the same as {overlap.repeated.get(name)}"),
+        )
+        if wrong
+    ]
+    prompts = [prompt for prompt in capture.prompts if prompt.image == name]
+    image = jpeg_url(_draw_prompts(read_image(source), prompts), 85)
+    verdict = f'<span class="poor">{text(", ".join(problems))}</span>' if problems else "fine"
+    marked = f"; marked: {', '.join(sorted({prompt.part for prompt in prompts}))}" if prompts else ""
+    html = (
+        f'<figure class="card"><img src="{image}" alt="{text(name)}"><figcaption><b>{text(name)}</b> {verdict}<br>'
+        f'<span class="dim">blur {blurred:.2f}, overlaps with {partners}, exposure {exposure:+.2f} EV{text(marked)}</span>'
+        "</figcaption></figure>"
+    )
+    return (len(problems), blurred), html
+
+
+def _draw_prompts(image: NDArray[np.uint8], prompts: Sequence[Prompt]) -> NDArray[np.uint8]:
+    """A thumbnail with boxes and points."""
+    height, width = image.shape[:2]
+    scale = THUMBNAIL_PX / width
+    canvas = Image.fromarray(resize(image, THUMBNAIL_PX, round(scale * height)))
+    pen = ImageDraw.Draw(canvas)
+    for prompt in prompts:
+        color = COLORS[prompt.part]
+        if len(prompt.box):
+            pen.rectangle([scale * value for value in prompt.box.tolist()], outline=color, width=2)
+        for x, y, on in (prompt.points * [scale, scale, 1]).tolist():
+            pen.ellipse([x - 3, y - 3, x + 3, y + 3], fill=color if on else None, outline=(255, 255, 255))
+    return np.asarray(canvas)
+
+
+def _draw_matrix(overlap: ScanOverlap) -> NDArray[np.uint8]:
+    """Confirmed matches of all pairs as grey levels (H, W, 3)."""
+    grey = np.clip(255 * overlap.matches / MANY_MATCHES, 0, 255).astype(np.uint8)
+    factor = max(1, MATRIX_PX // len(grey))
+    return np.repeat(np.kron(grey, np.ones((factor, factor), np.uint8))[..., None], 3, axis=2)

@@ -1,0 +1,162 @@
+"""Which scan images see the same surfaces: a quick match of small images, before any reconstruction."""
+
+import tempfile
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Final
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse.csgraph import connected_components
+
+from aomgen.capture.scan_images import read_grey
+from aomgen.conventions import linear_from_srgb
+from aomgen.core.values import Array, freeze_arrays
+from aomgen.structure.mapping import ImageSet, Workspace
+from aomgen.structure.outlier_rejection import duplicates
+from aomgen.structure.sparse_model import Pair
+
+# Features of an image: 64 images take about ten seconds on two cores.
+MAX_FEATURES: Final = 512
+# SIFT contrast threshold, as in the reconstruction.
+PEAK_THRESHOLD: Final = 0.0035
+# All pairs up to so many images; of longer scans, neighbours and a coarse grid.
+EXHAUSTIVE_LIMIT: Final = 70
+# Two images overlap if geometry confirms so many matches, as in COLMAP's mapper.
+MIN_MATCHES: Final = 15
+# A surface is reconstructed from three views.
+MIN_PARTNERS: Final = 2
+# Images whose overlap is brighter or darker than in others by half an aperture stop; a phone that is locked stays within 0.1.
+MAX_EXPOSURE_EV: Final = 0.5
+# Pixels darker or brighter than this say nothing about exposure, [grey levels].
+DARK, BRIGHT = 12.0, 243.0
+# Sweeps over all images, in which exposures settle.
+SWEEPS: Final = 10
+# Names in one sentence.
+SHOWN_NAMES = 5
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ScanOverlap:
+    """How the images of a scan overlap.
+
+    Attributes:
+        names: N names.
+        matches: (N, N) confirmed matches of each pair, symmetric.
+        exposures_ev: (N,) brightness of the same surfaces against that in the other images, [EV].
+        repeated: Images that show nothing but what another one shows, and that one.
+    """
+
+    names: tuple[str, ...]
+    matches: Annotated[NDArray[np.int32], "N N"]
+    exposures_ev: Annotated[Array, "N"]
+    repeated: dict[str, str]
+
+    __post_init__ = freeze_arrays
+
+    @property
+    def partners(self) -> NDArray[np.int64]:
+        """(N,) number of images that each one overlaps with."""
+        return (self.matches >= MIN_MATCHES).sum(1)
+
+    @property
+    def isolated(self) -> NDArray[np.bool_]:
+        """Which images (N,) are not connected to the largest group of overlapping images."""
+        _, groups = connected_components(self.matches >= MIN_MATCHES, directed=False)
+        return groups != np.bincount(groups).argmax()
+
+    def list_warnings(self) -> list[str]:
+        """Sentences about isolated, weakly connected, repeated and differently exposed images."""
+        isolated = self.isolated
+        weak = ~isolated & (self.partners < MIN_PARTNERS)
+        jumps = np.abs(self.exposures_ev) > MAX_EXPOSURE_EV
+        found = (
+            (
+                isolated,
+                "overlap with no image of the others",
+                "they will be dropped; record images in between",
+            ),
+            (weak, "overlap with one other image only", "record images beside them"),
+            (jumps, "are exposed otherwise than the images around them", "lock exposure and white balance"),
+            (
+                np.isin(self.names, list(self.repeated)),
+                "show the same as another one",
+                "they add nothing",
+            ),
+        )
+        return [
+            f"{which.sum()} of {len(self.names)} scan images {what} ({self._list_names(which)}): {remedy}"
+            for which, what, remedy in found
+            if which.any()
+        ]
+
+    def _list_names(self, which: NDArray[np.bool_]) -> str:
+        names = [name for name, chosen in zip(self.names, which, strict=True) if chosen]
+        more = f", {len(names) - SHOWN_NAMES} more" if len(names) > SHOWN_NAMES else ""
+        return ", ".join(names[:SHOWN_NAMES]) + more
+
+
+def measure_overlap(images: Sequence[Path]) -> ScanOverlap:
+    """Match small copies of a scan's images, which have one size.
+
+    Returns:
+        Confirmed matches of each pair; pairs of a long scan that were not tried count as none.
+
+    Raises:
+        MalformedFileError: An image is damaged.
+
+    Not checked: whether matches lead to a reconstruction; a mirror or a repeated pattern connects images as well.
+    """
+    names = tuple(path.name for path in images)
+    greys = [read_grey(path) for path in images]
+    with tempfile.TemporaryDirectory(prefix="aomgen-overlap-") as folder:
+        work = Workspace(folder=Path(folder), seed=0)
+        colored = (np.repeat(grey.astype(np.uint8)[..., None], 3, axis=2) for grey in greys)
+        items = iter(zip(names, colored, strict=True))
+        work.extract(ImageSet(group="scan", images=items, intrinsics=None), MAX_FEATURES, PEAK_THRESHOLD)
+        work.match(EXHAUSTIVE_LIMIT)
+        pairs = work.pairs("scan", work.lens("scan"))
+    order = {name: index for index, name in enumerate(names)}
+    matches = np.zeros((len(names), len(names)), np.int32)
+    ratios = np.full(matches.shape, np.nan)
+    for pair in pairs:
+        a, b = order[pair.a], order[pair.b]
+        matches[a, b] = matches[b, a] = len(pair.pixels_a)
+        if len(pair.pixels_a) >= MIN_MATCHES:
+            ratios[a, b] = _compare_exposures(pair, greys[a], greys[b])
+            ratios[b, a] = -ratios[a, b]
+    return ScanOverlap(
+        names=names,
+        matches=matches,
+        exposures_ev=_solve_exposures(ratios),
+        repeated=duplicates(pairs, set()),
+    )
+
+
+def _solve_exposures(ratios_ev: Array) -> Array:
+    """Exposures (N,) that explain the ratios (N, N) of pairs, NaN where there is none; the median image has 0.
+
+    Each image in turn takes the median of what its partners say of it: coordinate descent of the sum of absolute errors.
+    """
+    exposures = np.zeros(len(ratios_ev))
+    for _ in range(SWEEPS):
+        for image, known in enumerate(np.isfinite(ratios_ev)):
+            if known.any():
+                exposures[image] = np.median(ratios_ev[image, known] + exposures[known])
+        exposures -= np.median(exposures)
+    return exposures
+
+
+def _compare_exposures(pair: Pair, grey_a: NDArray[np.float32], grey_b: NDArray[np.float32]) -> float:
+    """How much brighter a pair's first image shows the matched surfaces, median, [EV]; 0 where all are dark or blown."""
+    seen = []
+    for grey, pixels in ((grey_a, pair.pixels_a), (grey_b, pair.pixels_b)):
+        height, width = grey.shape
+        columns, rows = np.clip(pixels.astype(int), 0, [width - 1, height - 1]).T
+        seen.append(grey[rows, columns])
+    usable = np.all([(values > DARK) & (values < BRIGHT) for values in seen], axis=0)
+    if not usable.any():
+        return 0.0
+    bright_a, bright_b = (linear_from_srgb(values[usable] / 255.0) for values in seen)
+    return float(np.median(np.log2(bright_a / bright_b)))
