@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from aomgen.core.camera import Camera
+from aomgen.core.demonstration import SceneTrajectory
 from aomgen.core.episode import NEW_CAMERA
 from aomgen.core.plan import FittedAsset
-from aomgen.core.trajectory import SceneTrajectory
 from aomgen.core.transforms import transform
 from aomgen.core.values import Array
 from aomgen.episodes.render import render_episode, static_layers

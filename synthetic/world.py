@@ -22,7 +22,7 @@ from aomgen.errors import ConfigError
 from aomgen.io.artifact import save_artifact
 from aomgen.io.atomic import stage_folder, write_bytes, write_json, write_text
 from aomgen.io.images import encode_jpeg, encode_png
-from aomgen.io.robot_xml import read_robot_xml
+from aomgen.io.mujoco_model import read_robot_xml
 from aomgen.io.video import encode_video
 from aomgen.robots.description import robot_references
 from aomgen.robots.loading import copy_robot_files, load_robot

@@ -10,9 +10,9 @@ from typing import Annotated
 import numpy as np
 from numpy.typing import NDArray
 
+from aomgen.core.boxes import fit_plane
 from aomgen.core.camera import Camera
 from aomgen.core.least_squares import Kernel
-from aomgen.core.planes import fit_plane
 from aomgen.core.transforms import apply, matrix_from_rotvec, similarity
 from aomgen.core.values import Array, freeze_arrays
 

@@ -19,8 +19,7 @@ from aomgen.core.transforms import apply, matrix_from_quat, transform
 from aomgen.core.values import Array
 from aomgen.errors import AssetError
 from aomgen.io.geom_surface import SHOWN_GROUPS, find_visible_geoms, geom_surface
-from aomgen.io.mujoco_model import LEAST_INERTIA, LEAST_MASS, compile_model, parse_spec
-from aomgen.io.robot_xml import read_robot_xml
+from aomgen.io.mujoco_model import LEAST_INERTIA, LEAST_MASS, compile_model, parse_spec, read_robot_xml
 
 # Folders above a model's own that may hold its meshes: `../meshes`, `package://cabinet/meshes` from `cabinet/urdf`.
 ROOT_LEVELS: Final = 2

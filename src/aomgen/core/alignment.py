@@ -1,4 +1,4 @@
-"""What calibration gives: the similarity between reconstruction and world, fixed cameras, and their clocks."""
+"""Result of the calibration: the similarity between reconstruction and world, fixed cameras, and their clocks."""
 
 from dataclasses import dataclass, field
 from typing import Annotated
@@ -20,7 +20,7 @@ class Clock:
         sd_s: Standard deviation of the offset, [s]; 0 when it was given.
         rate: Drift; 0.01 is a log that counts 1.01 s while the video counts 1 s.
         rate_sd: Its standard deviation.
-        middle_s: Video time about which the drift is told, [s].
+        middle_s: Video time at which `rate` contributes nothing, [s].
     """
 
     offset_s: float
@@ -88,8 +88,8 @@ class Alignment:
         residual_px: Median distance of confirmed outline points from image edges.
         residual_px_of_view: The same for each view that shows enough robot.
         ee_sd_m: Standard deviation of the end effector.
-        joint_zeros_rad: What to add to each joint of the log (J,), see `calibrate_fixed_cameras`; 0 where
-            nothing speaks for it, empty before that was looked at.
+        joint_zeros_rad: Offset to add to each joint of the log (J,), see `calibrate_fixed_cameras`; 0 without
+            evidence for one, empty before it was estimated.
         joint_zero_sds_rad: Standard deviations.
         cameras: Fixed cameras by name; empty before they were calibrated.
     """

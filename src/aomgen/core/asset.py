@@ -41,7 +41,7 @@ class BoxCollider:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AssetLink:
-    """One rigid part: what is seen and what is touched, both in the asset frame at value 0."""
+    """One rigid part: visible meshes and colliders, both in the asset frame at joint value 0."""
 
     name: str
     meshes: tuple[Mesh, ...]
@@ -95,8 +95,8 @@ class ArticulatedAsset:
         joint: Axis positive in the opening direction, asset frame.
         handle_point: Where a gripper holds, (3,): the grasped middle of the handle.
         handle_axis: Unit direction (3,) along the handle's bar.
-        credit: Who made it and under which licence, where that must be said.
-        notes: Sentences about what was assumed when it was read from a foreign file.
+        credit: Author and licence, where attribution is required.
+        notes: Assumptions that were made when it was read from a foreign file, one sentence each.
     """
 
     name: str

@@ -107,7 +107,7 @@ class Camera:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CameraPath:
-    """A camera that moves: the optics of `camera`, whose own pose counts for nothing, and its pose at T frames."""
+    """A camera that moves: the optics of `camera`, whose own pose is ignored, and its pose at T frames."""
 
     camera: Camera
     Ts_world_cam: Annotated[Array, "T 4 4"]
@@ -119,7 +119,7 @@ class CameraPath:
         return self.camera.move(self.Ts_world_cam[frame])
 
     def batches(self, size: int) -> "list[CameraPath]":
-        """It in parts of so many frames; the last may be shorter."""
+        """Split the path into parts of `size` frames; the last may be shorter."""
         starts = range(0, len(self.Ts_world_cam), size)
         return [replace(self, Ts_world_cam=self.Ts_world_cam[k : k + size]) for k in starts]
 

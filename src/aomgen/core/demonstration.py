@@ -1,16 +1,15 @@
-"""The recorded demonstration as later stages use it: hand, object and support in the world frame."""
+"""Trajectories of arm and object; the recorded demonstration, its object and support, in the world frame."""
 
-from dataclasses import dataclass
-from typing import Annotated
+from dataclasses import dataclass, fields, replace
+from typing import Annotated, Protocol, Self
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from aomgen.core.boxes import OrientedBox
 from aomgen.core.camera import Camera
 from aomgen.core.joint import Joint
 from aomgen.core.light import Light
-from aomgen.core.trajectory import Trajectory
 from aomgen.core.values import Array, Matrix4, Vector3, freeze_arrays
 
 # Smallest change of the gripper that is a grasp: fingers that reach under a lid are hardly open before.
@@ -19,16 +18,81 @@ MIN_GRASP = 0.05
 OPEN = 0.03
 
 
+class Kinematics(Protocol):
+    """An arm whose end effector poses follow from its joints."""
+
+    def ee_poses(self, joints: ArrayLike) -> Array:
+        """Poses (T, 4, 4) at joints (T, J)."""
+        ...
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Trajectory:
+    """T samples of an arm of J joints, its gripper, and the joint of the object.
+
+    Attributes:
+        times_s: (T,), rising, [s].
+        joints: Of the arm (T, J), [rad] or [m].
+        gripper: (T,), 0 open .. 1 closed.
+        thetas: Of the object (T,), [rad] or [m].
+
+    Example:
+        >>> path = Trajectory(times_s=[0, 1], joints=[[0.0], [2.0]], gripper=[0, 1], thetas=[0, 0])
+        >>> path.at([0.25]).joints.tolist()
+        [[0.5]]
+        >>> len(path[1:])
+        1
+    """
+
+    times_s: Annotated[Array, "T"]
+    joints: Annotated[Array, "T J"]
+    gripper: Annotated[Array, "T"]
+    thetas: Annotated[Array, "T"]
+
+    __post_init__ = freeze_arrays
+
+    def __len__(self) -> int:
+        return len(self.times_s)
+
+    def __getitem__(self, rows: slice | NDArray[np.int64] | NDArray[np.bool_]) -> Self:
+        """Select samples; a value of a derived class keeps fields that are not arrays over time."""
+        over_time = [field.name for field in fields(self) if _is_over_time(field.type)]
+        return replace(self, **{name: getattr(self, name)[rows] for name in over_time})
+
+    def at(self, times_s: ArrayLike) -> "Trajectory":
+        """The samples at times (N,), linear between and constant beyond the recorded ones."""
+        times = np.asarray(times_s, np.float64)
+        columns = np.column_stack([self.joints, self.gripper, self.thetas])
+        values = np.stack([np.interp(times, self.times_s, column) for column in columns.T], 1)
+        return Trajectory(times_s=times, joints=values[:, :-2], gripper=values[:, -2], thetas=values[:, -1])
+
+    def ee_poses(self, robot: Kinematics) -> Array:
+        """End effector poses (T, 4, 4), world frame."""
+        return robot.ee_poses(self.joints)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SceneTrajectory(Trajectory):
+    """A trajectory with the object's pose (4, 4), world frame: everything that an image depends on."""
+
+    T_world_object: Matrix4
+
+
+def _is_over_time(declared: object) -> bool:
+    """Return whether a field's annotation marks its first axis as time."""
+    return str(next(iter(getattr(declared, "__metadata__", ("",))))).split()[:1] == ["T"]
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Demonstration(Trajectory):
-    """What the robot and the object's part did, sampled at a constant rate; times are on the video's clock.
+    """Recorded motion of the robot and of the object's part, sampled at a constant rate on the video's clock.
 
     Attributes:
         Ts_world_ee: End effector poses (T, 4, 4).
         start_s, end_s: When the part began and ceased to move.
         joint: World frame; 0 is the scanned state, axis positive in the demonstrated direction.
-        grasp_ee: Point of the part that the hand holds (3,), end effector frame, [m].
-        ee_turn_ratio: Turn of the hand over turn of the part during contact.
+        grasp_ee: Grasped point of the part (3,), end effector frame, [m].
+        ee_turn_ratio: Rotation of the end effector over rotation of the part during contact.
     """
 
     Ts_world_ee: Annotated[Array, "T 4 4"]
@@ -68,11 +132,11 @@ class Timing:
 
 
 def gripper_command(demo: Demonstration, opened_most: float = 1.0) -> Array:
-    """The command of the gripper (T,), 0..1, from what was measured.
+    """The command of the gripper (T,), 0..1, from its measured opening.
 
     A gripper that holds a bar stalls before it is closed, so the level it stalls at counts as
     1; the level it comes with stays, or is `opened_most` where that is more open. A demonstration that closes nothing
-    keeps what was measured.
+    keeps the measured values.
     """
     opened, share = _closing(demo)
     if opened is None:
@@ -95,7 +159,7 @@ def _closing(demo: Demonstration) -> tuple[float | None, Array]:
 
 
 def timing(demo: Demonstration) -> Timing:
-    """When the hand closes, pulls, opens and leaves."""
+    """Find the moments at which the gripper closes, pulls, opens and leaves."""
     times = demo.times_s - demo.times_s[0]
     _, share = _closing(demo)
     start, end = demo.start_s - demo.times_s[0], demo.end_s - demo.times_s[0]
@@ -126,13 +190,13 @@ class SupportPlane:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class EpisodeScene:
-    """What all episodes of a run share.
+    """Scene that all episodes of a run share.
 
     Attributes:
         support: The table that objects are put on.
-        obstacles: What else stands within the robot's reach.
+        obstacles: Other objects within the robot's reach.
         T_world_plane: Its surface (4, 4), on which shadows fall.
-        light: What new objects are lit by.
+        light: Light on new objects.
         light_source: Where the light comes from, in words.
         cameras: Of the episodes' images, world frame, by name.
     """
@@ -154,7 +218,7 @@ class RecordedObject:
     Attributes:
         moving_points_world: Surface of the moving part (N, 3), [m].
         static_points_world: Surface of the static part (M, 3), [m].
-        support: What the object stands on.
+        support: The plane under the object.
     """
 
     moving_points_world: Annotated[Array, "_ 3"]

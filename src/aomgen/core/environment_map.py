@@ -1,4 +1,4 @@
-"""Light from all around as an equirectangular picture, such as an HDRI."""
+"""Light from all directions as an equirectangular image, such as an HDRI."""
 
 from dataclasses import dataclass
 from typing import Annotated
@@ -39,7 +39,7 @@ class EnvironmentMap:
         """Its first nine harmonics."""
         height, width = self.radiance_linear.shape[:2]
         longitudes, sh = _longitudes(width), np.zeros((9, 3))
-        # Row by row: the basis of a whole picture would take gigabytes.
+        # Row by row: the basis of a whole image would take gigabytes.
         for row, polar, solid_angle in zip(
             self.radiance_linear, _polar_angles(height), self.solid_angles, strict=True
         ):

@@ -8,13 +8,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from aomgen.core.camera import Camera
+from aomgen.core.demonstration import SceneTrajectory
 from aomgen.core.joint import Joint
-from aomgen.core.trajectory import SceneTrajectory
 from aomgen.core.values import Array, freeze_arrays
 
 PHASES: Final = ("approach", "contact", "retreat")
 FINGERS: Final = ("left", "right")
-# Camera of an episode beside the recorded one.
+# Camera of an episode in addition to the recorded one.
 NEW_CAMERA: Final = "side"
 
 
@@ -41,7 +41,7 @@ class ContactLog:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Episode(SceneTrajectory):
-    """Everything about one demonstration except its pictures.
+    """Everything about one demonstration except its images.
 
     T frames at a constant rate, J arm joints. The plain fields are what the robot has reached at
     frame t; "action" at frame t is what it shall reach at frame t + 1, and at the last frame where it
@@ -63,8 +63,8 @@ class Episode(SceneTrajectory):
         contacts: Finger contacts.
         joint: The object's joint, world frame, at this episode's object pose.
         cameras: Camera of each video, by name; one that moves is at its first pose.
-        verdict: What verification measured; plain JSON values.
-        simulation: What verification assumed about object and control; plain JSON values.
+        verdict: Results of the verification; plain JSON values.
+        simulation: Assumptions of the verification about object and control; plain JSON values.
         camera_poses: Poses T_world_cam (T, 4, 4) of the cameras that move, by name.
     """
 

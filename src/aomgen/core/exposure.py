@@ -1,7 +1,5 @@
 """Exposure and white balance: one gain for each channel in linear light."""
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -13,17 +11,17 @@ from aomgen.core.values import Array
 _DARK, _BRIGHT = 0.08, 0.92
 # Gain beyond which something else than exposure is at work.
 _MAX_GAIN = 4.0
-# Frames that make the common picture, evenly over the video, and every n-th pixel: enough for medians.
+# Frames of the median image, evenly over the video, and every n-th pixel: enough for medians.
 _SAMPLES, _STRIDE = 15, 3
-# A frame whose rest differs this many times more than usual from the common picture is a bad one, if it is by
+# A frame whose rest differs this many times more than usual from the median image is a bad one, if it is by
 # more than noise and compression, 8 bit.
 _BAD, _NOISE = 6.0, 3.0
 
 
-def fit_gains(seen_srgb: NDArray[np.floating], wanted_srgb: NDArray[np.floating]) -> Array:
-    """Gains (3,) that bring seen colors (N, 3) to wanted ones, 0..1, by the median; 1 where none can be compared."""
-    lower, upper = np.minimum(seen_srgb, wanted_srgb), np.maximum(seen_srgb, wanted_srgb)
-    ratios = linear_from_srgb(wanted_srgb) / np.maximum(linear_from_srgb(seen_srgb), 1e-3)
+def fit_gains(seen_srgb: NDArray[np.floating], target_srgb: NDArray[np.floating]) -> Array:
+    """Gains (3,) from seen colors (N, 3) to target colors, 0..1, by the median; 1 where none can be compared."""
+    lower, upper = np.minimum(seen_srgb, target_srgb), np.maximum(seen_srgb, target_srgb)
+    ratios = linear_from_srgb(target_srgb) / np.maximum(linear_from_srgb(seen_srgb), 1e-3)
     gains, known = compute_masked_median(ratios, (lower > _DARK) & (upper < _BRIGHT))
     return np.where(known, np.clip(gains, 1 / _MAX_GAIN, _MAX_GAIN), 1.0).astype(np.float64)
 
@@ -39,30 +37,20 @@ def change_exposure(image_srgb: NDArray[np.uint8], gains: Array) -> NDArray[np.u
     return np.rint(255 * table).astype(np.uint8)[image_srgb, np.arange(3)]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class MatchedFrames:
-    """A video at one exposure.
-
-    Attributes:
-        frames_srgb: (T, H, W, 3) uint8.
-        bad: Frames (T,) that show something else than the others: drop-outs, flashes, cuts.
-    """
-
-    frames_srgb: NDArray[np.uint8]
-    bad: NDArray[np.bool_]
-
-
 def match_frames(
     frames_srgb: NDArray[np.uint8], hidden: NDArray[np.bool_], region: NDArray[np.bool_]
-) -> MatchedFrames:
-    """Bring every frame of a fixed camera to the exposure of the video's median picture, by what stands still.
+) -> tuple[NDArray[np.uint8], NDArray[np.bool_]]:
+    """Bring every frame of a fixed camera to the exposure of the video's median image, by the static scene.
 
     Args:
         frames_srgb: (T, H, W, 3).
         hidden: Where the robot is (T, H, W).
-        region: Where the part is at its scanned place (H, W).
+        region: Where the part is at its scanned pose (H, W).
 
-    Not checked: that the standing scene fills more than half of the picture.
+    Returns:
+        Frames (T, H, W, 3), and a mask (T,) of those with another content than the others: drop-outs, flashes, cuts.
+
+    Not checked: that the static scene fills more than half of the image.
     """
     still = ~region[::_STRIDE, ::_STRIDE]
     colors = frames_srgb[:, ::_STRIDE, ::_STRIDE][:, still]
@@ -78,4 +66,4 @@ def match_frames(
         if shown.any():
             left = change_exposure(colors[k, shown], gains) - common[shown]
             errors[k] = np.median(np.abs(left).max(-1))
-    return MatchedFrames(frames_srgb=matched, bad=errors > max(_BAD * float(np.median(errors)), _NOISE))
+    return matched, errors > max(_BAD * float(np.median(errors)), _NOISE)

@@ -1,7 +1,7 @@
 """Nonlinear least squares over a list of terms.
 
 A term is one kind of evidence: residuals in their own unit, and the standard deviation of one residual in
-that unit. What it weighs against other evidence follows from that alone.
+that unit, which alone determines its weight against other evidence.
 """
 
 from collections.abc import Callable, Sequence
@@ -15,7 +15,7 @@ from aomgen.core.values import Array
 StateT = TypeVar("StateT")
 # Step of central differences, in the unit of an unknown: near the cube root of the machine's precision.
 _STEP = 1e-6
-# First damping of Levenberg and Marquardt: next to none, starts are near the answer.
+# First damping of Levenberg and Marquardt: next to none, starts are near the solution.
 _DAMPING = 1e-6
 # Damping with which a refused step is as short as rounding, so that the descent ends.
 _MAX_DAMPING = 1e8
@@ -135,10 +135,10 @@ def solve(
     return Solution(state=state, normals={term.name: own for term, own in zip(terms, normals, strict=True)})
 
 
-def jackknife_covariance(answers: Array) -> Array:
-    """Covariance (d, d) from n answers (n, d), each without one of n groups. Source: Tukey, 1958."""
-    apart = answers - answers.mean(0)
-    return (len(answers) - 1) / len(answers) * apart.T @ apart
+def jackknife_covariance(estimates: Array) -> Array:
+    """Covariance (d, d) from n estimates (n, d), each without one of n groups. Source: Tukey, 1958."""
+    apart = estimates - estimates.mean(0)
+    return (len(estimates) - 1) / len(estimates) * apart.T @ apart
 
 
 def _cost(terms: Sequence[ResidualTerm[StateT]], residuals: Sequence[Array]) -> float:

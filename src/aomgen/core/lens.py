@@ -1,7 +1,7 @@
-"""A camera's optics with lens distortion, the pinhole camera that straightened images have, and straightening them."""
+"""A camera's optics with lens distortion, the pinhole camera of undistorted images, and undistortion."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -44,12 +44,12 @@ class Lens:
 
     @property
     def bends(self) -> bool:
-        """Whether there is any distortion."""
+        """True with any distortion."""
         return any((self.k1, self.k2, self.p1, self.p2))
 
     @property
     def valid(self) -> bool:
-        """Whether the distortion can be undone everywhere in the image (no folding back)."""
+        """True if the distortion can be inverted everywhere in the image (no folding back)."""
         rays = self.rays(_border(self.width, self.height))
         if not np.all(np.isfinite(rays)):
             return False
@@ -65,17 +65,17 @@ class Lens:
 
     def rays(self, pixels: ArrayLike) -> Array:
         """Viewing rays (N, 2), as x/z, y/z, of image points (N, 2), [px]."""
-        wanted = (np.asarray(pixels, np.float64) - [self.cx, self.cy]) / [self.fx, self.fy]
-        rays = wanted.copy()
+        bent = (np.asarray(pixels, np.float64) - [self.cx, self.cy]) / [self.fx, self.fy]
+        rays = bent.copy()
         if self.bends:
             for _ in range(NEWTON_STEPS):
-                rays = rays - np.einsum("nij,nj->ni", self._inverse_slope(rays), self._bent(rays) - wanted)
+                rays = rays - np.einsum("nij,nj->ni", self._inverse_slope(rays), self._bent(rays) - bent)
         return rays
 
     def straight(self) -> "Lens":
-        """The pinhole optics of the straightened image, of the same size.
+        """The pinhole optics of the undistorted image, of the same size.
 
-        The smallest magnification at which every pixel of the straightened image was
+        The smallest magnification at which every pixel of the undistorted image was
         photographed; the principal point stays.
         """
         if not self.bends:
@@ -88,17 +88,10 @@ class Lens:
             self.cy / (self.fy * -top[:, 1].max()),
             (self.height - self.cy) / (self.fy * bottom[:, 1].min()),
         )
-        return Lens(
-            fx=scale * self.fx,
-            fy=scale * self.fy,
-            cx=self.cx,
-            cy=self.cy,
-            width=self.width,
-            height=self.height,
-        )
+        return replace(self, fx=scale * self.fx, fy=scale * self.fy, k1=0.0, k2=0.0, p1=0.0, p2=0.0)
 
     def pinhole_camera(self, T_world_cam: ArrayLike) -> Camera:
-        """The camera of the straightened images at a pose (4, 4)."""
+        """The camera of the undistorted images at a pose (4, 4)."""
         straight = self.straight()
         return Camera(
             fx=straight.fx,
@@ -111,17 +104,17 @@ class Lens:
         )
 
     def undistort(self, pixels: ArrayLike) -> Array:
-        """Where image points (N, 2) lie in the straightened image, [px]."""
+        """Positions (N, 2) of image points (N, 2) in the undistorted image, [px]."""
         return self.straight().pixels(self.rays(pixels)) if self.bends else np.array(pixels, np.float64)
 
     def source_pixels(self) -> Array:
-        """For every pixel of the straightened image, the point (height, width, 2) it was photographed at."""
+        """Source point (height, width, 2) of every pixel of the undistorted image."""
         u, v = np.meshgrid(np.arange(self.width) + 0.5, np.arange(self.height) + 0.5)
         centres = np.stack([u.ravel(), v.ravel()], 1)
         return self.pixels(self.straight().rays(centres)).reshape(self.height, self.width, 2)
 
     def largest_shift_px(self) -> float:
-        """How far the distortion moves a point of the image's border, at most, [px]."""
+        """Largest shift by the distortion on the image's border, [px]."""
         border = _border(self.width, self.height)
         plain = self.rays(border) * [self.fx, self.fy] + [self.cx, self.cy]
         return float(np.linalg.norm(plain - border, axis=1).max())

@@ -1,4 +1,4 @@
-"""Triangle meshes with an optional texture and maps of what else a material says."""
+"""Triangle meshes with an optional texture and maps of other material parameters."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from aomgen.core.transforms import apply
 from aomgen.core.values import Array, Vector3, freeze_arrays
 
-# What a map may say instead of the number of that name, and the map that bends normals in the plane of the texture coordinates.
+# Parameters that a map of the same name may replace, and the map of normals in the plane of the texture coordinates.
 NUMBERS: Final = ("opacity", "roughness", "metallic")
 NORMAL_MAP: Final = "normal"
 
@@ -48,7 +48,7 @@ class Mesh:
 
     @property
     def see_through(self) -> bool:
-        """Whether something behind it shows."""
+        """True if it is partly transparent."""
         return self.opacity < 1
 
     def transform(self, S: ArrayLike) -> "Mesh":

@@ -1,4 +1,4 @@
-"""What the demonstration tells about the object: when, where and how its part moved."""
+"""The estimated motion of the object's part: joint, values over time, contacts."""
 
 from dataclasses import dataclass
 from typing import Annotated, Literal
@@ -14,7 +14,7 @@ Direction = Literal["opening", "closing"]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ContactPatch:
-    """Where one finger touched the moving part when the motion began.
+    """Contact of one finger with the moving part when the motion began.
 
     Attributes:
         finger: "left", "right", "palm"; "hand" where the fingers are not known.
@@ -68,7 +68,7 @@ class MotionEstimate:
         start_s, end_s: First and last time the part moves.
         curve: The evidence for start and end.
         contacts: One patch a finger that touched.
-        grasp_ee: The point of the part that the hand holds (3,), end-effector frame, [m].
+        grasp_ee: Grasped point of the part (3,), end-effector frame, [m].
         joint: Value 0 is the scanned state, axis positive in the demonstrated direction.
         axis_sd_rad: Standard deviation of the axis direction, [rad].
         origin_sd_m: Standard deviation of the axis line where it passes the contact, [m].
@@ -81,9 +81,9 @@ class MotionEstimate:
         times_s: Video frame times (T,).
         thetas: Joint value at each (T,), [rad] or [m].
         theta_sd: Standard deviation (T,), same unit.
-        slip_m: How far the held point has slid along the part since the start (T,), [m]; 0 outside the motion.
-        pivot_rad: How far the hand has turned against the part since the start (T,), [rad]; likewise.
-        direction: Whether the part ends more open than it was scanned, or more closed.
+        slip_m: Slip of the grasped point along the part since the start (T,), [m]; 0 outside the motion.
+        pivot_rad: Rotation of the end effector relative to the part since the start (T,), [rad]; likewise.
+        direction: "opening" when the part ends more open than it was scanned, else "closing".
         part_odds: How many times better contact and video fit the prompted part than anything else.
     """
 

@@ -1,4 +1,4 @@
-"""Which part of the scene each Gaussian belongs to, and the points of a part."""
+"""The part of the scene that each Gaussian belongs to, and the points of a part."""
 
 from dataclasses import dataclass
 from typing import Annotated, Final
@@ -49,8 +49,6 @@ def no_cut(gaussians: Gaussians) -> Cut:
 
 # Boxes explained worse than this (5 % of the box a side) are worth a warning.
 DOUBTED_MISFIT = 0.2
-
-
 # Labels that overlap with the prompts' masks less than this (IoU) are worth a warning: on eleven captures
 # they overlapped with the true part by .40 to .83, all others by more.
 DOUBTED_AGREEMENT = 0.6

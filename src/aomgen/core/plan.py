@@ -1,4 +1,4 @@
-"""Values on the way from a fitted asset to a verified episode."""
+"""Values between a fitted asset and a verified episode."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from aomgen.core.asset import ArticulatedAsset
+from aomgen.core.demonstration import SceneTrajectory, Trajectory
 from aomgen.core.episode import ContactLog
-from aomgen.core.trajectory import SceneTrajectory, Trajectory
 from aomgen.core.transforms import apply, matrix_from_rotvec, transform
 from aomgen.core.values import Array, Matrix4, Vector3, freeze_arrays
 from aomgen.core.verdict import Verdict
@@ -17,7 +17,7 @@ from aomgen.core.verdict import Verdict
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Rejection:
-    """Why a variation gave no episode; stored and counted, never raised.
+    """Reason why a variation gave no episode; stored and counted, never raised.
 
     Attributes:
         reason: Short key, for example "unreachable" or "collision".
@@ -45,7 +45,7 @@ class FittedAsset:
     Attributes:
         asset: After scaling (and mirroring), in its own frame.
         T_world_asset: Rigid pose (4, 4) that takes the recorded object's place.
-        contact_asset: Where the hand holds, part closed (3,), asset frame, [m].
+        contact_asset: Grasp point with the part closed (3,), asset frame, [m].
         shares: (K,), 0..1: time since the part began to move over the time it moved.
         thetas: Joint value (K,) at each share, [rad] or [m]: rising from 0, or falling to 0 where the part is closed.
         scale: Applied to the asset.
@@ -84,11 +84,11 @@ class FittedAsset:
 
     @property
     def travel(self) -> float:
-        """How far the part is moved, signed, positive where it is opened, [rad] or [m]."""
+        """Planned change of the joint value, positive where the part is opened, [rad] or [m]."""
         return self.target_theta - self.start_theta
 
     def backwards(self) -> "FittedAsset":
-        """The same motion the other way round in time."""
+        """The same motion reversed in time."""
         return replace(self, shares=1 - self.shares[::-1], thetas=self.thetas[::-1])
 
     def theta_at(self, shares: ArrayLike) -> Array:
@@ -98,10 +98,10 @@ class FittedAsset:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LightChange:
-    """How the light of an episode differs from the recorded one.
+    """Difference of an episode's light from the recorded one.
 
     Attributes:
-        turn: Of where it comes from, about the vertical, [rad].
+        turn: Rotation of its direction about the vertical, [rad].
         intensity: Factor on linear radiance.
         temperature_k: Color temperature of what was 6500 K in the recording.
     """
@@ -113,7 +113,7 @@ class LightChange:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MaterialChange:
-    """How the colors of a new object's surfaces differ from its textures: turn of the hue [rad], two factors."""
+    """Difference of a new object's colors from its textures: rotation of the hue [rad], two factors."""
 
     hue: float = 0.0
     saturation: float = 1.0
@@ -122,32 +122,32 @@ class MaterialChange:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class OrbitChange:
-    """How a camera is moved about a point: a turn about the vertical and a tilt upwards, [rad], a factor on its distance."""
+    """Motion of a camera about a point: a turn about the vertical and a tilt upwards, [rad], a factor on its distance."""
 
     turn: float = 0.0
     tilt: float = 0.0
     distance: float = 1.0
 
 
-# What x and y of a variation mean: a shift along the world's axes or the object's, or the place in the world.
+# Meaning of x and y of a variation: a shift along the world's axes or the object's, or the position in the world.
 VariationFrame = Literal["world", "object", "polygon"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Variation:
-    """One draw: where the object stands relative to the recorded one, and what else differs from the recording.
+    """One sample: the object's pose relative to the recorded one, and all other differences from the recording.
 
     Attributes:
-        seed, index: Which number of which sequence.
-        x, y: Shift of the object, or where the middle of its footprint stands, see `frame`, [m].
+        seed, index: Sequence, and number in it.
+        x, y: Shift of the object, or position of the middle of its footprint, see `frame`, [m].
         yaw: Turn about the vertical through the middle of the object's footprint, [rad].
-        frame: What x and y mean.
+        frame: Meaning of x and y.
         scale: Factor on the fitted asset's size.
         speed: Factor on the speed of the demonstrated motion.
         start_offset: Added to the arm joints at the start (J,), [rad] or [m]; empty for none.
-        light, material: What is seen otherwise.
-        orbits: Of every camera that is moved.
-        push_m: Largest way by which the hand is pushed off its plan on the way to the object, [m].
+        light, material: Changes of the appearance.
+        orbits: Motion of every camera that is moved.
+        push_m: Largest displacement of the end effector from its plan on the approach, [m].
 
     Example:
         >>> ag.Variation(seed=0, index=0, x=0.1, y=0.0, yaw=0.5).scale
@@ -206,11 +206,11 @@ class EpisodePlan(SceneTrajectory):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class VerifiedEpisode:
-    """A plan and what physics made of it at the nominal setting, at the plan's samples.
+    """A plan and its simulated execution at the nominal setting, at the plan's samples.
 
     Attributes:
-        plan: What was commanded (the actions).
-        reached: By robot and object.
+        plan: The commands (the actions).
+        reached: States of robot and object.
         contacts: Finger contacts on the object.
         verdict: Margins of all settings.
     """

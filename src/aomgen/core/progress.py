@@ -1,4 +1,4 @@
-"""How a long computation tells where it is."""
+"""Progress reports of long computations."""
 
 from collections.abc import Callable
 

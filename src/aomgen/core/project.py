@@ -5,7 +5,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
-# What a project's `light` starts with when it names no file: the scan's own light, and a network's folder.
+# Beginnings of a project's `light` that name no file: the scan's own light, and a network's folder.
 SCAN_LIGHT, DIFFUSION_LIGHT = "scan", "diffusion:"
 # Videos halve the resolution of colors, so their sides are even.
 Side = Annotated[int, Field(ge=64, le=4096, multiple_of=2)]
@@ -19,20 +19,20 @@ class Project(BaseModel):
         out: Folder of the results.
         seed: Seed of everything random from the twin onwards.
         assets: Assets that replace the object, `category:seed`, a USD path, or "original" for the recorded object itself.
-        poses: Verified episodes wanted for each asset.
-        adapt: How asset and motion are brought together; see `replacement.fitting`.
-        light: What lights new objects: "scan", the light found in the scene; the path of an HDRI; or
+        poses: Requested number of verified episodes for each asset.
+        adapt: Method that fits asset and motion to each other; see `replacement.fitting`.
+        light: Light on new objects: "scan", the light found in the scene; the path of an HDRI; or
             "diffusion:FOLDER", see `replacement.diffusion_light`.
         light_yaw_deg: Turn of an HDRI about the vertical, counterclockwise as seen from above.
-        inpainter: Folder of a diffusion pipeline that paints what nobody saw of the table, see
-            `replacement.diffusion_inpainting`; empty for patches of what was seen.
+        inpainter: Folder of a diffusion pipeline that inpaints unobserved regions of the table, see
+            `replacement.diffusion_inpainting`; empty for patches of observed regions.
         image_size: Size of the episodes' images, [px].
         iterations: Training steps.
         gaussians: Cap on the number of Gaussians in the scene.
-        segmenter: What makes masks; see `segmentation.segmenter`.
-        alignment_method: How scan and robot are brought together; "paper" is there to compare with.
-        motion_method: How the part's motion is recovered; "paper" is there to compare with.
-        parts_method: How the object's parts are found; see `parts.label`.
+        segmenter: Source of the masks; see `segmentation.segmenter`.
+        alignment_method: Method that aligns scan and robot; "paper" is the baseline.
+        motion_method: Method that recovers the part's motion; "paper" is the baseline.
+        parts_method: Method that finds the object's parts; see `parts.label`.
         params: Parameters of stages that are not at their defaults, by stage, nested as its dataclasses are.
     """
 
@@ -59,7 +59,7 @@ class Project(BaseModel):
 
     @property
     def networks(self) -> tuple[Path, ...]:
-        """Folders of the diffusion pipelines that a run asks."""
+        """Folders of the diffusion pipelines that a run uses."""
         head, path = split_light(self.light)
         return tuple(Path(name) for name in (path * (head == DIFFUSION_LIGHT), self.inpainter) if name)
 

@@ -1,4 +1,4 @@
-"""What a lab recorded, as checked values: the content of a capture folder."""
+"""The content of a capture folder as checked values."""
 
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -45,14 +45,14 @@ class JointLog:
         return replace(self, times_s=self.times_s - offset_s)
 
     def covers(self, times_s: ArrayLike) -> NDArray[np.bool_]:
-        """Which of the times lie inside the log."""
+        """Mask of the times inside the log."""
         times = np.asarray(times_s, np.float64)
         return (times >= self.times_s[0]) & (times <= self.times_s[-1])
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RobotChoice:
-    """Which robot model the log belongs to, and its state during the scan.
+    """The robot model of the log, and its state during the scan.
 
     Attributes:
         model: A robot known by name, or "" when `model_file` is given.
@@ -98,6 +98,13 @@ class Intrinsics:
     distortion: tuple[float, float, float, float] | None = None
     calibrated: bool = False
 
+    def lens(self, width: int, height: int) -> Lens:
+        """Optics of images of a size, [px], without distortion where none is stated."""
+        k1, k2, p1, p2 = self.distortion or (0.0, 0.0, 0.0, 0.0)
+        return Lens(
+            fx=self.fx, fy=self.fy, cx=self.cx, cy=self.cy, width=width, height=height, k1=k1, k2=k2, p1=p1, p2=p2
+        )  # fmt: skip
+
     @property
     def focal_sd(self) -> float:
         """Standard deviation of the focal length, as a share of it."""
@@ -106,7 +113,7 @@ class Intrinsics:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Prompt:
-    """What a person clicked once on one scan image.
+    """A person's annotation of one part on one scan image.
 
     Attributes:
         part: "robot", "moving" or "static".
@@ -132,7 +139,7 @@ class DemoCamera:
         video: Path of its video.
         intrinsics: Known intrinsics, or None to estimate them.
         T_world_cam: Known hand-eye calibration (4, 4), or None.
-        lens: Bends the video's frames, which are straightened when they are read; None = straight.
+        lens: Distortion of the video's frames, which are undistorted when they are read; None without any.
     """
 
     name: str
@@ -160,7 +167,7 @@ class Recording:
         joint_log: Arm and gripper over the log's clock.
         joint_log_file: Where it was read from.
         clock_offset_s: Known offset (log time = video time + offset), or None.
-        prompts: What a person clicked.
+        prompts: A person's annotations.
         mask_folders: Folders below `masks/`, by name.
         notes: Sentences about what the readers skipped, sorted, merged or unwrapped.
     """

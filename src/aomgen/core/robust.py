@@ -41,7 +41,7 @@ def weigh(residuals: Array, sd: float) -> Array:
 
 
 def regress(columns: Array, targets: Array, weights: Array) -> Array:
-    """Coefficients (N, ...) of columns (P, N) that give targets (P, ...); columns that say nothing get 0."""
+    """Coefficients (N, ...) of columns (P, N) that give targets (P, ...); columns without information get 0."""
     weighted = columns * weights[:, None]
     normal = weighted.T @ columns
     normal += (1e-3 * np.trace(normal) + 1e-9) * np.eye(len(normal))

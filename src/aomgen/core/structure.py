@@ -1,4 +1,4 @@
-"""What structure from motion gives: cameras and sparse points of a scan, and the images held out of training."""
+"""Result of structure from motion: cameras and sparse points of a scan, and the images held out of training."""
 
 from dataclasses import dataclass, field
 from typing import Annotated
@@ -11,7 +11,7 @@ from aomgen.core.lens import Lens
 from aomgen.core.recording import Prompt
 from aomgen.core.values import Array, freeze_arrays
 
-# Every so many images one is held out, as benchmarks of view synthesis do (Mip-NeRF 360).
+# One of this many images is held out, as benchmarks of view synthesis do (Mip-NeRF 360).
 HELD_OUT_EVERY = 8
 # Index of the first one; the image that the walk begins with is trained on.
 HELD_OUT_PHASE = 4
@@ -20,12 +20,12 @@ Figures = dict[str, object]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PinholeScan:
-    """What stands in for a scan that is a video, or that a lens distorts; files below the stage's folder.
+    """Undistorted stills of a scan that is a video, or that a lens distorts; files below the stage's folder.
 
     Attributes:
         images: Undistorted images.
         masks: Folders of undistorted label images, by name; None = the recorded ones.
-        prompts: What a person clicked, in pixels of these images.
+        prompts: A person's annotations, in pixels of these images.
     """
 
     images: tuple[str, ...]
@@ -41,7 +41,7 @@ class Structure:
         cameras_recon: Registered scan images by file name, in name order.
         demo_cameras_recon: Fixed cameras by name.
         scan_lens: Optics of the scan images when they are distorted: `cameras_recon` and
-            everything else here belong to the straightened images. None = pinhole images.
+            everything else here belong to the undistorted images. None = pinhole images.
         demo_lenses: The same for the fixed cameras that are distorted.
         pinhole: The scan that all this belongs to; None = the recorded one.
         dropped: Scan images that are not in the model, with the reason.

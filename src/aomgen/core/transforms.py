@@ -1,6 +1,6 @@
 """Rigid transforms, similarities and rotations as plain arrays.
 
-All functions take and return float64 arrays and broadcast over leading axes where they say
+All functions take and return float64 arrays and broadcast over leading axes where their docstrings name a
 "stack". Quaternions are wxyz.
 """
 

@@ -1,4 +1,4 @@
-"""What all frozen values share: arrays of a declared shape that cannot be changed after construction.
+"""Arrays of a declared shape, which cannot be changed after construction, for all frozen values.
 
 A field says its shape in its annotation: `points: Annotated[Array, "N 3"]`. A letter stands for one length in
 the whole value, `_` for any length.
@@ -69,15 +69,15 @@ def _read_declared_arrays(kind: type) -> list[tuple[str, Any, list[str]]]:
 
 def _frozen(array: Any, dtype: Any) -> NDArray[Any]:
     frozen = np.asarray(array, dtype=dtype, order="C")
-    # What is frozen already need not be copied; anything else its owner could go on changing.
+    # Frozen arrays need no copy; the owner of any other array could still change it.
     if frozen.flags.writeable and (frozen is array or frozen.base is not None):
         frozen = frozen.copy()
     frozen.flags.writeable = False
     return frozen
 
 
-def _fits(shape: tuple[int, ...], wanted: list[str], lengths: dict[str, int]) -> bool:
-    return len(shape) == len(wanted) and all(
+def _fits(shape: tuple[int, ...], declared: list[str], lengths: dict[str, int]) -> bool:
+    return len(shape) == len(declared) and all(
         want == "_" or have == (int(want) if want.isdigit() else lengths.setdefault(want, have))
-        for have, want in zip(shape, wanted, strict=True)
+        for have, want in zip(shape, declared, strict=True)
     )

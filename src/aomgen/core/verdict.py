@@ -1,4 +1,4 @@
-"""What verification tried and found: settings, figures against their limits, and the certificate of an episode."""
+"""Results of a verification: settings, metrics against their limits, and the certificate of an episode."""
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
@@ -7,7 +7,7 @@ from typing import Any
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Setting:
-    """How the object resists in one simulated run.
+    """Resistance of the object in one simulated run.
 
     Attributes:
         name: For example "nominal".
@@ -51,7 +51,7 @@ class Check:
 
     @property
     def passed(self) -> bool:
-        """Whether the limit is kept; not a number never is."""
+        """True if the limit is kept; false for NaN."""
         return self.margin >= 0
 
     @property
@@ -79,7 +79,7 @@ class SettingOutcome:
         peak_force_n: Largest sum of normal forces of the pads on the part, [N].
         peak_reaction_n: Largest horizontal force of the robot on the object, [N].
         hold: When the pads held the part.
-        checks: All that was held against a limit.
+        checks: Metrics that have a limit.
     """
 
     setting: Setting
@@ -91,7 +91,7 @@ class SettingOutcome:
 
     @property
     def figures(self) -> dict[str, float]:
-        """What was measured, by name with unit."""
+        """All metrics, by name with unit."""
         forces = {"peak_force_n": self.peak_force_n, "peak_reaction_n": self.peak_reaction_n}
         return {check.figure: check.value for check in self.checks} | forces
 
@@ -106,8 +106,8 @@ class Verdict:
         kinematic: Tier A's figures against their limits.
         bolted: The object's base was held by the world; then its reaction is only reported.
         seed, index: Of the variation; the settings were drawn from them.
-        versions: Of what computed it, by name.
-        digests: SHA-256 of what it was computed from, by name.
+        versions: Versions of the software that computed it, by name.
+        digests: SHA-256 of its inputs, by name.
     """
 
     start_theta: float

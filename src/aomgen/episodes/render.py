@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from aomgen.conventions import BACKGROUND
 from aomgen.core.camera import Camera, CameraPath
-from aomgen.core.trajectory import SceneTrajectory
+from aomgen.core.demonstration import SceneTrajectory
 from aomgen.core.values import Array
 from aomgen.episodes.fixed_views import FixedViews, soft_shades
 from aomgen.episodes.moving_view import MovingView

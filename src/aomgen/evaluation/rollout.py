@@ -6,8 +6,8 @@ from typing import Any, Final
 
 import numpy as np
 
+from aomgen.core.demonstration import Trajectory
 from aomgen.core.plan import EpisodePlan, Rejection
-from aomgen.core.trajectory import Trajectory
 from aomgen.core.values import Array
 from aomgen.episodes.factory import EpisodeFactory
 from aomgen.evaluation.actions import Targets, require_shape

@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from aomgen.assets.mjcf import VISUAL_GROUP
 from aomgen.core.camera import Camera
+from aomgen.core.demonstration import SceneTrajectory, Trajectory
 from aomgen.core.plan import FittedAsset, Variation
-from aomgen.core.trajectory import SceneTrajectory, Trajectory
 from aomgen.core.values import Array
 from aomgen.episodes.factory import EpisodeFactory, OpenAsset
 from aomgen.episodes.fixed_views import FixedViews, soft_shades

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 from scipy.spatial import cKDTree
 
-from aomgen.core.planes import fit_plane
+from aomgen.core.boxes import fit_plane
 from aomgen.core.values import Array
 from aomgen.gaussians.depth_fusion import (
     MIN_CONFIRMATIONS,

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from aomgen.errors import LimitExceededError, MalformedFileError, MissingFileError
 from aomgen.io.atomic import write_bytes, write_json
 
-# Arrays of at most so many elements stand in the JSON, where people can read them.
+# Arrays of at most this many elements are stored in the JSON, where people can read them.
 INLINE_ELEMENTS = 64
 # Largest array file read, [bytes]: far above what a run writes, but fits in memory.
 MAX_NPZ_BYTES: Final = 2 << 30

@@ -23,7 +23,7 @@ import numpy as np
 from aomgen.errors import StorageError
 
 STAGING_PREFIX: Final = ".staging-"
-# What file systems without locks (some NFS) answer to flock, and those without exchange to renameat2.
+# Error codes of flock on file systems without locks (some NFS), and of renameat2 on those without exchange.
 NO_LOCKS: Final = (errno.EBADF, errno.ENOLCK, errno.EOPNOTSUPP, errno.ENOSYS)
 NO_EXCHANGE: Final = (errno.EINVAL, errno.ENOSYS, errno.EOPNOTSUPP)
 # From <fcntl.h> and <linux/fs.h>.
@@ -163,7 +163,7 @@ def _new_folder(path: Path) -> int:
 
 
 def _lock(handle: int, *, wait: bool) -> bool:
-    """Whether the lock was got; not where there are no locks."""
+    """Acquire the lock; returns False where it is taken, or where there are no locks."""
     try:
         fcntl.flock(handle, fcntl.LOCK_EX if wait else fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:

@@ -134,14 +134,14 @@ class _Cursor:
         return values
 
     def count(self, smallest: int) -> int:
-        """The next number of records, each of at least so many bytes."""
+        """The next number of records, each of at least `smallest` bytes."""
         (count,) = self.take(_COUNT)
         if not count * smallest <= len(self.data) - self.at:
             raise MalformedFileError(self.path, f"promises {count} records and ends before them", _REMEDY)
         return count
 
     def records(self, size: int) -> memoryview:
-        """The bytes of a counted list of records of so many bytes."""
+        """The bytes of a counted list of records of `size` bytes."""
         start, length = self.at + _COUNT.size, self.count(size) * size
         self.at += length
         return memoryview(self.data)[start : start + length]

@@ -127,7 +127,7 @@ def commit_episode(
 
 
 def color_counts(frames: NDArray[np.uint8]) -> NDArray[np.int64]:
-    """How often each value 0..255 occurs in each channel of frames (F, H, W, 3): (3, 256)."""
+    """Histogram (3, 256) of the values 0..255 in each channel of frames (F, H, W, 3)."""
     return np.stack([np.bincount(frames[..., channel].ravel(), minlength=256) for channel in range(3)])
 
 

@@ -1,4 +1,4 @@
-"""Which shapes of a MuJoCo model are seen, and their triangles, whatever kind of shape it is."""
+"""Visible shapes of a MuJoCo model, and the triangles of any kind of shape."""
 
 # MuJoCo ships no type stubs: its classes are unknown to the checker.
 # pyright: reportUnknownParameterType=false
@@ -35,7 +35,7 @@ def find_colliding_geoms(model: mujoco.MjModel) -> NDArray[np.bool_]:
 def find_visible_geoms(
     model: mujoco.MjModel, colliding: NDArray[np.bool_] | None = None
 ) -> NDArray[np.bool_]:
-    """Which geoms (G,) are seen: those without contacts in a shown group; for a body without any,
+    """Mask (G,) of the visible geoms: those without contacts in a shown group; for a body without any,
     its colliding ones in a shown group, unless collision shapes have a group of their own.
 
     Args:

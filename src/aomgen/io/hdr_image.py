@@ -1,4 +1,4 @@
-"""Pictures of light (Radiance .hdr, portable float map .pfm), for example HDRIs of rooms and skies, through PyAV."""
+"""Images of light (Radiance .hdr, portable float map .pfm), for example HDRIs of rooms and skies, through PyAV."""
 
 from pathlib import Path
 from typing import Final
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from aomgen.core.environment_map import EnvironmentMap
 from aomgen.errors import LimitExceededError, MalformedFileError, MissingFileError, NonFiniteError
 
-# Largest picture decoded, [px]: "4k" HDRIs have as many, and nine harmonics need far less.
+# Largest image decoded, [px]: "4k" HDRIs have as many, and nine harmonics need far less.
 MAX_PIXELS: Final = 4096 * 2048
 # Decoders that refuse a file that ends early; that of OpenEXR gives black instead.
 DECODERS: Final = ("hdr", "pfm")
@@ -20,11 +20,11 @@ SMALLER: Final = "use a version of at most 4096 x 2048 pixels"
 
 
 def read_environment(path: Path) -> EnvironmentMap:
-    """The light of an equirectangular picture, see `EnvironmentMap`.
+    """Read the light of an equirectangular image, see `EnvironmentMap`.
 
     Raises:
         MissingFileError, LimitExceededError: As their names say.
-        MalformedFileError: Not such a picture, truncated, not twice as wide as high, negative or black.
+        MalformedFileError: Not such an image, truncated, not twice as wide as high, negative or black.
         NonFiniteError: A value is NaN or infinite.
     """
     if not path.is_file():

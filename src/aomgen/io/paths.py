@@ -1,4 +1,4 @@
-"""The one resolver of paths that stand inside files."""
+"""Resolution of all paths that are found inside files."""
 
 from collections.abc import Iterable
 from pathlib import Path
@@ -34,12 +34,12 @@ def find_inside(root: Path, folders: Iterable[Path], names: Iterable[str], *, na
         UnsafePathError: An absolute path, a URL, or a reference that leaves `root`.
         MissingFileError: None of them is there.
     """
-    wanted, leaves = list(names), False
-    for name in wanted:
+    candidates, leaves = list(names), False
+    for name in candidates:
         if "://" in name or Path(name).is_absolute():
             return resolve_inside(root, name, named_by=named_by)
     for folder in folders:
-        for name in wanted:
+        for name in candidates:
             path = (folder / name).resolve()
             inside = path.is_relative_to(root.resolve())
             leaves |= not inside
@@ -47,8 +47,8 @@ def find_inside(root: Path, folders: Iterable[Path], names: Iterable[str], *, na
                 return path
     if leaves:
         raise UnsafePathError(
-            named_by, f"refers to '{wanted[0]}' outside {root.name}", "copy the file inside"
+            named_by, f"refers to '{candidates[0]}' outside {root.name}", "copy the file inside"
         )
     raise MissingFileError(
-        named_by, f"refers to '{wanted[0]}', which is missing", "copy it there or correct the path"
+        named_by, f"refers to '{candidates[0]}', which is missing", "copy it there or correct the path"
     )

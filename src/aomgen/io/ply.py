@@ -187,7 +187,7 @@ def _parse_header(path: Path, lines: list[str]) -> tuple[str, list[_Element]]:
 
 
 def _check_names(path: Path, names: list[str]) -> int:
-    """How many f_rest properties there are, if all properties of the layout are."""
+    """Count the f_rest properties, after all properties of the layout are found."""
     rest = sum(name.startswith("f_rest_") for name in names)
     if rest not in _REST_COUNTS:
         raise MalformedFileError(path, f"has {rest} f_rest properties, want {sorted(_REST_COUNTS)}", _REMEDY)

@@ -1,6 +1,6 @@
-"""What users write: TOML files held to a schema, and parameters of stages changed by name.
+"""Files of users: TOML files that follow a schema, and parameters of stages changed by name.
 
-What is wrong is said in the words of whoever wrote it.
+Messages name problems in the terms of the file.
 """
 
 import json
@@ -17,7 +17,7 @@ from aomgen.errors import ConfigError, LimitExceededError, MalformedFileError, M
 Schema = TypeVar("Schema", bound=BaseModel)
 # Largest TOML file read, [bytes]; a usual one has a few kB.
 MAX_BYTES = 1 << 20
-# A wrong value may be a whole table; so many letters of it are shown.
+# A wrong value may be a whole table; messages show this many letters of it.
 MAX_SHOWN = 60
 T = TypeVar("T")
 Nested = dict[str, Any]
@@ -52,13 +52,13 @@ def read_toml(path: Path, model: type[Schema], absent: str) -> Schema:
 
 
 def complaint(error: ValidationError, model: type[BaseModel]) -> tuple[str, str]:
-    """Problem and remedy of the first thing that is wrong with a file.
+    """Problem and remedy of the first error in a file.
 
     Args:
         error: What validation by `model` raised.
         model: The schema of the whole file.
     """
-    # An unknown key explains the missing one beside it, so it is named first.
+    # An unknown key often explains a missing one, so it is named first.
     first = min(error.errors(), key=lambda item: item["type"] != "extra_forbidden")
     place = ".".join(str(item) for item in first["loc"])
     known = _known_keys(model, first["loc"][:-1])

@@ -19,27 +19,24 @@ from aomgen.io.atomic import scratch_folder, write_bytes
 from aomgen.io.ply import check_readable
 
 PRIM: Final = "/Gaussians"
-# A Gaussian is said to end at this many standard deviations, as the kernel's schema suggests.
+# Radius of a Gaussian's extent in standard deviations, as the kernel's schema suggests.
 REACH: Final = 3.0
 SUFFIXES: Final = (".usda", ".usdc")
 
 
-def new_stage(path: Path, *, up_axis: str = "Z", meters_per_unit: float = 1.0) -> Any:
-    """An empty stage in memory, of the format that the suffix of `path` names.
+def new_stage(path: Path, meters_per_unit: float = 1.0) -> Any:
+    """Create an empty stage in memory, Z up, of the format that the suffix of `path` names.
 
     Raises:
-        ConfigError: A suffix other than .usda (text) and .usdc (binary), or an up axis that USD
-            does not know.
+        ConfigError: A suffix other than .usda (text) and .usdc (binary).
     """
     from pxr import Usd, UsdGeom
 
     if path.suffix not in SUFFIXES:
         raise ConfigError(path, f"has suffix {path.suffix!r}", f"choose one of {', '.join(SUFFIXES)}")
-    if up_axis not in ("Y", "Z"):
-        raise ConfigError(path, f"cannot have up axis {up_axis!r}", "choose Y or Z")
     stage = Usd.Stage.CreateInMemory(f"stage{path.suffix}")
     UsdGeom.SetStageMetersPerUnit(stage, meters_per_unit)
-    UsdGeom.SetStageUpAxis(stage, up_axis)
+    UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.z)
     return stage
 
 
@@ -56,7 +53,7 @@ def export_stage(stage: Any, path: Path) -> None:
             stage.GetRootLayer().Export(str(folder / path.name))
             content = (folder / path.name).read_bytes()
     except (OSError, Tf.ErrorException) as error:
-        # What USD says is many lines long, with places in its sources.
+        # USD's messages are many lines long, with positions in its sources.
         why = error.strerror if isinstance(error, OSError) else "USD was refused by the disk"
         raise StorageError(
             path, f"cannot be written ({why})", "free space or choose another folder"
@@ -64,28 +61,25 @@ def export_stage(stage: Any, path: Path) -> None:
     write_bytes(path, content)
 
 
-def write_gaussians(
-    path: Path, gaussians: Gaussians, *, up_axis: str = "Z", meters_per_unit: float = 1.0
-) -> None:
+def write_gaussians(path: Path, gaussians: Gaussians, *, meters_per_unit: float = 1.0) -> None:
     """Write Gaussians as the default prim of a new USD file; exact in float32.
 
     Colors stay sRGB, as in 3DGS files; the schema names no color space.
 
     Args:
         path: Ends in .usda (text) or .usdc (binary).
-        gaussians: Their coordinates are not changed.
-        up_axis: Which axis of their frame is up, "Y" or "Z".
+        gaussians: Their coordinates are not changed; Z is up.
         meters_per_unit: Length of their unit, [m].
 
     Raises:
-        ConfigError: Another suffix or axis.
+        ConfigError: Another suffix.
         NonFiniteError: A value is NaN or infinite, or a quaternion is zero.
         StorageError: The disk refuses.
     """
     from pxr import UsdVol, Vt
 
     check_readable(path, gaussians)
-    stage = new_stage(path, up_axis=up_axis, meters_per_unit=meters_per_unit)
+    stage = new_stage(path, meters_per_unit)
     field = UsdVol.ParticleField3DGaussianSplat.Define(stage, PRIM)
     stage.SetDefaultPrim(field.GetPrim())
     field.CreatePositionsAttr(Vt.Vec3fArray.FromNumpy(gaussians.means))

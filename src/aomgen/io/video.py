@@ -235,7 +235,7 @@ def encode_video(
     encoder, options = _ENCODERS[codec]
     if encoder not in av.codecs_available:
         raise BackendError("PyAV", f"has no encoder {encoder}", "install PyAV's own wheel, or choose h264")
-    # SVT-AV1 tells its settings otherwise; 1 leaves errors.
+    # SVT-AV1 prints its settings otherwise; 1 leaves errors.
     os.environ.setdefault("SVT_LOG", "1")
     buffer = io.BytesIO()
     with av.open(buffer, "w", format="mp4") as container:
@@ -265,7 +265,7 @@ def halve_colors(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
 
 
 def decode_samples(data: bytes, where: Path, step: int) -> tuple[int, list[NDArray[np.uint8]]]:
-    """How many frames a video's bytes really hold, and every `step`-th of them (H, W, 3).
+    """Count the frames that a video's bytes really hold, and decode every `step`-th of them (H, W, 3).
 
     Raises:
         CorruptArtifactError: The bytes cannot be decoded; `where` names them.

@@ -87,8 +87,8 @@ class VideoObservations:
         frames = [resize(frame, small.width, small.height) for frame in demo.video.frames_srgb[::stride]]
         masks = masks_at(times, small.width, small.height)
         region = find_part_region(demo.points_moving, small)
-        matched = match_frames(np.stack(frames), masks, region)
-        good = ~matched.bad
+        matched, bad = match_frames(np.stack(frames), masks, region)
+        good = ~bad
         if not good.sum() >= _LEAST_FRAMES:
             raise NoMotionError(
                 "demonstration video",
@@ -96,7 +96,7 @@ class VideoObservations:
                 "check that the camera stands still and that the video shows the whole motion",
             )
         way = _way(demo, float(times[0]), float(times[-1]))
-        times, images, masks = times[good], matched.frames_srgb[good], masks[good]
+        times, images, masks = times[good], matched[good], masks[good]
         signals = read_gripper_signals(demo, times)
         touch = find_touch(signals)
         if not touch.gripped and demo.robot.hand_bodies:

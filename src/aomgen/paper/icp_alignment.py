@@ -16,9 +16,9 @@ from aomgen.alignment.contours import AlignmentImage
 from aomgen.alignment.pose_search import Scan, search_poses
 from aomgen.alignment.starting_poses import RobotBox, up_candidates
 from aomgen.core.alignment import Alignment
+from aomgen.core.boxes import fit_plane
 from aomgen.core.gaussians import Gaussians
 from aomgen.core.mesh import face_normals_areas
-from aomgen.core.planes import fit_plane
 from aomgen.core.transforms import apply, rotvec_from_matrix, transform
 from aomgen.core.values import Array, Matrix4, freeze_arrays
 from aomgen.errors import AlignmentError

@@ -9,8 +9,8 @@ from typing import Annotated, Final, Literal
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat
 
 from aomgen.errors import ConfigError, MalformedFileError
+from aomgen.io.mujoco_model import RobotXml, read_robot_xml
 from aomgen.io.paths import find_inside
-from aomgen.io.robot_xml import RobotXml, read_robot_xml
 from aomgen.io.schema import read_toml
 
 FILE_NAME: Final = "robot.toml"

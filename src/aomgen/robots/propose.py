@@ -13,8 +13,7 @@ import numpy as np
 from aomgen.core.transforms import apply, invert, quat_from_matrix, transform
 from aomgen.core.values import Array
 from aomgen.errors import MalformedFileError
-from aomgen.io.mujoco_model import compile_model
-from aomgen.io.robot_xml import read_robot_xml
+from aomgen.io.mujoco_model import compile_model, read_robot_xml
 from aomgen.robots.description import (
     EndEffectorSection,
     GripperSection,

@@ -8,8 +8,7 @@ import mujoco
 import numpy as np
 
 from aomgen.errors import MalformedFileError
-from aomgen.io.mujoco_model import LEAST_INERTIA, LEAST_MASS, compile_model, parse_spec
-from aomgen.io.robot_xml import RobotXml
+from aomgen.io.mujoco_model import LEAST_INERTIA, LEAST_MASS, RobotXml, compile_model, parse_spec
 from aomgen.robots.description import RobotFiles
 
 # Every name of the file carries this while it is taken over, then loses it again.

@@ -10,8 +10,8 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from aomgen.core.demonstration import Trajectory
 from aomgen.core.plan import Rejection
-from aomgen.core.trajectory import Trajectory
 from aomgen.core.transforms import transform
 from aomgen.core.values import Array
 from aomgen.core.verdict import Setting

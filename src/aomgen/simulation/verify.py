@@ -10,9 +10,9 @@ import numpy as np
 
 from aomgen.assets.mjcf import ARMATURE, CONTACT_FRICTION, HOLDING_SOLIMP, holding_friction
 from aomgen.core.asset import ArticulatedAsset
+from aomgen.core.demonstration import Trajectory
 from aomgen.core.episode import ContactLog
 from aomgen.core.plan import EpisodePlan, Rejection, VerifiedEpisode
-from aomgen.core.trajectory import Trajectory
 from aomgen.core.values import Array
 from aomgen.core.verdict import Check, Setting, SettingOutcome, Verdict
 from aomgen.simulation.collision_check import KinematicLimits

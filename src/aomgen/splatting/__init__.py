@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from aomgen.core.camera import Camera as Camera
     from aomgen.core.camera import look_at as look_at
     from aomgen.core.gaussians import Gaussians as Gaussians
+    from aomgen.core.gaussians import gaussians_from_points as gaussians_from_points
     from aomgen.io.colmap import read_colmap as read_colmap
     from aomgen.io.gaussian_files import read_gaussians as read_gaussians
     from aomgen.io.gaussian_files import write_gaussians as write_gaussians
@@ -25,7 +26,6 @@ if TYPE_CHECKING:
     from aomgen.splatting.differentiable import RasterOptions as RasterOptions
     from aomgen.splatting.differentiable import TensorRendering as TensorRendering
     from aomgen.splatting.framing import framing_camera as framing_camera
-    from aomgen.splatting.initialization import gaussians_from_points as gaussians_from_points
     from aomgen.splatting.metrics import psnr as psnr
     from aomgen.splatting.metrics import ssim as ssim
     from aomgen.splatting.rasterizer import Rendering as Rendering
@@ -50,7 +50,7 @@ _HOMES = {
     "RasterOptions": "aomgen.splatting.differentiable",
     "TensorRendering": "aomgen.splatting.differentiable",
     "framing_camera": "aomgen.splatting.framing",
-    "gaussians_from_points": "aomgen.splatting.initialization",
+    "gaussians_from_points": "aomgen.core.gaussians",
     "psnr": "aomgen.splatting.metrics",
     "ssim": "aomgen.splatting.metrics",
     "RigidParts": "aomgen.splatting.rasterizer",

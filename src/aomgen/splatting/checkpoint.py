@@ -1,4 +1,4 @@
-"""The state of a training, and its file: with it a killed training goes on, bound to the inputs it belongs to."""
+"""The state of a training and its file, from which a killed training resumes; it is bound to the training's inputs."""
 
 import hashlib
 import json
@@ -29,7 +29,7 @@ MOMENTS = ("values", "averages", "squares")
 
 @dataclass(slots=True, kw_only=True)
 class TrainingState:
-    """Where a training stands; from here on everything is determined by images and parameters.
+    """State of a training, which together with images and parameters determines the rest.
 
     Exposures and poses are the images' own parameters, `order` the indices of the images still to be drawn before
     the next shuffle, `rng` the source of everything random.
@@ -45,7 +45,7 @@ class TrainingState:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Checkpoint:
-    """Where a training keeps its state, and how often.
+    """File of a training's state, and the interval between two writes.
 
     Attributes:
         path: One file, replaced atomically.

@@ -1,4 +1,4 @@
-"""What training computes with on its device: a rasterizer, the image loss and steps of the optimizer.
+"""Computations of the training on its device: rasterizer, image loss and steps of the optimizer.
 
 On the processor the engine does all of it; for tensors on a GPU, loss and Adam have twins in plain torch.
 """

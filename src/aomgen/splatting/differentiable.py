@@ -1,6 +1,6 @@
 """Gaussians as torch tensors, and the engine as a differentiable function of them.
 
-`Rasterizer` is what training asks for; `CpuRasterizer` is the engine on the processor.
+`Rasterizer` is the interface that training requires; `CpuRasterizer` is the engine on the processor.
 """
 
 from dataclasses import dataclass
@@ -51,7 +51,7 @@ class PartTensors:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RasterOptions:
-    """How to draw.
+    """Options of the rasterizer.
 
     Attributes:
         sh_degree: Degree that is evaluated, at most that of the coefficients.
@@ -107,9 +107,9 @@ class Rasterizer(Protocol):
         Args:
             gaussians: In the world frame, or in the frames of `parts`.
             camera: Intrinsics, size and pose.
-            options: How to draw.
+            options: Options of the rasterizer.
             T_cam_world: Pose (4, 4) float32 to use instead of the camera's, differentiable; rigid.
-            parts: Where the parts are.
+            parts: Poses of the parts.
 
         Raises:
             BackendError: The backend is missing or refuses the scene.
@@ -170,7 +170,7 @@ _NAMES = ("means", "quats", "scales", "opacities", "sh")
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Call:
-    """What has no gradient."""
+    """Arguments of a rasterization that have no gradient."""
 
     camera: Camera
     options: RasterOptions
@@ -241,7 +241,7 @@ class _Rasterize(torch.autograd.Function):
             by_rgb = torch.zeros((3, ctx.call.camera.height, ctx.call.camera.width))
         results = [torch.empty_like(tensor) for tensor in inputs]
         by_poses = torch.empty_like(poses) if ctx.needs_input_grad[6] else None
-        # Features that are constants still tell where the Gaussians should be.
+        # Constant features still have gradients by the positions of the Gaussians.
         result_features = None if features is None else torch.empty_like(features)
         images = native.ImageGradients(
             rgb=by_rgb.data_ptr(),

@@ -1,4 +1,4 @@
-"""A camera for Gaussians of which nothing is known."""
+"""A camera for Gaussians of unknown content."""
 
 from typing import Final
 
@@ -10,9 +10,9 @@ from aomgen.core.gaussians import Gaussians
 from aomgen.core.values import Array
 from aomgen.splatting.rasterizer import render
 
-# The camera goes nearer by this factor while something is in its way.
+# Factor by which the camera approaches while its view is blocked.
 STEP: Final = 0.8
-# At most so many times, to 7 % of the distance.
+# Largest number of such steps, to 7 % of the distance.
 STEPS: Final = 12
 # Width of the image in which that is judged, [px].
 LOOK_WIDTH: Final = 64
@@ -83,7 +83,7 @@ def content(gaussians: Gaussians) -> tuple[Array, float]:
 
 
 def _is_view_blocked(gaussians: Gaussians, camera: Camera, distance: float) -> bool:
-    """Whether a fifth of the image shows something in the nearer half of the way to the middle."""
+    """Return whether a fifth of the image shows content in the nearer half of the distance to the middle."""
     height = max(1, round(LOOK_WIDTH * camera.height / camera.width))
     drawn = render(gaussians, camera.resize(LOOK_WIDTH, height))
     return float(np.mean((drawn.alpha > 0.5) & (drawn.depth < 0.5 * distance))) > 0.2

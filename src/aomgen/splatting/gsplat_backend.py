@@ -89,7 +89,7 @@ class GsplatRasterizer:
         """As `rasterizer.contribution_weights`, for masks (M, H, W) on the same device.
 
         A feature's image is the sum of weights times the feature, so the gradient by the features of the
-        image's product with the masks is the answer.
+        image's product with the masks is the result.
         """
         check_scene(gaussians, camera, 0)
         if parts is not None:
@@ -174,7 +174,7 @@ def _viewmat(camera: Camera, gaussians: GaussianTensors) -> Tensor:
 def _nothing(
     gaussians: GaussianTensors, camera: Camera, background: Tensor, with_ids: bool
 ) -> TensorRendering:
-    """What is seen of no Gaussians, with gradients of no rows; gsplat divides by their number."""
+    """Rendering of no Gaussians, with gradients of no rows; gsplat divides by their number."""
     shape, features = (camera.height, camera.width), gaussians.features
     arrays = (gaussians.means, gaussians.quats, gaussians.log_scales, gaussians.logit_opacities, gaussians.sh)
     zeros = background.new_zeros(shape) + sum(array.sum() for array in arrays)

@@ -1,4 +1,4 @@
-"""What is asked of Gaussians and cameras before a GPU sees them: there, a wrong index ends the process."""
+"""Checks of Gaussians and cameras before they reach a GPU, where a wrong index ends the process."""
 
 import importlib
 from dataclasses import replace

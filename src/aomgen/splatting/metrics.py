@@ -1,4 +1,4 @@
-"""How alike two images are."""
+"""Similarity of two images."""
 
 import numpy as np
 from numpy.typing import NDArray

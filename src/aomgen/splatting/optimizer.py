@@ -83,7 +83,7 @@ class Parameters:
             compute.adam_step(self.values[name], gradients[name], moments, rates[name], self.steps)
         torch.lerp(means, self.values["means"], self.reach[:, None], out=self.values["means"])
 
-    def rebuilt(self, kept: Tensor, parents: Tensor, added: dict[str, Tensor]) -> "Parameters":
+    def rebuild(self, kept: Tensor, parents: Tensor, added: dict[str, Tensor]) -> "Parameters":
         """The rows `kept` (indices) followed by new rows of these parents, whose gradient averages start at zero."""
         rest = {name: torch.zeros_like(value) for name, value in added.items()}
         values, averages, squares = (
@@ -144,7 +144,7 @@ def gaussians_of(parameters: Parameters) -> Gaussians:
 
 
 def error_shares(gaussians: Gaussians, cameras: list[Camera], images: list[np.ndarray]) -> np.ndarray:
-    """How much of the absolute error of images, planar (3, H, W) sRGB 0..1, each Gaussian paints, (N,)."""
+    """Share of each Gaussian (N,) in the absolute error of images, planar (3, H, W) sRGB 0..1."""
     shares = np.zeros(len(gaussians))
     for camera, image in zip(cameras, images, strict=True):
         error = np.abs(render(gaussians, camera).rgb - image.transpose(1, 2, 0)).mean(-1)
@@ -166,7 +166,7 @@ def relocate_and_grow(
     `count` than what is left after dropping adds nothing.
 
     Args:
-        shares: Error painted by each, (N,).
+        shares: Error by each, (N,), see `error_shares`.
         min_opacity: Fainter ones are dropped.
         dropped: Gaussians (N,) to drop however opaque they are.
 
@@ -179,12 +179,12 @@ def relocate_and_grow(
     wanted = min(count - int(alive.sum()), int((weights > 0).sum()))
     if wanted <= 0:
         nothing, kept = torch.zeros(0, dtype=torch.int64), np.flatnonzero(alive)
-        return parameters.rebuilt(torch.tensor(kept), nothing, _rows(parameters, nothing)), kept
+        return parameters.rebuild(torch.tensor(kept), nothing, _rows(parameters, nothing)), kept
     drawn = rng.choice(len(parameters), wanted, replace=False, p=weights / weights.sum())
     alive[drawn] = False
     parents = torch.tensor(drawn)
     halves, kept = _halves(_rows(parameters, parents)), np.flatnonzero(alive)
-    grown = parameters.rebuilt(torch.tensor(kept), parents.repeat(2), halves)
+    grown = parameters.rebuild(torch.tensor(kept), parents.repeat(2), halves)
     return grown, np.concatenate([kept, drawn, drawn])
 
 

@@ -23,7 +23,7 @@ NEAR_DEPTH = 0.01
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Rendering:
-    """What one camera sees.
+    """Images of one camera.
 
     Attributes:
         rgb: (H, W, 3), sRGB 0..1, blended over the background.
@@ -78,7 +78,7 @@ def render(
         camera: Where to look from.
         background: sRGB color 0..1 behind everything.
         features: (N, D) values to blend like colors.
-        parts: Where the parts of the scene are; their view-dependent colors turn along.
+        parts: Poses of the scene's parts; their view-dependent colors turn along.
         antialiased: Lower the opacity of Gaussians smaller than a pixel, as Mip-Splatting does.
         with_ids: Also give median depth and the most contributing Gaussian.
         threads: None for all processors of the process.
@@ -105,7 +105,7 @@ def render(
 def contribution_weights(
     gaussians: Gaussians, camera: Camera, masks: NDArray[np.float32]
 ) -> NDArray[np.float32]:
-    """How much of every mask each Gaussian paints: sums (N, M) of blended weight times mask value.
+    """Contribution of each Gaussian to every mask: sums (N, M) of blended weight times mask value.
 
     Args:
         gaussians: N Gaussians.
@@ -139,7 +139,7 @@ def empty_images(camera: Camera, with_ids: bool) -> dict[str, NDArray]:
 
 
 def addresses_of(arrays: Mapping[str, NDArray]) -> dict[str, int]:
-    """Where the arrays lie, those without elements left out."""
+    """Addresses of the arrays, those without elements left out."""
     return {name: array.ctypes.data for name, array in arrays.items() if array.size}
 
 

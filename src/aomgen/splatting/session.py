@@ -1,4 +1,4 @@
-"""Many frames from a fixed camera: what never moves is drawn once, and only what changes is drawn again.
+"""Many frames from a fixed camera: static Gaussians are drawn once, and only tiles that change are drawn again.
 
 Exact: a frame equals `render` of the static and the moving Gaussians together.
 """
@@ -34,7 +34,7 @@ _TYPES = {"rgb8": np.uint8, "alpha": np.float32, "median_depth": np.float32, "ma
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Motion:
-    """What changes from frame to frame, T frames.
+    """Poses and colors that change from frame to frame, T frames.
 
     Attributes:
         parts: Part of every moving Gaussian, 0..P-1; each is given in its part's frame.
@@ -140,7 +140,7 @@ class RenderSession:
     ) -> RenderedFrame:
         """Draw one 8-bit image with all threads; arguments as in `draw`.
 
-        `into` is an image of this session that is no longer wanted. It is drawn over, and only
+        `into` is an image of this session that is no longer needed. It is overwritten, and only
         where something has changed: the fastest way to one frame after the other.
         """
         shape = (self.camera.height, self.camera.width, 3)
@@ -148,9 +148,7 @@ class RenderSession:
             into = RenderedFrame(image_srgb=np.empty(shape, np.uint8), changed=self._unknown_tiles(1)[0])
         for array, want in ((into.image_srgb, shape), (into.changed, self._unknown_tiles(1).shape[1:])):
             if array.shape != want or array.dtype != np.uint8 or not array.flags.c_contiguous:
-                raise ValueError(
-                    f"the picture has shape {array.shape} of {array.dtype}, want {want} of uint8"
-                )
+                raise ValueError(f"the image has shape {array.shape} of {array.dtype}, want {want} of uint8")
         self._draw_one(moving, parts, shade, {"rgb8": into.image_srgb, "tiles": into.changed})
         return into
 

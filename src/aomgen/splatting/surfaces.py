@@ -1,4 +1,4 @@
-"""What is seen of surfaces: by views, as depth, and by the sky, past their own link."""
+"""Visibility of surfaces: depth in views, and the share of the sky that is open to points."""
 
 from dataclasses import dataclass
 from typing import Final
@@ -32,7 +32,7 @@ BOUNCE: Final = 0.5
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ViewDepth:
-    """What a view sees, as depth.
+    """Depth of a view.
 
     Attributes:
         camera: At the map's size, any frame.
@@ -44,7 +44,7 @@ class ViewDepth:
     depth: NDArray[np.float32]
 
     def behind(self, points: Array) -> Array:
-        """How far points (N, 3) lie behind the surface, in uncertainties of depth.
+        """Distance of points (N, 3) behind the surface, in uncertainties of depth.
 
         Negative before it, about -1..1 on it, NaN where the view does not look or know.
         """
@@ -79,7 +79,7 @@ def compute_surface_points(gaussians: Gaussians, camera: Camera) -> Array:
 
 
 def compute_rendered_points(drawn: Rendering, camera: Camera) -> Array:
-    """As above, of a picture that was drawn with ids."""
+    """As `compute_surface_points`, for an image that was rendered with ids."""
     depth = np.asarray(drawn.median_depth, np.float64)
     return camera.center + camera.directions() * np.where(depth > 0, depth, np.nan)[..., None]
 
@@ -165,11 +165,11 @@ class _Solid:
         shape = np.ceil(np.ptp(surface, axis=0) / self.cell).astype(int) + 3
         empty = np.ones(tuple(shape), bool)
         empty[tuple(((surface - self._low) / self.cell).astype(int).T + 1)] = False
-        # Cells to the nearest solid one; a ray that has gone so many of its steps, each at most a cell, has missed nothing.
+        # Distance to the nearest solid cell, in cells; a ray may skip this many steps, each at most a cell long.
         self._free = np.asarray(distance_transform_cdt(empty, "chessboard"))
 
     def blocks(self, start: Array, direction: Array) -> NDArray[np.bool_]:
-        """Which rays from `start` (N, 3) meet a solid cell."""
+        """Mask of the rays from `start` (N, 3) that meet a solid cell."""
         # Rows of x, y and z: sums over three columns are slow.
         position = np.ascontiguousarray(((start - self._low) / self.cell + 1).T)
         shape, step = np.array(self._free.shape)[:, None], direction[:, None]

@@ -174,7 +174,7 @@ def _candidates(mesh: Mesh, count: int, radius: float, rng: np.random.Generator)
 
 
 def _bends(mesh: Mesh, face_ids: NDArray[np.int64], weights: Array, footprint: float) -> Array:
-    """What a normal map adds to normals (N, 3), in the plane of the face; shorter than 1."""
+    """Offsets (N, 3) of a normal map to the normals, in the plane of the face; shorter than 1."""
     if NORMAL_MAP not in mesh.maps:
         return np.zeros((len(face_ids), 3))
     local = 2 * _sample(mesh, face_ids, weights, footprint, mesh.maps[NORMAL_MAP], [0.5, 0.5, 1.0]) - 1
@@ -310,7 +310,7 @@ def _discs(kept: _Candidates, radii: Array) -> Surfels:
 
 
 def crease_edges(vertices: Array, faces: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """Which edges (F, 3) of the faces are creases or borders; edge k joins corners k and k + 1.
+    """Mask (F, 3) of the edges that are creases or borders; edge k joins corners k and k + 1.
 
     Vertices at the same place count as one, because exporters split them at seams.
     """
@@ -322,7 +322,7 @@ def crease_edges(vertices: Array, faces: NDArray[np.int64]) -> NDArray[np.bool_]
     edge_ids = edge_ids.reshape(-1)
     normals, _ = face_normals_areas(vertices, faces)
     owners = np.repeat(np.arange(len(faces)), 3)
-    # Length of the sum of the unit normals at an edge tells the angle between two of them.
+    # The length of the sum of the unit normals at an edge gives the angle between two of them.
     total = np.zeros((len(counts), 3))
     np.add.at(total, edge_ids, normals[owners])
     flat = (counts == 2) & (np.linalg.norm(total, axis=1) > np.sqrt(2 + 2 * CREASE_COSINE))

@@ -43,9 +43,9 @@ from aomgen.splatting.training_views import (
 SH_STARTS = (0.0, 0.2, 0.4)
 # Weight of the mean opacity in the loss: Gaussians that no image needs fade and are relocated.
 OPACITY_WEIGHT = 0.002
-# What is left of the means' learning rate at the end: they converge, as in 3DGS.
+# Final factor on the means' learning rate: they converge, as in 3DGS.
 MEANS_DECAY = 0.02
-# What is left of all other learning rates at the end.
+# Final factor on all other learning rates.
 DECAY = 0.3
 # Shares of the iterations between which Gaussians are relocated and added: not before there is something to
 # see, and with time left to settle.
@@ -58,7 +58,7 @@ ERROR_VIEWS = 8
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TrainingParams:
-    """How long and how boldly to train. Lengths are shares of the scene's extent.
+    """Length, learning rates and growth of a training. Lengths are shares of the scene's extent.
 
     Attributes:
         iterations: Images rendered and fitted to, in total.

@@ -50,7 +50,7 @@ class ImageParameters:
     steps: Tensor
 
     def tensors(self) -> dict[str, Tensor]:
-        """What is kept of them, by name."""
+        """Tensors to store, by name."""
         return {field.name: getattr(self, field.name) for field in fields(self) if field.name != "enabled"}
 
     def leaf(self, index: int) -> Tensor | None:
@@ -104,7 +104,7 @@ def reduce_image(camera: Camera, image: NDArray[np.uint8], factor: int) -> Train
         return TrainingView(camera=camera, image=planar)
     pooled = torch.nn.functional.avg_pool2d(planar.float(), factor).round_().to(torch.uint8)
     height, width = pooled.shape[1:]
-    # What is cut at the border moves nothing, so `Camera.resized` would be wrong.
+    # Cropping at the border shifts nothing, so `Camera.resize` would be wrong.
     optics = {name: getattr(camera, name) / factor for name in ("fx", "fy", "cx", "cy")}
     return TrainingView(camera=replace(camera, width=width, height=height, **optics), image=pooled)
 

@@ -24,7 +24,9 @@ def test_frames_are_brought_to_one_exposure_and_strangers_are_named() -> None:
     frames = picture * gains[:, None, None, None] + rng.normal(size=(12, 48, 64, 3))
     frames[5] = 255
     frames[8] = rng.uniform(0, 255, picture.shape)
-    film = match_frames(frames.astype(np.uint8), np.zeros((12, 48, 64), bool), np.zeros((48, 64), bool))
-    assert np.flatnonzero(film.bad).tolist() == [5, 8]
-    good = film.frames_srgb[~film.bad].astype(float)
+    matched, bad = match_frames(
+        frames.astype(np.uint8), np.zeros((12, 48, 64), bool), np.zeros((48, 64), bool)
+    )
+    assert np.flatnonzero(bad).tolist() == [5, 8]
+    good = matched[~bad].astype(float)
     assert np.abs(good - good.mean(0)).mean() < 1.5

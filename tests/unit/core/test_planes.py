@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from aomgen.core.planes import fit_plane
+from aomgen.core.boxes import fit_plane
 from aomgen.core.transforms import matrix_from_rotvec
 
 

@@ -6,7 +6,7 @@ from typing import Annotated
 import numpy as np
 import pytest
 
-from aomgen.core.trajectory import SceneTrajectory, Trajectory
+from aomgen.core.demonstration import SceneTrajectory, Trajectory
 from aomgen.core.values import Array
 from aomgen.robots.robot import RobotModel
 

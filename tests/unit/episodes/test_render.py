@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 from aomgen.core.camera import Camera, CameraPath, look_at
+from aomgen.core.demonstration import SceneTrajectory
 from aomgen.core.plan import (
     EpisodePlan,
     FittedAsset,
@@ -13,7 +14,6 @@ from aomgen.core.plan import (
     Variation,
     VerifiedEpisode,
 )
-from aomgen.core.trajectory import SceneTrajectory
 from aomgen.core.verdict import Check, Hold, Setting, SettingOutcome, Verdict
 from aomgen.episodes.record import episode_of, store_episode
 from aomgen.episodes.render import ImageParams, render_episode, static_layers

@@ -13,7 +13,7 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 from gymnasium.vector import AsyncVectorEnv, SyncVectorEnv
 
-from aomgen.core.trajectory import SceneTrajectory
+from aomgen.core.demonstration import SceneTrajectory
 from aomgen.episodes.render import render_episode
 from aomgen.errors import BackendError, ConfigError, MissingFileError
 from aomgen.evaluation.environment import ENV_ID, OpenEnv

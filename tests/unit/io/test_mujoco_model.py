@@ -5,8 +5,8 @@ import struct
 import pytest
 
 from aomgen.errors import LimitExceededError, MalformedFileError, MissingFileError, UnsafePathError
-from aomgen.io import robot_xml
-from aomgen.io.robot_xml import read_robot_xml
+from aomgen.io import mujoco_model
+from aomgen.io.mujoco_model import read_robot_xml
 
 URDF = '<robot name="r"><link name="a">{}</link></robot>'
 MESH = '<visual><geometry><mesh filename="{}"/></geometry></visual>'
@@ -94,13 +94,13 @@ def test_files_of_another_kind_are_refused(tmp_path, text, message):
 def test_sizes_and_circles_of_includes_are_bounded(tmp_path, monkeypatch):
     circle = write(tmp_path, '<mujoco><include file="robot.xml"/></mujoco>', "robot.xml")
     assert read_robot_xml(circle, tmp_path).references == ()
-    monkeypatch.setattr(robot_xml, "MAX_INCLUDES", 2)
+    monkeypatch.setattr(mujoco_model, "MAX_INCLUDES", 2)
     for number in range(3):
         write(tmp_path, f'<mujoco><include file="part{number + 1}.xml"/></mujoco>', f"part{number}.xml")
     write(tmp_path, "<mujoco/>", "part3.xml")
     with pytest.raises(LimitExceededError):
         read_robot_xml(tmp_path / "part0.xml", tmp_path)
-    monkeypatch.setattr(robot_xml, "MAX_BYTES", 10)
+    monkeypatch.setattr(mujoco_model, "MAX_BYTES", 10)
     with pytest.raises(LimitExceededError):
         read_robot_xml(circle, tmp_path)
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from aomgen.core.camera import Camera, look_at
-from aomgen.splatting.initialization import gaussians_from_points, neighbour_distances
+from aomgen.core.gaussians import gaussians_from_points, neighbour_distances
 from aomgen.splatting.rasterizer import render
 
 

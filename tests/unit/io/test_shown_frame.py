@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from aomgen.core.hdr_transfer import tone_map
+from aomgen.io.shown_frame import tone_map
 
 # Signals of one luminance in both curves, from BT.2408-7, table 1: grey card, white page.
 SAME_LUMINANCE = [(0.38, 0.38), (0.75, 0.58)]
