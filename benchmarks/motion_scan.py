@@ -13,7 +13,7 @@ from aomgen.core.gaussians import SH_C0, Gaussians, gaussians_of
 from aomgen.core.progress import silent
 from aomgen.core.transforms import quat_from_matrix
 from aomgen.core.values import Array
-from aomgen.robots.model_renderer import FAR_M
+from aomgen.robots.silhouette import FAR_M
 from aomgen.simulation.scene_renderer import SceneRenderer
 from aomgen.splatting.optimizer import RATES
 from aomgen.splatting.training import TrainingParams, train

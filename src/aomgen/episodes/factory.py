@@ -33,7 +33,7 @@ from aomgen.io.artifact import file_digest, load_artifact
 from aomgen.io.atomic import stage_folder
 from aomgen.io.episode_folder import episode_folder
 from aomgen.results import ASSET_USD, Results
-from aomgen.robots.reach import longest_reach
+from aomgen.robots.robot import longest_reach
 from aomgen.saved_units import unit_name
 from aomgen.simulation.episode_scene import episode_scene
 from aomgen.simulation.scene import Scene

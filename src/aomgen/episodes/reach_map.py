@@ -16,7 +16,7 @@ from aomgen.episodes.ik import IkSolver, find_arms, follow, walk
 from aomgen.episodes.planning import PlanParams
 from aomgen.episodes.retarget import DemonstratedMotion
 from aomgen.episodes.variations import Range, Ranges, scale_fit
-from aomgen.robots.reach import longest_reach
+from aomgen.robots.robot import longest_reach
 
 # Nodes are so far apart, [m] and [deg], or as far as so many nodes along each axis need.
 PITCH_M, PITCH_DEG, MAX_NODES = 0.05, 15.0, 7

@@ -13,7 +13,7 @@ from aomgen.core.plan import FittedAsset, OrbitChange, Rejection, Variation
 from aomgen.core.transforms import apply, matrix_from_rotvec, transform
 from aomgen.core.values import Array
 from aomgen.episodes.variations import Ranges, inside
-from aomgen.robots.reach import Reach
+from aomgen.robots.robot import Reach
 
 # An object may stand this far beyond the table's estimated edge, [m].
 OVERHANG_M: Final = 0.02

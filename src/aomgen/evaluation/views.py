@@ -16,7 +16,7 @@ from aomgen.episodes.factory import EpisodeFactory, OpenAsset
 from aomgen.episodes.fixed_views import FixedViews, soft_shades
 from aomgen.episodes.moving_view import MovingView
 from aomgen.episodes.render import states_of
-from aomgen.robots.model_renderer import FAR_M
+from aomgen.robots.silhouette import FAR_M
 from aomgen.simulation.scene import build_scene
 from aomgen.simulation.scene_renderer import SceneRenderer
 from aomgen.twin.twin import StaticLayer, static_layer
@@ -100,7 +100,7 @@ class SimulatorViews:
     ) -> None:
         results, place = factory.results, factory.place
         T, self._cameras, self._robot = variation.place_at(fitted), place.cameras, results.robot
-        self._carried = {name: self._robot.cameras[name].view for name in carried}
+        self._carried = {name: self._robot.cameras[name][1] for name in carried}
         self._scene = build_scene(results.robot, fitted.asset, T, place.support, visual=True)
         self._scene.model.geom_group[self._scene.roles.table] = VISUAL_GROUP
         light = self._scene.model.vis.headlight

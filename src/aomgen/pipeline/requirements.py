@@ -10,7 +10,7 @@ from pathlib import Path
 
 from aomgen.errors import AomgenError, BackendError, StorageError
 from aomgen.replacement.diffusion_pipeline import EXTRA as DIFFUSION_REMEDY
-from aomgen.robots.model_renderer import REMEDY as GL_REMEDY
+from aomgen.robots.silhouette import REMEDY as GL_REMEDY
 from aomgen.segmentation.sam2_weights import find_sam2
 from aomgen.segmentation.weights import find_weights
 from aomgen.splatting.native import library
@@ -27,7 +27,7 @@ DIFFUSION = (("torch", "diffusers", "transformers", "safetensors"), DIFFUSION_RE
 DRAWS_ROBOT = ("alignment", "parts", "motion", "twin")
 EVERYTHING = (*MODULES, *DRAWS_ROBOT, "replacement")
 # A context can abort the whole process when the driver is broken, so it is tried in a child.
-GL_PROBE = "from aomgen.robots.model_renderer import offscreen_context; offscreen_context(8, 8).free()"
+GL_PROBE = "from aomgen.robots.silhouette import offscreen_context; offscreen_context(8, 8).free()"
 # A driver takes about a second; one that hangs never ends, [s].
 GL_TIMEOUT_S = 60.0
 # The bundled recording's run takes 180 MB; nothing of a run is small enough for less, [bytes].

@@ -11,7 +11,7 @@ from aomgen.assets.mjcf import VISUAL_GROUP, add_asset
 from aomgen.core.asset import ArticulatedAsset
 from aomgen.core.camera import Camera
 from aomgen.core.mesh import Mesh
-from aomgen.robots.model_renderer import ModelRenderer, depth_of
+from aomgen.robots.silhouette import ModelRenderer, depth_of
 
 # Cosine between the normals of two corners of a pixel that lie on one face.
 FLAT: Final = 0.99

@@ -15,8 +15,7 @@ from aomgen.core.boxes import OrientedBox, find_upright_axes
 from aomgen.core.gaussians import Gaussians
 from aomgen.core.transforms import matrix_from_quat, transform
 from aomgen.core.values import Array
-from aomgen.robots.reach import Reach
-from aomgen.robots.robot import RobotConfiguration
+from aomgen.robots.robot import Reach, RobotConfiguration
 from aomgen.twin.support import Support
 
 # Lower things do not hinder a hand and drown in the surface's own noise, [m].

@@ -39,7 +39,7 @@ from aomgen.replacement.reflection import show_in_light
 from aomgen.replacement.removal import Cleared, Inpaint, clear_object
 from aomgen.replacement.viewpoint import episode_cameras
 from aomgen.results import ASSET_USD, ASSETS_FOLDER, FITTED, Results
-from aomgen.robots.reach import longest_reach
+from aomgen.robots.robot import longest_reach
 from aomgen.twin.binding import with_object
 from aomgen.twin.thing_shadow import compute_surrounding_shadow
 from aomgen.twin.twin import TwinModel, pose_twin

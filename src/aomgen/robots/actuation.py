@@ -1,4 +1,4 @@
-"""What a robot needs in a simulation: position servos, pads on its fingers, and no false contacts.
+"""Prepare a robot for simulation: position servos, pads on its fingers, and no false contacts.
 
 Files come with torque motors, with soft demonstration gains or, as every URDF, without any
 actuator. Whether a plan works must not depend on that, so all of them get the same servos, as stiff
@@ -41,9 +41,9 @@ def add_actuation(
     pad_way_m: float,
     path: Path,
 ) -> ActuatorSection | None:
-    """Make a robot fit for contact simulation: pad boxes, servos, contact exclusions, shapes in our groups.
+    """Add pad boxes, servos and contact exclusions to a robot, and sort its shapes into visual and collision groups.
 
-    The pads come nearer by `pad_way_m` from open to closed. Returns what closes the gripper.
+    The pads approach each other by `pad_way_m` from open to closed. Returns the actuator of the gripper.
     """
     model = compile_model(spec, path)
     _sort_geoms(spec, model)
@@ -63,7 +63,7 @@ def add_actuation(
 
 
 def drop_visual(spec: mujoco.MjSpec) -> None:
-    """Take away what is only seen."""
+    """Remove visual geoms and their meshes."""
     for geom in list(spec.geoms):
         if geom.contype == 0 and geom.conaffinity == 0 and geom.group == VISUAL_GROUP:
             spec.delete(geom)
@@ -74,7 +74,7 @@ def drop_visual(spec: mujoco.MjSpec) -> None:
 
 
 def _sort_geoms(spec: mujoco.MjSpec, model: mujoco.MjModel) -> None:
-    """Put what is seen and what collides into the groups that ours have."""
+    """Assign the visual and the collision group."""
     for number, seen in enumerate(find_visible_geoms(model)):
         spec.geom(model.geom(number).name).group = VISUAL_GROUP if seen else COLLIDER_GROUP
 
@@ -142,7 +142,7 @@ def _add_grip_servo(
 ) -> ActuatorSection:
     (driver, (start, end)), *_ = strokes.items()
     stroke = abs(end - start)
-    # Virtual work: the two pads press against each other over the way that they come nearer.
+    # Virtual work: the two pads press against each other over the distance that they approach.
     force = GRIP_FORCE_N * pad_way_m / stroke
     kp = force / (GRIP_GIVE * stroke)
     joint = spec.joint(driver)
@@ -218,7 +218,7 @@ def _structural_overlaps(model: mujoco.MjModel, joints: tuple[str, ...]) -> list
 
 
 def _false_contacts(model: mujoco.MjModel, chain: ArmChain) -> list[tuple[str, str]]:
-    """Pairs inside the hand, and of shapes that always overlap: their contacts say nothing about a plan."""
+    """Pairs of bodies inside the gripper or of shapes that always overlap; their contacts do not depend on the plan."""
     hand = [model.body(body).name for body in (chain.last_body, *chain.hand_bodies)]
     pairs = {(a, b) for i, a in enumerate(hand) for b in hand[i + 1 :]}
     pairs |= set(_structural_overlaps(model, chain.joints))

@@ -1,4 +1,4 @@
-"""`robot.toml`: what the joints, bodies and sites of a robot's model are for."""
+"""`robot.toml`: the roles of the joints, bodies and sites of a robot's model."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -26,7 +26,7 @@ class _Section(BaseModel):
 
 
 class PadSection(_Section):
-    """The face with which a finger holds, as a box behind it: its z axis points to the other finger."""
+    """The gripping face of a finger, as a box behind it whose z axis points to the other finger."""
 
     body: str
     center: Three
@@ -52,7 +52,7 @@ class EndEffectorSection(_Section):
 
 
 class GripperSection(_Section):
-    """How the gripper closes.
+    """Model, driving joints and pads of the gripper.
 
     Attributes:
         model, attach, prefix: Its own file, the arm's site that it is attached to, and what is put before
@@ -95,7 +95,7 @@ class MountSection(_Section):
 
 
 class RobotDescription(_Section):
-    """What a robot.toml says; see `docs/capture.md`."""
+    """Content of a robot.toml; see `docs/capture.md`."""
 
     format: Literal[1] = 1
     name: str = Field(min_length=1)
@@ -138,7 +138,7 @@ def find_known_description(name: str) -> Path:
 
 
 def find_description(model_file: Path) -> Path | None:
-    """The robot.toml beside a model.
+    """Find the robot.toml in the folder of a model.
 
     Raises:
         MalformedFileError: It describes another model.
@@ -193,7 +193,7 @@ def _model(reference: str, path: Path, root: Path) -> RobotXml:
 
 
 def robot_references(model_file: Path, root: Path) -> tuple[Path, ...]:
-    """All files beside the model itself that a robot needs, its robot.toml included.
+    """List all files that a robot needs in addition to its model, robot.toml included.
 
     Raises:
         InputError: One of them is missing or unusable.

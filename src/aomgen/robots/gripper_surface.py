@@ -1,4 +1,4 @@
-"""The surface of a hand: the finger that each point belongs to, and the faces with which fingers hold."""
+"""The surface of a gripper: the finger that each point belongs to, and the gripping faces of the fingers."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -20,15 +20,15 @@ from aomgen.robots.reading import ArmChain, ancestors
 from aomgen.robots.robot import RobotModel, body_poses
 
 PALM = "palm"
-# Points on a whole hand: some 3 mm apart on a two-finger gripper.
+# Points on a whole gripper: some 3 mm apart on one with two fingers.
 POINTS = 12000
-# A body that moves less than this against the palm while the hand closes is palm, [m].
+# A body that moves less than this relative to the palm while the gripper closes is palm, [m].
 _STILL_M = 1e-4
 # A pair of fingers moves at least this share of what the pair that moves most does.
 TRAVEL_SHARE = 0.7
-# What touches when the fingers close lies within this of the first contact: rubber gives way, [m].
+# Contact zone of closing fingers, measured from their first contact: rubber gives way, [m].
 SOFT_M = 0.002
-# A face looks at the other finger when it is turned less than 45 degrees away; fewer sample points are no face.
+# A face is directed to the other finger within 45 degrees (cosine); fewer sample points are no face.
 FACING, MIN_FACE_POINTS = 0.7, 12
 # Least half size of the box behind a face, [m]; less than the half thickness of any finger.
 HALF_THICKNESS_M = 0.002
@@ -36,7 +36,7 @@ HALF_THICKNESS_M = 0.002
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class HandSurface:
-    """Points all over a hand and their outward normals, in the frames of the bodies that carry them, [m].
+    """Points on the whole surface of a gripper and their outward normals, in the frames of their bodies, [m].
 
     Attributes:
         bodies: Index of each point's body.
@@ -58,9 +58,9 @@ class HandSurface:
 
 
 def hand_surface(robot: RobotModel) -> HandSurface:
-    """Points over everything that is seen of the hand; none for an arm without one.
+    """Sample the visible surface of the gripper; no points for an arm without one.
 
-    Not checked: that the meshes are closed; a point inside the hand is never nearest to a part.
+    Not checked: that the meshes are closed; a point inside the gripper is never nearest to a part.
     """
     sides = _sides(robot)
     meshes = [mesh for mesh in robot.meshes if mesh.body in sides]
@@ -76,7 +76,7 @@ def hand_surface(robot: RobotModel) -> HandSurface:
 
 
 def _sides(robot: RobotModel) -> dict[int, str]:
-    """Finger of every body of the hand: what moves as the hand closes, by the nearer pad."""
+    """Assign every gripper body that moves as the gripper closes to the finger with the nearest pad, others to the palm."""
     hand = [robot.body_names.index(name) for name in robot.hand_bodies]
     if not robot.pads:
         return dict.fromkeys(hand, PALM)
@@ -105,23 +105,8 @@ class SurfaceSamples:
     normals: Array
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Travel:
-    """How two bodies approach each other between two states of the hand.
-
-    Attributes:
-        bodies: Root ids of the fingers.
-        way_m: How much nearer they come from the first state to the second; negative if farther.
-        gap_m: What is left between them where they are nearest.
-    """
-
-    bodies: tuple[int, int]
-    way_m: float
-    gap_m: float
-
-
 def sample_hand(model: mujoco.MjModel, chain: ArmChain) -> dict[int, SurfaceSamples]:
-    """The surface of every rigid group of the hand's bodies, by the id of its root; what is seen if anything is."""
+    """Sample the surface of every rigid group of gripper bodies, by the id of its root; of visible geoms where it has any."""
     shown = find_visible_geoms(model)
     Ts = body_poses(model, model.qpos0[None])[0]
     bodies = (chain.last_body, *chain.hand_bodies)
@@ -156,18 +141,21 @@ def _sample(vertices: Array, faces: NDArray[np.int64]) -> tuple[SurfaceSamples, 
     return SurfaceSamples(points=points, normals=normals[owners]), owners
 
 
-def find_travel(
+def find_fingers(
     model: mujoco.MjModel, chain: ArmChain, skins: Mapping[int, SurfaceSamples], Ts: Array
-) -> Travel | None:
-    """The pair of bodies that are the fingers; None if nothing moves.
+) -> tuple[tuple[int, int], float] | None:
+    """Find the pair of bodies that are the fingers; None if nothing moves.
 
-    Of the pairs that move most towards each other the two that come closest; a gripper with one moving
-    jaw holds against its own palm.
+    Among the pairs that approach each other most, the pair that comes closest is chosen; a gripper with one
+    moving jaw holds against its own palm.
 
     Args:
-        model, chain: The robot and its hand.
+        model, chain: The robot and its gripper.
         skins: From `sample_hand`.
-        Ts: Poses (K, B, 4, 4) from one end of the fingers' way to the other.
+        Ts: Poses (K, B, 4, 4) from one end of the fingers' stroke to the other.
+
+    Returns:
+        Ids of the two root bodies, and the distance by which they approach, negative if they separate, [m].
     """
     palm = int(model.body_weldid[chain.last_body])
     branch = {body: _branch(model, body, palm) for body in skins if body != palm}
@@ -181,15 +169,17 @@ def find_travel(
         far = int(np.argmax(np.abs(nearer)))
         moving = nearer * np.sign(nearer[far]) >= 0.5 * abs(nearer[far])
         gap = np.minimum(before, after)[moving].min()
-        found.append(Travel(bodies=(a, b), way_m=float(nearer[far]), gap_m=float(gap)))
-    most = max((abs(travel.way_m) for travel in found), default=0.0)
+        found.append((float(gap), float(nearer[far]), (a, b)))
+    most = max((abs(approach_m) for _, approach_m, _ in found), default=0.0)
     if not most >= MIN_TRAVEL_M:
         return None
-    return min((t for t in found if abs(t.way_m) >= TRAVEL_SHARE * most), key=lambda t: t.gap_m)
+    wide = [item for item in found if abs(item[1]) >= TRAVEL_SHARE * most]
+    _, approach_m, pair = min(wide, key=lambda item: item[0])
+    return pair, approach_m
 
 
 def _branch(model: mujoco.MjModel, body: int, palm: int) -> int:
-    """The child of the palm through which a body hangs on it."""
+    """Find the child of the palm whose subtree holds a body."""
     line = [body, *ancestors(model, body)]
     return next((b for b in line if model.body_weldid[model.body_parentid[b]] == palm), line[-1])
 
@@ -208,7 +198,7 @@ def find_contact_row(skins: Mapping[int, SurfaceSamples], Ts: Array, pair: tuple
 
 
 def _moving(skins: Mapping[int, SurfaceSamples], Ts: Array, a: int, b: int) -> NDArray[np.bool_]:
-    """Points of a that come nearer to b by at least half of what any does."""
+    """Mask of a's points that approach b by at least half of the largest approach."""
     nearer = _distances(skins, Ts[0], a, b) - _distances(skins, Ts[-1], a, b)
     return nearer > 0.5 * nearer.max()
 
@@ -216,7 +206,7 @@ def _moving(skins: Mapping[int, SurfaceSamples], Ts: Array, a: int, b: int) -> N
 def find_face(
     skins: Mapping[int, SurfaceSamples], Ts: Array, row: int, a: int, b: int
 ) -> tuple[Array, Array] | None:
-    """The face of finger a that meets finger b in state `row`; None when no side of it looks there.
+    """Find the face of finger a that meets finger b in state `row`; None when no side of it is directed there.
 
     Returns:
         Pose of the box behind it (4, 4) in a's frame, z towards b, and its half extents (3,), [m].
@@ -226,7 +216,7 @@ def find_face(
     near = _distances(skins, Ts[row], a, b)
     moving = _moving(skins, Ts, a, b)
     middle = skin.points[moving][np.argsort(near[moving])[:MIN_FACE_POINTS]].mean(0)
-    # What lies against a at the end, carried by b to where it was before.
+    # The point of b that touches a at the end, at its earlier position.
     T_a_a = invert(Ts[earlier, a]) @ Ts[earlier, b] @ invert(Ts[row, b]) @ Ts[row, a]
     towards = apply(T_a_a, middle) - middle
     length = float(np.linalg.norm(towards))

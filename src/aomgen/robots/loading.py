@@ -1,6 +1,6 @@
-"""Loading a robot: what its robot.toml says, or a guess, made one model for kinematics and physics.
+"""Load a robot by its robot.toml, or by a guess, as one model for kinematics and physics.
 
-A robot is also kept beside results, so that they can be used without the capture they come from.
+A robot is also stored with results, so that they can be used without their capture.
 """
 
 import os
@@ -34,11 +34,10 @@ from aomgen.robots.description import (
     read_description,
     read_models,
 )
-from aomgen.robots.geom_meshes import visual_meshes
 from aomgen.robots.gripper import MIN_TRAVEL_M, GripperTable, no_fingers, settle_fingers
 from aomgen.robots.propose import propose_description
 from aomgen.robots.reading import ancestors, arm_chain, read_finished_spec, read_robot_spec
-from aomgen.robots.robot import FingerPad, HandDrive, RobotCamera, RobotModel, body_poses, site_poses
+from aomgen.robots.robot import FingerPad, HandDrive, RobotModel, body_poses, site_poses, visual_meshes
 
 HEADER = "robot"
 FILES = "robot"
@@ -56,12 +55,12 @@ def load_robot(
 ) -> RobotModel:
     """Load a robot known by name, or a URDF or MJCF file.
 
-    What its parts are for is read from the robot.toml beside the file; without one it is guessed.
+    The roles of its parts are read from the robot.toml in the file's folder; without one they are guessed.
 
     Args:
         model: "ur5e_2f85", or the path of a file.
         base_frame: World frame: "base_link", or "ur_base", which is turned by 180 degrees about z.
-        joints: Arm joints in the order wanted; empty takes the model's own.
+        joints: Arm joints in the requested order; empty takes the model's own.
         root: Folder that all references of a file stay in; None takes the file's own.
 
     Raises:
@@ -106,7 +105,7 @@ def choose_robot(choice: RobotChoice) -> RobotModel:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StoredRobot:
-    """A robot kept beside results: known by name, or its file relative to their folder."""
+    """A robot stored with results: known by name, or its file relative to their folder."""
 
     model: str
     file: str
@@ -230,13 +229,13 @@ def _finger_pad(model: mujoco.MjModel, side: str, pad: PadSection) -> FingerPad:
     )
 
 
-def _robot_camera(model: mujoco.MjModel, item: MountSection) -> RobotCamera:
+def _robot_camera(model: mujoco.MjModel, item: MountSection) -> tuple[int, Camera]:
     focal = item.height / 2 / np.tan(np.radians(item.fov_deg) / 2)
     T_body_cam = transform(matrix_from_quat(item.quat_wxyz), item.position)
     view = Camera(
         fx=focal, fy=focal, cx=item.width / 2, cy=item.height / 2, width=item.width, height=item.height, T_world_cam=T_body_cam
     )  # fmt: skip
-    return RobotCamera(body=model.body(item.body).id - 1, view=view)
+    return model.body(item.body).id - 1, view
 
 
 def _colliders(model: mujoco.MjModel, body: int) -> tuple[str, ...]:
@@ -256,7 +255,7 @@ def _colliders(model: mujoco.MjModel, body: int) -> tuple[str, ...]:
 def _closing_way(
     model: mujoco.MjModel, ee_site: str, table: GripperTable, pads: tuple[FingerPad, ...], path: Path
 ) -> float:
-    """How much nearer the pads come from open to closed, [m]; refuses a gripper that does not close along y."""
+    """Distance that the pads approach each other from open to closed, [m]; refuses a gripper that does not close along y."""
     gaps = []
     states = np.repeat(model.qpos0[None], 2, 0)
     states[:, [model.joint(name).qposadr[0] for name in table.joint_names]] = table.positions[[0, -1]]

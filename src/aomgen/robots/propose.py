@@ -4,7 +4,7 @@ A person checks it; nothing else in AOMGen guesses what a robot's parts are for.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import mujoco
@@ -24,10 +24,9 @@ from aomgen.robots.description import (
 from aomgen.robots.gripper import settle_fingers
 from aomgen.robots.gripper_surface import (
     SurfaceSamples,
-    Travel,
     find_contact_row,
     find_face,
-    find_travel,
+    find_fingers,
     sample_hand,
 )
 from aomgen.robots.reading import ArmChain, ancestors, arm_chain, read_robot_spec
@@ -36,7 +35,7 @@ from aomgen.robots.robot import RobotModel, body_poses
 # Sites that makers of arms without gripper put at the end, best first.
 EE_SITES = ("pinch", "ee", "attachment_site")
 HELP = "see `aomgen robot propose --help`"
-REMEDY = f"say with --open and --closed at which joint values the gripper is open and closed: {HELP}"
+REMEDY = f"give the joint values of the open and closed gripper with --open and --closed: {HELP}"
 # Digits that a person reads: 10 um, far below what pads are known to; of quaternions 1e-5 rad.
 DIGITS = 5
 
@@ -65,7 +64,7 @@ def propose_description(
         fingers: Names of the two bodies that hold, left and right; empty finds them.
 
     Raises:
-        InputError: The file cannot be used, or does not tell enough.
+        InputError: The file cannot be used, or is not sufficient for a guess.
     """
     xml = read_robot_xml(file, root)
     spec, actuated = read_robot_spec(RobotFiles(arm=xml), turned=False)
@@ -116,7 +115,7 @@ def _list_unbranched_joints(model: mujoco.MjModel) -> tuple[str, ...]:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Hand:
-    """The robot whose gripper is looked at."""
+    """The robot whose gripper is analyzed."""
 
     spec: mujoco.MjSpec
     model: mujoco.MjModel
@@ -126,11 +125,12 @@ class _Hand:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Closing:
-    """One way to close: driving joints from open to closed, poses (K, B, 4, 4), and what the fingers do."""
+    """A closing motion: driving joints from open to closed, poses (K, B, 4, 4), and how far the fingers (bodies) approach."""
 
     strokes: Mapping[str, tuple[float, float]]
     Ts: Array
-    travel: Travel
+    fingers: tuple[int, int]
+    approach_m: float
 
 
 def _read_stated_strokes(
@@ -155,7 +155,7 @@ def _guess_gripper(
     """The gripper, and the pose (4, 4) of the point between its pads on the last arm body.
 
     Args:
-        hand: The robot.
+        hand: The robot whose gripper is analyzed.
         actuated: Joints that actuators drive.
         strokes: From open to closed of the driving joints; empty finds them.
         fingers: Left and right body; empty finds them.
@@ -163,7 +163,7 @@ def _guess_gripper(
     model, file = hand.model, hand.file
     skins = sample_hand(model, hand.chain)
     closing = _find_closing(hand, skins, actuated, strokes)
-    pair = _find_named_pair(model, fingers, file) if fingers else _sides(model, closing.travel.bodies)
+    pair = _find_named_pair(model, fingers, file) if fingers else _sides(model, closing.fingers)
     row = find_contact_row(skins, closing.Ts, pair)
     faces = [find_face(skins, closing.Ts, row, a, b) for a, b in (pair, pair[::-1])]
     if faces[0] is None or faces[1] is None:
@@ -207,7 +207,7 @@ def _find_closing(
     actuated: Sequence[str],
     stated: Mapping[str, tuple[float, float]],
 ) -> _Closing:
-    """The way from open to closed on which the fingers come nearer by most."""
+    """Find the motion from open to closed in which the fingers approach each other most."""
     candidates = [stated]
     if not stated:
         up = {name: _range(hand, name) for name in _drivers(hand, actuated)}
@@ -221,16 +221,18 @@ def _find_closing(
         states = np.repeat(hand.model.qpos0[None], len(table.values), 0)
         states[:, [hand.model.joint(name).qposadr[0] for name in table.joint_names]] = table.positions
         Ts = body_poses(hand.model, states)
-        travel = find_travel(hand.model, hand.chain, skins, Ts)
-        if travel is not None and travel.way_m < 0 and not stated:
+        pair = find_fingers(hand.model, hand.chain, skins, Ts)
+        if pair is None:
+            continue
+        fingers, approach_m = pair
+        if approach_m < 0 and not stated:
             strokes = {name: (end, start) for name, (start, end) in strokes.items()}
-            Ts, travel = Ts[::-1], replace(travel, way_m=-travel.way_m)
-        if travel is not None:
-            found.append(_Closing(strokes=strokes, Ts=Ts, travel=travel))
+            Ts, approach_m = Ts[::-1], -approach_m
+        found.append(_Closing(strokes=strokes, Ts=Ts, fingers=fingers, approach_m=approach_m))
     if not found:
         raise MalformedFileError(hand.file, "has no two fingers that close on each other", REMEDY)
-    best = max(found, key=lambda closing: closing.travel.way_m)
-    if not best.travel.way_m > 0:
+    best = max(found, key=lambda closing: closing.approach_m)
+    if not best.approach_m > 0:
         raise MalformedFileError(
             hand.file, "fingers are farther apart when closed", "exchange --open and --closed"
         )
@@ -250,8 +252,10 @@ def _drivers(hand: _Hand, actuated: Sequence[str]) -> list[str]:
         sources = {_source(name, follows) for name in actuated}
         free = [name for name in free if name in sources]
     if not free or len(free) > (1 if loops else 2):
-        said = f"how the finger joints {', '.join(free)} move together" if free else "what drives its fingers"
-        raise MalformedFileError(hand.file, f"does not tell {said}", REMEDY)
+        unknown = (
+            f"how the finger joints {', '.join(free)} move together" if free else "what drives its fingers"
+        )
+        raise MalformedFileError(hand.file, f"does not state {unknown}", REMEDY)
     return free
 
 
@@ -289,7 +293,7 @@ def _round(values: Array) -> tuple[float, ...]:
 
 
 def describe_sizes(robot: RobotModel) -> str:
-    """Lines by which a person sees whether gripper and end effector are the right ones."""
+    """Summarize arm, gripper and end effector for a person who checks them."""
     arm = f"arm            {len(robot.joint_names)} joints: {', '.join(robot.joint_names)}"
     if not robot.pads:
         return f"{arm}\ngripper        none: such a robot can be followed, but not verified"

@@ -67,8 +67,8 @@ def _attach(spec: mujoco.MjSpec, part: mujoco.MjSpec, files: RobotFiles) -> None
 def read_robot_spec(files: RobotFiles, *, turned: bool) -> tuple[mujoco.MjSpec, tuple[str, ...]]:
     """The robot of any file in radians, with named bodies, without actuators, sensors, lights and floor.
 
-    Only the tree of bodies that holds most joints is kept; whatever else the file's scene has
-    (tables, objects, mocap targets) goes. Shapes that stand in the world itself, floors left out,
+    Only the tree of bodies with most joints is kept; all other content of the file's scene
+    (tables, objects, mocap targets) is removed. Shapes of the world body itself, except floors,
     become the body "robot_base". The world may be turned by 180 degrees about z.
 
     Returns:
@@ -92,7 +92,7 @@ def read_robot_spec(files: RobotFiles, *, turned: bool) -> tuple[mujoco.MjSpec, 
     for compiler in (spec.compiler, source.compiler):
         compiler.boundmass, compiler.boundinertia = LEAST_MASS, LEAST_INERTIA
         compiler.balanceinertia = True
-    # What the file's scene chose for the solver is not the robot's; MuJoCo tells of each difference.
+    # Solver settings of the file's scene are not the robot's, and MuJoCo warns of each difference.
     for name in SCENE_SIZES:
         setattr(source, name, getattr(spec, name))
     for name in dir(spec.option):
@@ -183,7 +183,7 @@ def _rename(spec: mujoco.MjSpec) -> None:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ArmChain:
-    """The arm's joints in the order asked for, the body (id) that the last one moves, and what is beyond."""
+    """The arm's joints in the requested order, the body (id) that the last one moves, and the gripper beyond it."""
 
     joints: tuple[str, ...]
     last_body: int
@@ -223,7 +223,7 @@ def arm_chain(model: mujoco.MjModel, joints: Sequence[str], path: Path) -> ArmCh
     if left:
         raise MalformedFileError(
             path,
-            f"has joint '{left[0]}', which is neither listed in robot.joints nor part of the hand",
+            f"has joint '{left[0]}', which is neither listed in robot.joints nor part of the gripper",
             "log it too, or fix it in the file",
         )
     return ArmChain(joints=tuple(joints), last_body=last, hand_bodies=hand, hand_joints=hand_joints)

@@ -15,16 +15,18 @@ from aomgen.core.camera import Camera, CameraPath
 from aomgen.core.mesh import sample_triangles
 from aomgen.core.transforms import apply, matrix_from_quat, transform
 from aomgen.core.values import Array, Matrix4, Vector3, freeze_arrays
-from aomgen.robots.geom_meshes import RobotMesh
+from aomgen.io.geom_surface import find_visible_geoms, geom_surface
 from aomgen.robots.gripper import GripperTable
 
 # Step of the numeric derivative, [rad]: its error is far below a pixel.
 _TURN_RAD = 1e-4
+# Random configurations that determine the workspace of an arm.
+_REACH_SAMPLES = 2000
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FingerPad:
-    """The face with which the "left" or "right" finger holds, as a box behind it, z towards the other finger.
+    """The gripping face of the "left" or "right" finger, as a box behind it whose z axis points to the other finger.
 
     `body` is an index into `RobotModel.body_names`; lengths in [m].
     """
@@ -48,16 +50,8 @@ class FingerPad:
 
     @property
     def face_body(self) -> Array:
-        """Middle of the face that looks at the other finger (3,), body frame, [m]."""
+        """Center of the face towards the other finger (3,), body frame, [m]."""
         return self.center_body + self.half_extents[2] * self.normal_body
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class RobotCamera:
-    """A camera on a body, an index into `RobotModel.body_names`; what `view` calls world is the body's frame."""
-
-    body: int
-    view: Camera
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -68,6 +62,18 @@ class HandDrive:
     driver_range: tuple[float, float]
     actuator: str
     control_range: tuple[float, float]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RobotMesh:
+    """One visual mesh of the robot, in the frame of a body (index into `RobotModel.body_names`), [m]."""
+
+    body: int
+    vertices_body: Annotated[Array, "_ 3"]
+    faces: Annotated[NDArray[np.int64], "_ 3"]
+    color_srgb: Vector3
+
+    __post_init__ = freeze_arrays
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -82,10 +88,10 @@ class RobotModel:
         gripper_table: Finger joints over the gripper value 0 (open) .. 1 (closed).
         pads: Left and right; empty for an arm without fingers.
         pad_geoms: Names of each finger's colliding shapes, by side.
-        drive: What closes the hand; None for an arm without fingers.
-        hand_bodies: Names of the bodies that hang on the last arm body.
+        drive: Actuation of the gripper; None for an arm without fingers.
+        hand_bodies: Names of the gripper's bodies, the descendants of the last arm body.
         ee_site: Name of the site that is the end effector (between the pads).
-        cameras: That it carries, by name.
+        cameras: Mounted cameras by name: index of the body, and the camera with the body's frame as its world.
     """
 
     name: str
@@ -100,7 +106,7 @@ class RobotModel:
     drive: HandDrive | None
     hand_bodies: tuple[str, ...]
     ee_site: str
-    cameras: Mapping[str, RobotCamera]
+    cameras: Mapping[str, tuple[int, Camera]]
     _model: mujoco.MjModel
     _full: mujoco.MjSpec
     _bare: mujoco.MjSpec
@@ -145,11 +151,11 @@ class RobotModel:
         return body_poses(self._model, self.qpos(joints, gripper))[:, 1:]
 
     def camera_paths(self, joints: ArrayLike, gripper: ArrayLike) -> dict[str, CameraPath]:
-        """Where its cameras are at T frames; arguments as `qpos`."""
+        """Poses of the mounted cameras at T frames; arguments as `qpos`."""
         Ts = self.link_poses(joints, gripper)
         return {
-            name: CameraPath(camera=item.view, Ts_world_cam=Ts[:, item.body] @ item.view.T_world_cam)
-            for name, item in self.cameras.items()
+            name: CameraPath(camera=camera, Ts_world_cam=Ts[:, body] @ camera.T_world_cam)
+            for name, (body, camera) in self.cameras.items()
         }
 
     def pad_distances(self, gripper: ArrayLike) -> Array:
@@ -222,14 +228,14 @@ class RobotConfiguration:
         return self.robot.ee_poses(self.joints[None])[0, :3, 3]
 
     def segments(self) -> NDArray[np.int64]:
-        """Number (B,) of arm joints that move each body: 0 = base, J = hand.
+        """Number (B,) of arm joints that move each body: 0 for the base, J for the gripper.
 
         Not checked: the arm is one chain.
         """
         return self._rotate_joints_once()[1]
 
     def turns(self, points: Array, bodies: NDArray[np.integer]) -> Array:
-        """How each joint moves points (C, 3) on bodies (C,): velocities (C, J, 3), [m/rad]."""
+        """Velocities (C, J, 3) of points (C, 3) on bodies (C,) with respect to each joint, [m/rad]."""
         motions, segments = self._rotate_joints_once()
         moves = np.einsum("jab,cb->cja", motions[:, :3, :3], points) + motions[:, :3, 3]
         behind = segments[bodies][:, None] > np.arange(len(motions))
@@ -244,3 +250,47 @@ class RobotConfiguration:
         last = np.array([int(np.flatnonzero(row)[-1]) if row.any() else 0 for row in moved])
         fields = (motions[np.arange(len(last)), last] - np.eye(4)) / _TURN_RAD
         return fields, moved.sum(0)
+
+
+def visual_meshes(model: mujoco.MjModel) -> tuple[RobotMesh, ...]:
+    """Triangulate the visible shapes of every body, primitive shapes included."""
+    meshes = []
+    for geom in np.flatnonzero(find_visible_geoms(model)):
+        surface = geom_surface(model, int(geom))
+        if surface is None:
+            continue
+        material = model.geom_matid[geom]
+        rgba = model.mat_rgba[material] if material >= 0 else model.geom_rgba[geom]
+        body, (vertices, faces) = int(model.geom_bodyid[geom]) - 1, surface
+        meshes.append(RobotMesh(body=body, vertices_body=vertices, faces=faces, color_srgb=rgba[:3]))
+    return tuple(meshes)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Reach:
+    """Workspace of an arm as a sphere: its center, and the largest distance of the end effector, [m]."""
+
+    shoulder_world: Vector3
+    reach_m: float
+
+    __post_init__ = freeze_arrays
+
+
+def longest_reach(robot: RobotModel) -> Reach:
+    """Estimate the workspace sphere of an arm from sampled configurations.
+
+    The center is the point on the first joint's axis that minimizes the distance to the farthest
+    sampled pose, which for most arms is the shoulder.
+    """
+    rng = np.random.default_rng(0)
+    low, high = np.clip(robot.joint_limits, -np.pi, np.pi).T
+    joints = rng.uniform(low, high, (_REACH_SAMPLES, len(low)))
+    points = robot.ee_poses(joints)[:, :3, 3]
+    foot = float(robot.link_poses(joints[:1], 0.0)[0, 0, 2, 3])
+    heights = foot + np.linspace(0.0, 0.5, 26)
+    middle = np.median(points[:, :2], axis=0)
+    farthest = [
+        float(np.linalg.norm(points - np.array([middle[0], middle[1], z]), axis=1).max()) for z in heights
+    ]
+    best = int(np.argmin(farthest))
+    return Reach(shoulder_world=np.array([middle[0], middle[1], heights[best]]), reach_m=farthest[best])

@@ -1,8 +1,10 @@
-"""Exact pinhole images of the posed robot: which body covers each pixel, and how far away."""
+"""Exact pinhole images of MuJoCo models, and robot silhouettes: geom or body at each pixel, and depth."""
 
+import importlib
+import os
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import Final
+from typing import Any, Final, Self
 
 import mujoco
 import numpy as np
@@ -12,9 +14,143 @@ from aomgen.assets.mjcf import VISUAL_GROUP, add_visual_geom
 from aomgen.core.camera import Camera
 from aomgen.core.recording import JointLog
 from aomgen.core.values import Array
-from aomgen.robots.geom_meshes import RobotMesh
-from aomgen.robots.model_renderer import ModelRenderer
-from aomgen.robots.robot import RobotModel
+from aomgen.errors import BackendError
+from aomgen.robots.robot import RobotMesh, RobotModel
+
+# Near and far plane of the rendering, [m]: nearer than a lens focuses, farther than any lab is long.
+NEAR_M, FAR_M = 0.05, 20.0
+# Geoms that `mjv_updateScene` adds on its own: lights, a skybox.
+EXTRA_GEOMS: Final = 64
+REMEDY = "install libegl1 libegl-mesa0 libgl1-mesa-dri (or libosmesa6), or set MUJOCO_GL to egl or osmesa"
+
+
+class ModelRenderer:
+    """Draws one model with MuJoCo's rasterizer; holds an OpenGL context until closed. Not thread safe."""
+
+    def __init__(self, model: mujoco.MjModel, size: tuple[int, int], group: int) -> None:
+        """Create a context for images up to `size` (width, height), [px], of a group of geoms.
+
+        Raises:
+            BackendError: No OpenGL driver works.
+        """
+        self.model, self.data, self._size = model, mujoco.MjData(model), size
+        model.vis.global_.offwidth, model.vis.global_.offheight = size
+        self._scene = mujoco.MjvScene(model, maxgeom=model.ngeom + EXTRA_GEOMS)
+        self._option = mujoco.MjvOption()
+        self._option.geomgroup[:] = 0
+        self._option.geomgroup[group] = 1
+        self._context = offscreen_context(*size)
+        self._renderer = mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_100.value)
+        mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN.value, self._renderer)
+        self._renderer.readDepthMap = mujoco.mjtDepthMap.mjDEPTH_ZEROFAR
+
+    def draw_values(
+        self, camera: Camera, qpos: ArrayLike, geom_values: NDArray, *, nothing: int
+    ) -> tuple[NDArray, NDArray[np.float64]]:
+        """Render the value of the geom at each pixel, without light or anti-aliasing.
+
+        Args:
+            camera: Pinhole, world frame.
+            qpos: State (nq,).
+            geom_values: A value for each geom of the model (G,).
+            nothing: Value of pixels that show no geom.
+
+        Returns:
+            Values (H, W), and depth along the optical axis (H, W), [m]; FAR_M where nothing is.
+
+        Raises:
+            BackendError: The image is larger than the context.
+        """
+        colors, buffer = self._render(camera, qpos, ids=True)
+        # Colors encode the number of each drawn geom.
+        ids = colors.astype(np.int32) @ np.array([1, 1 << 8, 1 << 16], np.int32)
+        value_of_id = np.full(self._scene.ngeom + 1, nothing, geom_values.dtype)
+        for geom in self._scene.geoms[: self._scene.ngeom]:
+            if geom.segid >= 0 and geom.objtype == mujoco.mjtObj.mjOBJ_GEOM:
+                value_of_id[geom.segid + 1] = geom_values[geom.objid]
+        return value_of_id[ids], depth_of(buffer)
+
+    def close(self) -> None:
+        """Free the OpenGL context."""
+        if self._context is not None:
+            self._renderer.free()
+            self._context.free()
+            self._context = None
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self.close()
+
+    def _render(
+        self, camera: Camera, qpos: ArrayLike, *, ids: bool
+    ) -> tuple[NDArray[np.uint8], NDArray[np.float32]]:
+        """Colors (H, W, 3) and the depth buffer (H, W), upright."""
+        width, height = camera.width, camera.height
+        if not (width <= self._size[0] and height <= self._size[1]):
+            problem = f"{width} x {height} exceeds the context's {self._size}"
+            raise BackendError("offscreen rendering", problem, "ask for more")
+        if self._context is None:
+            raise ValueError("the renderer is closed")
+        self.data.qpos[:] = qpos
+        mujoco.mj_kinematics(self.model, self.data)
+        mujoco.mj_comPos(self.model, self.data)
+        mujoco.mj_camlight(self.model, self.data)
+        mujoco.mjv_updateScene(
+            self.model, self.data, self._option, None, mujoco.MjvCamera(),
+            mujoco.mjtCatBit.mjCAT_ALL.value, self._scene,
+        )  # fmt: skip
+        for flag in (mujoco.mjtRndFlag.mjRND_SEGMENT, mujoco.mjtRndFlag.mjRND_IDCOLOR):
+            self._scene.flags[flag] = ids
+        self._scene.flags[mujoco.mjtRndFlag.mjRND_SHADOW] = not ids
+        _place_camera(self._scene, camera)
+        self._context.make_current()
+        rect = mujoco.MjrRect(0, 0, width, height)
+        mujoco.mjr_render(rect, self._scene, self._renderer)
+        colors, buffer = np.empty((height, width, 3), np.uint8), np.empty((height, width), np.float32)
+        mujoco.mjr_readPixels(colors, buffer, rect, self._renderer)
+        return colors[::-1], buffer[::-1]
+
+
+def depth_of(buffer: NDArray[np.float32]) -> NDArray[np.float64]:
+    """Depth along the optical axis, [m], of a depth buffer; FAR_M where nothing is."""
+    return NEAR_M * FAR_M / (NEAR_M + buffer.astype(np.float64) * (FAR_M - NEAR_M))
+
+
+def _place_camera(scene: mujoco.MjvScene, camera: Camera) -> None:
+    """Set both of the scene's (stereo) cameras to the exact pinhole, off-centre where the principal point is."""
+    left, right = -camera.cx / camera.fx, (camera.width - camera.cx) / camera.fx
+    top, bottom = camera.cy / camera.fy, -(camera.height - camera.cy) / camera.fy
+    R_world_cam = camera.T_world_cam[:3, :3]
+    for eye in scene.camera:
+        eye.pos[:], eye.forward[:], eye.up[:] = camera.center, R_world_cam[:, 2], -R_world_cam[:, 1]
+        eye.frustum_near, eye.frustum_far, eye.orthographic = NEAR_M, FAR_M, 0
+        eye.frustum_center = NEAR_M * (left + right) / 2
+        eye.frustum_width = NEAR_M * (right - left) / 2
+        eye.frustum_top, eye.frustum_bottom = NEAR_M * top, NEAR_M * bottom
+
+
+def offscreen_context(width: int, height: int) -> Any:
+    """A context of MuJoCo's kind (`make_current`, `free`) for images up to width x height, [px].
+
+    `MUJOCO_GL` chooses the driver when set to egl or osmesa; else EGL is tried first.
+
+    Raises:
+        BackendError: No driver works.
+    """
+    wanted = os.environ.get("MUJOCO_GL", "").lower()
+    order = [wanted] if wanted in ("egl", "osmesa") else ["egl", "osmesa"]
+    reasons = []
+    for name in order:
+        try:
+            context = importlib.import_module(f"mujoco.{name}").GLContext(width, height)
+            context.make_current()
+            return context
+        except (ImportError, RuntimeError, AttributeError, OSError) as error:
+            reasons.append(f"{name}: {error}")
+    raise BackendError("offscreen rendering", f"no OpenGL driver works ({'; '.join(reasons)})", REMEDY)
+
 
 # Outlines move by some tenths of a millimetre, and drawing is several times faster.
 CELL_M: Final = 0.001
@@ -25,7 +161,7 @@ MasksAt = Callable[[Array, int, int], NDArray[np.bool_]]
 
 
 class SilhouetteRenderer(ModelRenderer):
-    """Draws one robot; holds an OpenGL context until closed. Not thread safe."""
+    """Renders one robot; holds an OpenGL context until closed. Not thread safe."""
 
     def __init__(
         self, robot: RobotModel, *, max_width: int = 1920, max_height: int = 1440, cell_m: float = CELL_M
@@ -33,9 +169,9 @@ class SilhouetteRenderer(ModelRenderer):
         """Create the context.
 
         Args:
-            robot: What is drawn.
+            robot: The robot to render.
             max_width, max_height: Largest image, [px].
-            cell_m: How finely the robot's meshes are drawn; see `add_robot_visuals`.
+            cell_m: Resolution of the robot's meshes; see `add_robot_visuals`.
 
         Raises:
             BackendError: No OpenGL driver works.

@@ -7,7 +7,7 @@ from aomgen.assets.mjcf import VISUAL_GROUP
 from aomgen.conventions import BACKGROUND, MOVING, ROBOT, STATIC
 from aomgen.core.camera import Camera
 from aomgen.core.values import Array
-from aomgen.robots.model_renderer import ModelRenderer
+from aomgen.robots.silhouette import ModelRenderer
 from aomgen.simulation.scene import Scene
 
 

@@ -14,8 +14,7 @@ from aomgen.episodes.distributions import distributions
 from aomgen.episodes.screening import Place, orbit_camera
 from aomgen.episodes.variations import OrbitRanges, Ranges, area, draw, inside, scale_fit
 from aomgen.errors import ConfigError
-from aomgen.robots.reach import Reach, longest_reach
-from aomgen.robots.robot import RobotModel
+from aomgen.robots.robot import Reach, RobotModel, longest_reach
 from aomgen.simulation.judge import PassRule
 from toy_drawer import SUPPORT
 

@@ -9,8 +9,7 @@ from aomgen.core.boxes import OrientedBox, upright_axes
 from aomgen.core.gaussians import Gaussians, concatenate, gaussians_of
 from aomgen.core.transforms import quat_from_matrix, transform
 from aomgen.replacement.obstacles import find_obstacles
-from aomgen.robots.reach import longest_reach
-from aomgen.robots.robot import RobotConfiguration, RobotModel
+from aomgen.robots.robot import RobotConfiguration, RobotModel, longest_reach
 from aomgen.twin.support import Support
 
 TABLE = 0.05
