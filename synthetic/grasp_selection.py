@@ -7,13 +7,12 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike
 
-from aomgen.assets.asset_check import RIM_ROOM_M, held_at_rim, outward_normal
+from aomgen.assets.asset_check import held_at_rim, outward_normal
 from aomgen.core.asset import ArticulatedAsset, BoxCollider
 from aomgen.core.motion import Direction
 from aomgen.core.transforms import apply, invert, matrix_from_rotvec, transform
 from aomgen.core.values import Array
 from aomgen.robots.robot import RobotModel
-from aomgen.simulation.collision_check import holding_gripper
 from synthetic.grasp import (
     BAR_BEHIND_TIP_M,
     DemonstratedGrasp,
@@ -24,6 +23,8 @@ from synthetic.grasp import (
 )
 from synthetic.style import DemonstrationStyle, GraspType
 
+# Reach of the finger tips beyond the held point of a rim, and free distance of each before it closes, [m].
+RIM_ROOM_M: Final = 0.004
 # A push beside the bar begins this far before it touches, [m].
 PUSH_SLACK_M: Final = 0.008
 # A hooking finger stays this far off the front, [m].
@@ -263,3 +264,10 @@ def _on_part(asset: ArticulatedAsset, point: ArrayLike, margin: ArrayLike) -> bo
         if not box.name.startswith("handle") and (np.abs(local) <= box.half_extents + 1e-4).all():
             return True
     return False
+
+
+def holding_gripper(robot: RobotModel, width_m: float, fallback: float) -> float:
+    """Gripper value 0..1 at which the distance of the pads is `width_m`; `fallback` for a robot without pads."""
+    values = np.linspace(0.0, 1.0, 65)
+    widths = robot.pad_distances(values)
+    return float(np.interp(-width_m, -widths, values)) if len(widths) else fallback

@@ -1,4 +1,4 @@
-"""What an articulated asset must fulfil before it is simulated and drawn."""
+"""Requirements on an articulated asset that is simulated and rendered."""
 
 import itertools
 from collections.abc import Iterator, Sequence
@@ -24,9 +24,7 @@ TINY_OPENING = 0.12
 SIZE_RANGE = (0.05, 3.0)
 # Colliders that touch by less than this do not block a joint, [m].
 TOUCH = 2e-4
-# How far finger tips reach beyond the held point of a rim, and free way of each before it closes, [m].
-RIM_ROOM_M = 0.004
-# Joint values at which overlaps are looked for: a step is about 4 degrees of a door that opens by 100.
+# Joint values at which overlaps are searched: a step is about 4 degrees of a door that opens by 100.
 RANGE_SAMPLES = 25
 
 
@@ -167,11 +165,11 @@ def _check_range(asset: ArticulatedAsset) -> list[str]:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Overlap:
-    """Two colliders, by name, that are in each other at a joint value.
+    """Two colliders, by name, that overlap at a joint value.
 
     Attributes:
-        depth: How far, [m].
-        normal: Unit direction (3,) in which the static one would have to give way, asset frame.
+        depth: Penetration depth, [m].
+        normal: Unit direction (3,) that moves the static one out of the overlap, asset frame.
     """
 
     static: str

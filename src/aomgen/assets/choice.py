@@ -1,4 +1,4 @@
-"""Articulated assets by what users call them: made ones, drawn from a seed, and USD files; all checked."""
+"""Articulated assets by the names that users give them: procedural ones of a seed, and USD files; all checked."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
@@ -29,7 +29,7 @@ MAKERS: Final[dict[str, StyledMaker]] = {
 # Made by name as well: drawers of several equal fronts.
 OTHER_MAKERS: Final[dict[str, StyledMaker]] = {"dresser": make_drawer}
 
-# Names the recorded object itself among the assets of a project; it is not known before it is reconstructed.
+# Name of the recorded object among the assets of a project; it is not known before it is reconstructed.
 ORIGINAL: Final = "original"
 
 
@@ -66,19 +66,19 @@ def list_styles(category: str) -> list[str]:
 
 
 def make_by(maker: Maker, category: str, seed: int) -> ArticulatedAsset:
-    """What a maker draws for a seed, named after the category."""
+    """Make an asset from a seed, and name it after the category."""
     # The name's letters enter the seed, so that categories do not share random numbers.
     rng = np.random.default_rng([seed, *category.encode()])
     return replace(maker(rng), name=f"{category}-{seed}")
 
 
 def is_made(category: str) -> bool:
-    """Whether assets of a category can be made."""
+    """Return whether assets of a category can be made."""
     return category in MAKERS | OTHER_MAKERS
 
 
 def suggest_category(category: str) -> str:
-    """What a user may have meant by a category that cannot be made."""
+    """Suggest a known category for one that cannot be made."""
     return suggest(category, MAKERS | OTHER_MAKERS)
 
 
@@ -135,7 +135,7 @@ def open_assets(specs: Sequence[str]) -> list[ArticulatedAsset]:
 
     Raises:
         ConfigError, AssetError, InputError: See `open_asset`.
-        AssetError: Two have one name, by which episodes tell them apart.
+        AssetError: Two have the same name; episodes identify assets by name.
     """
     opened: dict[str, str] = {}
     assets = []

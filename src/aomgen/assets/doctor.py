@@ -1,4 +1,4 @@
-"""What is to be said of an asset before it is used: joint, size, handle, room for a finger, colliders, mass, textures."""
+"""Inspect an asset before it is used: joint, size, handle, room for a finger, colliders, mass, textures."""
 
 from dataclasses import dataclass
 
@@ -17,13 +17,13 @@ from aomgen.core.asset import ArticulatedAsset, AssetLink
 from aomgen.core.mesh import sample_meshes
 from aomgen.core.values import Array
 
-# Points on the surface of a link, and how far apart a finger's way behind the handle is looked at, [m].
+# Points on the surface of a link, and steps along a finger's path behind the handle, [m].
 SAMPLES, WAY_STEP_M = 60_000, 5e-4
 # A gap begins and narrows by more than points on a surface, millimetres apart, are off it, [m].
 FAR_M = 1e-3
 # No handle stands off farther, [m].
 LONGEST_WAY_M = 0.08
-# Colliders should follow what is seen to within this, [m], but for a twentieth of the surface.
+# Largest recommended distance of the visible surface from the colliders, [m], and the percentile that is compared.
 NEAR_M, MOST = 0.003, 95.0
 
 
@@ -32,10 +32,10 @@ class Finding:
     """One line of the doctor.
 
     Attributes:
-        name: What was looked at.
-        state: What was found.
+        name: The inspected property.
+        state: Its value.
         problem: Why the asset cannot be used, or empty.
-        warning: What is worse than it should be, or empty.
+        warning: A deficiency that does not prevent use, or empty.
     """
 
     name: str
@@ -45,7 +45,7 @@ class Finding:
 
 
 def examine(asset: ArticulatedAsset) -> list[Finding]:
-    """Everything that can be said without a recording."""
+    """Inspect all properties that do not depend on a recording."""
     problems = check_asset(asset)
     joint = asset.joint
     opening = f"{np.degrees(joint.upper):.0f} deg" if joint.type == "revolute" else f"{joint.upper:.3f} m"
@@ -91,10 +91,10 @@ def _finger(asset: ArticulatedAsset, surface: Array) -> Finding:
     )
 
 
-def _room(tree: cKDTree, start: Array, way: Array) -> float:
-    """Diameter of the largest ball in the first gap on a way that begins inside something, [m]."""
+def _room(tree: cKDTree, start: Array, direction: Array) -> float:
+    """Diameter of the largest ball in the first gap along a direction from a point inside a solid, [m]."""
     steps = np.arange(0.0, LONGEST_WAY_M, WAY_STEP_M)
-    distances, _ = tree.query(start + steps[:, None] * way)
+    distances, _ = tree.query(start + steps[:, None] * direction)
     left = np.flatnonzero(distances > np.minimum.accumulate(distances) + FAR_M)
     gap = distances[left[0] :] if len(left) else np.zeros(1)
     narrows = np.flatnonzero(gap < np.maximum.accumulate(gap) - FAR_M)
@@ -102,7 +102,7 @@ def _room(tree: cKDTree, start: Array, way: Array) -> float:
 
 
 def _colliders(link: AssetLink, surface: Array) -> Finding:
-    """How far what is seen lies outside what is touched."""
+    """Measure how far the visible surface is outside of the colliders."""
     off = 1000 * float(np.percentile(link.distances(surface), MOST))
     far = off > 1000 * NEAR_M
     return Finding(
@@ -118,7 +118,7 @@ def _mass(link: AssetLink) -> Finding:
     return Finding(
         name=f"mass of {link.name}",
         state=f"{link.mass:.2f} kg, {density:.0f} kg/m^3 of its colliders",
-        warning="unlike any household thing: check its unit" if odd else "",
+        warning="unlike any household object: check its unit" if odd else "",
     )
 
 

@@ -15,9 +15,9 @@ from aomgen.core.asset import ArticulatedAsset
 from aomgen.errors import ConfigError, MalformedFileError
 
 OBJ = ".obj"
-# Where the joints of an OBJ file are described, unless said otherwise: beside it or in a folder above.
+# Default file of the joints of an OBJ file, in its folder or one above.
 JOINTS_FILE = "articulation.json"
-# Formats that this file reads and a project does not.
+# Formats that can be imported, but not named in a project.
 SUFFIXES = (*mjcf_model.SUFFIXES, OBJ)
 
 
@@ -35,19 +35,19 @@ def import_model(
 
     Args:
         path: URDF, MJCF, OBJ or USD.
-        joint: Which of several joints moves; the others are fixed as they are drawn.
-        joints_file: Of an OBJ; without one, `articulation.json` beside it or above.
-        scale: Makes a toy as large as the real thing.
-        category: What it is, where the file does not say so.
+        joint: The joint that moves, out of several; the others are fixed as they are modelled.
+        joints_file: Joints of an OBJ; without one, `articulation.json` in its folder or one above.
+        scale: Factor on all lengths, for example to enlarge a toy.
+        category: Category of the object, where the file does not state one.
         limits: Lower and upper limit of the joint in place of the file's, [rad] or [m].
-        handle: Corners x0, y0, z0, x1, y1, z1 of a box around the handle as drawn, metres, Z up.
+        handle: Corners x0, y0, z0, x1, y1, z1 of a box around the handle as modelled, metres, Z up.
 
     Returns:
-        The asset; its `notes` say what was assumed.
+        The asset; its `notes` list the assumptions.
 
     Raises:
         InputError: A file cannot be used; of the kind that fits.
-        AssetError: What it holds is no asset.
+        AssetError: Its content is not an asset.
     """
     suffix = path.suffix.lower()
     if suffix in usd_read.SUFFIXES:

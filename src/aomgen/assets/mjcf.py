@@ -1,4 +1,4 @@
-"""Assets in MuJoCo: bodies, box colliders, textured meshes, and what is assumed of joint resistance and friction."""
+"""Assets in MuJoCo: bodies, box colliders, textured meshes, and the assumed joint resistance and friction."""
 
 from dataclasses import dataclass
 from typing import Final
@@ -19,43 +19,24 @@ GRAVITY: Final = 9.81
 ARMATURE: Final = 0.005
 # Sliding [1], torsional and rolling [m] coefficients of the colliders: plastic on rubber pads.
 CONTACT_FRICTION: Final = (0.8, 0.01, 0.0005)
-# A friction hinge holds a lid wherever it is left: it bears this many times its weight.
+# A friction hinge holds a lid at every angle: its friction balances this multiple of the weight.
 HOLDS: Final = 1.3
-# MuJoCo's default dry friction creeps by degrees a second under a load; this solver impedance stands still.
+# MuJoCo's default dry friction creeps by degrees a second under a load; this solver impedance does not.
 HOLDING_SOLIMP: Final = (0.9999, 0.9999, 0.001, 0.5, 2.0)
 # A smaller load comes from the rounding of an axis in a file, [N m] or [N].
 NO_LOAD: Final = 1e-3
 # MuJoCo's usual geom groups: 2 is drawn, 3 is for collision only and hidden.
 VISUAL_GROUP, COLLIDER_GROUP = 2, 3
-# MuJoCo heeds the alpha of a texture where the color's own alpha says that something shows through.
+# MuJoCo uses the alpha of a texture only where the color's alpha is below 1.
 BLENDED: Final = 0.99
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class JointResistance:
-    """Passive resistance of an object's joint.
-
-    Damping in [N m s/rad] or [N s/m]; dry friction beyond `holding_friction` in [N m] or [N].
-    """
-
-    name: str
-    damping: float
-    frictionloss: float
-
-
-# The first is nominal: its run gives an episode's states, and its values are written into the USD. Empty drawers and
-# new hinges are easy; a loaded drawer takes some 20 N, a stiff oven's or microwave's hinge 1 to 2 N m.
-RESISTANCES: Final[dict[JointType, tuple[JointResistance, ...]]] = {
-    "revolute": (
-        JointResistance(name="nominal", damping=0.3, frictionloss=0.15),
-        JointResistance(name="easy", damping=0.02, frictionloss=0.02),
-        JointResistance(name="stiff", damping=2.0, frictionloss=1.5),
-    ),
-    "prismatic": (
-        JointResistance(name="nominal", damping=4.0, frictionloss=2.0),
-        JointResistance(name="easy", damping=1.0, frictionloss=0.3),
-        JointResistance(name="stiff", damping=30.0, frictionloss=15.0),
-    ),
+# Nominal, easy and stiff resistance of an object's joint: damping [N m s/rad] or [N s/m], and dry friction beyond
+# `holding_friction`, [N m] or [N]. The nominal run gives an episode's states, and its values are written into the USD.
+# Empty drawers and new hinges are easy; a loaded drawer takes some 20 N, a stiff oven's or microwave's hinge 1 to 2 N m.
+RESISTANCES: Final[dict[JointType, tuple[tuple[float, float], ...]]] = {
+    "revolute": ((0.3, 0.15), (0.02, 0.02), (2.0, 1.5)),
+    "prismatic": ((4.0, 2.0), (1.0, 0.3), (30.0, 15.0)),
 }
 
 
@@ -97,7 +78,7 @@ class AssetNames:
 
     @property
     def handle_geoms(self) -> tuple[str, ...]:
-        """Those of the moving colliders that are handle."""
+        """Names of the moving colliders that belong to the handle."""
         return tuple(name for name in self.moving_geoms if name.startswith(f"{self.moving_body}_handle"))
 
 
@@ -119,7 +100,7 @@ def add_asset(
     Args:
         damping: Of the joint, [N m s/rad] or [N s/m].
         frictionloss: Dry friction of the joint beyond `holding_friction`, [N m] or [N].
-        visual: Also add what is seen (group 2, no contacts).
+        visual: Also add visual meshes (group 2, no contacts).
         bolted: Weld the static link to the world; otherwise it gets a free joint.
 
     Raises:

@@ -29,9 +29,9 @@ _OPENING = (mujoco.mjtJoint.mjJNT_HINGE.value, mujoco.mjtJoint.mjJNT_SLIDE.value
 
 
 def read_mjcf_model(path: Path, joint_name: str, *, limited: bool = True) -> ArticulatedAsset:
-    """The object of a file as it is drawn: neither closed, nor turned, nor with a handle.
+    """Read the object of a file as it is modelled: neither closed, nor turned, nor with a handle.
 
-    Links have boxes that cover the shapes that collide in the file, and none where nothing does.
+    Links have boxes that cover the colliding shapes of the file, and none without such shapes.
 
     Args:
         limited: Refuse a joint without limits; otherwise it gets 0 .. 1, to be replaced.
@@ -68,9 +68,9 @@ def read_mjcf_model(path: Path, joint_name: str, *, limited: bool = True) -> Art
 
 
 def model_root(path: Path) -> Path:
-    """The folder in which the files that a model names must lie: two above its own, as packages are laid out.
+    """The folder that must contain all files that a model names: two above its own, as packages are organized.
 
-    Never the whole disk or somebody's whole home.
+    It is never the root of the disk or a user's home.
     """
     folder = path.resolve().parent
     for _ in range(ROOT_LEVELS):
@@ -86,7 +86,7 @@ def _joint_name(model: mujoco.MjModel, number: int) -> str:
 
 
 def _descendants(model: mujoco.MjModel, body: int) -> NDArray[np.bool_]:
-    """Which bodies (B,) hang on a body, itself included."""
+    """Mask (B,) of a body and its descendants."""
     found = np.arange(model.nbody) == body
     for number in range(body + 1, model.nbody):
         found[number] = found[model.body_parentid[number]]
@@ -121,7 +121,7 @@ def _link(
     name: str,
     path: Path,
 ) -> AssetLink:
-    """What of the visible and colliding shapes belongs to some bodies, world frame."""
+    """Build a link from the visible and colliding shapes of some bodies, world frame."""
     mine = bodies[model.geom_bodyid]
     colliding = model.geom_priority > 0
     meshes = [_mesh(model, data, int(geom)) for geom in np.flatnonzero(mine & seen)]
@@ -153,8 +153,8 @@ def _geom_name(model: mujoco.MjModel, geom: int) -> str:
 
 
 def _seen(model: mujoco.MjModel, urdf: bool) -> NDArray[np.bool_]:
-    """Also what a file fixes to the world, as an object's body is often part of it, and colliding shapes beside
-    visible ones of the same group, unless meshes show the body.
+    """Mask of the visible geoms, also of those fixed to the world, and of colliding shapes in addition to
+    visible ones of the same group, unless meshes represent the body.
     """
     colliding = model.geom_priority > 0
     shown = find_visible_geoms(model, colliding)

@@ -1,4 +1,4 @@
-"""An asset from elsewhere in the frame in which all of ours stand, closed, with a handle."""
+"""Convert a foreign asset to the asset frame: closed, with colliders, masses and a handle."""
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
@@ -76,16 +76,16 @@ def _cover_surface(link: AssetLink) -> bool:
 def complete(
     drawn: ArticulatedAsset, path: Path, *, limits: Sequence[float] = (), handle: Sequence[float] = ()
 ) -> ArticulatedAsset:
-    """A model as it is drawn, made an asset: closed, with colliders, masses and a handle, in the asset frame.
+    """Convert a model to an asset: closed, with colliders, masses and a handle, in the asset frame.
 
     Args:
-        drawn: Links may be without colliders and mass.
+        drawn: The model in its original pose; links may be without colliders and mass.
         path: Its file, for messages.
         limits: Lower and upper limit of the joint in place of the file's, [rad] or [m] from the drawn pose.
         handle: Low and high corner of a box around the handle, in the coordinates of the file, [m].
 
     Returns:
-        The asset; `notes` say what was assumed.
+        The asset; `notes` list the assumptions.
 
     Raises:
         AssetError: A link without meshes, or a moving one without a handle.
@@ -113,22 +113,22 @@ def complete(
 
 
 def _with_plausible_mass(link: AssetLink) -> AssetLink:
-    """The link, with a mass of usual density where its own is implausible for furniture or appliances."""
+    """The link, with a mass of usual density where the given one is implausible for furniture or appliances."""
     low, high = DENSITIES
     plausible = low <= link.mass / link.volume <= high
     return link if plausible else replace(link, mass=FALLBACK_DENSITY * link.volume)
 
 
 def clear_path(asset: ArticulatedAsset) -> ArticulatedAsset:
-    """The asset with static colliders cut back to where the moving ones pass; what is left thinner is dropped.
+    """Cut static colliders back to where the moving ones pass, and drop boxes that become too thin.
 
-    Boxes overhang curved surfaces, and models that were drawn to be looked at are often in each other.
+    Boxes overhang curved surfaces, and parts of purely visual models often overlap.
     """
     for _ in range(CUTS):
         cuts: dict[str, list[Array]] = {}
         for overlap in find_overlaps(asset):
-            way = (overlap.depth + CLEARANCE_M) * overlap.normal
-            cuts.setdefault(overlap.static, []).append(way)
+            shift = (overlap.depth + CLEARANCE_M) * overlap.normal
+            cuts.setdefault(overlap.static, []).append(shift)
         if not cuts:
             return asset
         kept = [_cut(box, cuts.get(box.name, [])) for box in asset.static.colliders]
@@ -137,14 +137,14 @@ def clear_path(asset: ArticulatedAsset) -> ArticulatedAsset:
     return asset
 
 
-def _cut(box: BoxCollider, ways: list[Array]) -> BoxCollider:
-    """The box with its faces moved inward, each by the longest of the ways that point through it mostly."""
+def _cut(box: BoxCollider, shifts: list[Array]) -> BoxCollider:
+    """The box with its faces moved inward, each by the longest shift that points mostly through it."""
     R = box.T_asset_box[:3, :3]
     inward = np.zeros((2, 3))
-    for way in ways:
-        local = R.T @ way
+    for shift in shifts:
+        local = R.T @ shift
         axis = int(np.argmax(np.abs(local)))
-        # Giving way upwards means to lose from below.
+        # An upward shift removes material from below.
         side = 0 if local[axis] > 0 else 1
         inward[side, axis] = max(inward[side, axis], abs(local[axis]))
     half = np.maximum(box.half_extents - inward.sum(0) / 2, 0.0)
@@ -179,7 +179,7 @@ def to_asset_frame(asset: ArticulatedAsset) -> ArticulatedAsset:
 
     The front is turned by whole quarter turns, as files are drawn along their axes; a part that
     opens upwards (a lid) keeps its heading. Where the file names its handle, the face that
-    carries it is the front. An asset that stands so already is not touched.
+    carries it is the front. An asset that is already in this frame is not changed.
     """
     named = asset.handle_bar is not None
     outward = outward_normal(asset) if named else opening_direction(asset.moving, asset.joint)

@@ -1,4 +1,4 @@
-"""Articulated objects in OBJ, with a JSON file beside them that says which groups move, and how."""
+"""Articulated objects in OBJ, with a JSON file that states which groups move, and about which joint."""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -28,7 +28,7 @@ MAX_BYTES = 256 << 20
 COMPONENT = "#component:min_"
 # Rotation that turns Y up into Z up, with the front, +z, towards -y.
 _Z_UP = np.array([[1.0, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1]])
-# Keywords of MTL, in small letters, and what they say.
+# Keywords of MTL in lower case, and their properties.
 _NUMBERS = {"d": "opacity", "pr": "roughness", "pm": "metallic"}
 _MAPS = {"map_d": "opacity", "map_pr": "roughness", "map_pm": "metallic", "norm": NORMAL_MAP}
 Three = Annotated[tuple[FiniteFloat, ...], Field(min_length=3, max_length=3)]
@@ -69,7 +69,7 @@ class ModelEntry(BaseModel):
 
 
 def read_obj_model(path: Path, joints_file: Path, joint_name: str) -> ArticulatedAsset:
-    """The object of a file as it is drawn, Z up, in metres: neither closed nor with a handle or colliders.
+    """Read the object of a file as it is modelled, Z up, in metres: neither closed nor with a handle or colliders.
 
     Raises:
         MissingFileError, MalformedFileError, LimitExceededError, UnsafePathError: A file cannot be used.
@@ -102,7 +102,7 @@ def read_obj_model(path: Path, joints_file: Path, joint_name: str) -> Articulate
 
 
 def _entry(path: Path, joints_file: Path) -> ModelEntry:
-    """What the file says of a model: the entry of `models` that ends with its folder, or all of it."""
+    """Read the entry of a model: the one in `models` that ends with its folder, or the whole file."""
     data: Any = read_json(joints_file)
     if isinstance(data, dict) and "models" in data:
         models = data["models"]
@@ -155,13 +155,13 @@ def _find_textures(path: Path) -> dict[str, Path]:
 
 
 def _read_names(path: Path, keyword: str) -> list[str]:
-    """What follows a keyword, or those that begin so, at the beginning of a line."""
+    """List the arguments of all lines whose first word begins with a keyword."""
     lines = [line.split(None, 1) for line in path.read_text("utf-8", errors="replace").splitlines()]
     return [words[1].strip() for words in lines if len(words) > 1 and words[0].startswith(keyword)]
 
 
 def _split_meshes(meshes: list[Mesh], groups: tuple[str, ...]) -> tuple[list[Mesh], list[Mesh]]:
-    """Meshes that stand still and that move: those of groups that begin with one of the names."""
+    """Split meshes into static and moving ones; those of groups that begin with one of the names move."""
     static, moving = [], []
     for mesh in meshes:
         whole = [group for group in groups if COMPONENT not in group and mesh.name.startswith(group)]

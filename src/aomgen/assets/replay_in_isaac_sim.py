@@ -2,12 +2,12 @@
 
     ./python.sh replay_in_isaac_sim.py EPISODE ROBOT.usd --gripper finger_joint 0.0 0.8
 
-This script was never run in Isaac Sim: who wrote it had none. What reads the files is tested, with numpy alone; what
-drives the simulator follows the names of Isaac Sim 4.5 and 5. Tell us what you had to change.
+This script was never run in Isaac Sim, for lack of one. The functions that read the files are tested; the code that
+drives the simulator follows the names of Isaac Sim 4.5 and 5. Please report necessary changes.
 
 EPISODE is a folder with `episode.json` and `frames.npz`; it names the object's USD file. You bring the robot: a USD
 file with a fixed base, whose root is the world frame of the episode, whose arm joints have the names and zeros of
-the episode, and whose drives are stiff enough to follow. `--gripper` names the joint that closes the hand, and its
+the episode, and whose drives are stiff enough to follow. `--gripper` names the joint that closes the gripper, and its
 values when open and closed, [rad] or [m].
 """
 
@@ -24,14 +24,14 @@ from numpy.typing import NDArray
 
 # Commands a second, at least; a frame lasts a whole number of them.
 CONTROL_HZ = 125
-# The arm stands at its first configuration for this long before the episode begins, [s].
+# The arm rests at its first configuration for this long before the episode begins, [s].
 SETTLE_S = 0.2
 EPISODE_FILE, FRAMES_FILE = "episode.json", "frames.npz"
 ROBOT_PRIM, OBJECT_PRIM = "/World/Robot", "/World/Object"
 
 
 class Replayed(NamedTuple):
-    """What is replayed; metres, radians, seconds; T frames, J arm joints.
+    """Content of an episode that is replayed; metres, radians, seconds; T frames, J arm joints.
 
     `commands` (T + 1, J + 1) are joints and gripper, 0 open .. 1 closed, at the begin of each frame and the end of
     the last; `T_world_object` (4, 4) is the pose of the USD's root, `thetas` (T,) the object's joint.
@@ -95,7 +95,7 @@ def quaternion_wxyz(R: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def main() -> None:
-    """Build the scene, drive the robot, and tell where the object's joint ends."""
+    """Build the scene, drive the robot, and print the final value of the object's joint."""
     parser = argparse.ArgumentParser(description="Replay a generated episode in Isaac Sim.")
     parser.add_argument("episode", type=Path)
     parser.add_argument("robot", type=Path, help="USD file of the robot, its gripper included")

@@ -1,4 +1,4 @@
-"""What a USD material looks like: base color, opacity, roughness, metallic, normals, as numbers or textures."""
+"""Properties of a USD material: base color, opacity, roughness, metallic, normals, as numbers or textures."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
@@ -14,7 +14,7 @@ from aomgen.core.mesh import NORMAL_MAP, NUMBERS
 from aomgen.errors import AssetError, MissingFileError, UnsafePathError
 from aomgen.io.images import decode_image, opacity_of, read_image
 
-# What glass shows of its own color: Omniverse's shader for it has no opacity.
+# Opacity of glass: Omniverse's shader for it has none.
 GLASS_OPACITY: Final = 0.2
 COLOR: Final = "color"
 # Stands for the channels that `opacity_of` chooses.
@@ -23,13 +23,13 @@ MONO: Final = "mono"
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Slot:
-    """Where a material says one of its properties.
+    """The shader inputs that hold one property of a material.
 
     Attributes:
         preview: Input of UsdPreviewSurface; a texture is connected to it.
-        numbers: Inputs of Omniverse's MDL shaders (OmniPBR, OmniGlass) that hold it for the whole surface.
-        textures: Theirs that name a texture, with the channels that hold it.
-        influence: Theirs that says how much the texture counts beside the number.
+        numbers: Inputs of Omniverse's MDL shaders (OmniPBR, OmniGlass) with a value for the whole surface.
+        textures: Inputs of these shaders that name a texture, with the channels to read.
+        influence: Input of these shaders with the weight of the texture against the number.
     """
 
     preview: str
@@ -61,7 +61,7 @@ _SLOTS: Final = {
     ),
     NORMAL_MAP: _Slot(preview="normal", textures={"normalmap_texture": "rgb"}, influence="bump_factor"),
 }
-# These count unless the input beside them says no.
+# Inputs that are used unless their switch is off.
 _SWITCHES: Final = {
     "opacity_constant": "enable_opacity",
     "opacity_texture": "enable_opacity",
@@ -87,7 +87,7 @@ def plain_material(color_linear: Any) -> Material:
 
 
 def read_material(material: Any, folder: Path, fallback: Material) -> Material:
-    """A bound UsdShade.Material; what it does not say is taken from `fallback`.
+    """Read a bound UsdShade.Material; properties that it does not state are taken from `fallback`.
 
     Args:
         material: Valid material, UsdPreviewSurface or MDL.
@@ -143,7 +143,7 @@ def _value(shader: Any, slot: _Slot) -> Any | None:
 
 
 def _find_texture(shader: Any, name: str, number: float) -> _Texture | None:
-    """The texture of a property, which counts beside a number or the normal of a flat surface."""
+    """Find the texture of a property, which is blended with a number or the normal of a flat surface."""
     from pxr import UsdShade
 
     slot = _SLOTS[name]
@@ -164,7 +164,7 @@ def _find_texture(shader: Any, name: str, number: float) -> _Texture | None:
 
 
 def _read_uv_texture(node: Any, file: Any, name: str, output: str) -> _Texture:
-    """What an output of a UsdUVTexture gives a property."""
+    """Read the texture of a property from an output of a UsdUVTexture."""
     if name == COLOR:
         return _Texture(file=file, channels="rgb")
     normal = name == NORMAL_MAP
@@ -185,7 +185,7 @@ def _read_uv_texture(node: Any, file: Any, name: str, output: str) -> _Texture:
 def _read_slot(
     shader: Any, name: str, numbers: Mapping[str, float], folder: Path
 ) -> NDArray[np.uint8] | None:
-    """Image (H, W) or (H, W, 3) of a property; None where no texture says it."""
+    """Image (H, W) or (H, W, 3) of a property; None without a texture."""
     texture = _find_texture(shader, name, numbers.get(name, 0.0))
     if texture is None:
         return None

@@ -26,12 +26,12 @@ def parse_usd(
 ) -> ArticulatedAsset:
     """Parse a USD file in this process.
 
-    With a name, the joint of that prim name or path is the one that moves, and others are fixed as they are drawn.
+    With a name, the joint of that prim name or path is the one that moves, and others are fixed as they are modelled.
     The moving link is what hangs on the joint's body 1 (or on body 0 where body 1 is the
     world), with everything fixed to it; the rest is static. As the file stands is joint value
     0; the axis is turned so that the larger limit is positive. The result is moved so that its
-    front looks towards -y, it stands on z = 0 and is centred in x; a file that is so already
-    is not touched. A file without `aomgen:handle_point` is foreign: it is closed and gets a handle,
+    front faces -y, it stands on z = 0 and is centred in x; a file that is already in this frame
+    is not changed. A file without `aomgen:handle_point` is foreign: it is closed and gets a handle,
     see `normalization.complete`, which also explains `limits` and `handle`.
 
     Raises:

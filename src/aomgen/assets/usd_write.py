@@ -1,12 +1,11 @@
 """Articulated assets as self-contained USD: UsdGeom, UsdPreviewSurface, UsdPhysics.
 
-What verification assumes about joint and contacts is written where importers look for it: joint
+The assumptions of verification about joint and contacts are written where importers read them: joint
 resistance in the attributes of MuJoCo's `MjcJointAPI` and of PhysX's `PhysxJointAxisAPI`, contact friction
 in a physics material with `MjcMaterialAPI`. usd-core brings neither schema, so both are written by name.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -29,7 +28,7 @@ from aomgen.io.atomic import write_bytes
 from aomgen.io.images import encode_png
 from aomgen.io.usd import export_stage, new_stage
 
-# Our own attributes, for what UsdPhysics has no words for.
+# Namespace of our attributes, for properties that UsdPhysics does not define.
 NAMESPACE = "aomgen"
 # Replays episodes with an asset of ours in another simulator; it needs no package of ours.
 REPLAY_SCRIPT = Path(__file__).with_name("replay_in_isaac_sim.py")
@@ -37,9 +36,9 @@ CONTACT_MATERIAL = "contact"
 
 
 def write_usd(asset: ArticulatedAsset, path: Path) -> None:
-    """Write an asset as one USD file and a folder of textures beside it.
+    """Write an asset as one USD file and a folder of textures next to it.
 
-    It stands at joint value 0. Metres, Z up, joint limits in degrees (revolute) or metres, colors linear,
+    The asset is closed, at joint value 0. Metres, Z up, joint limits in degrees (revolute) or metres, colors linear,
     texture paths relative: `<stem>_textures/<link>_<mesh>.png`, maps with their name behind it. Handle point, handle axis, category
     and credit are custom attributes `aomgen:handle_point` ... `aomgen:credit` of the root.
     The joint has the nominal resistance of `mjcf.RESISTANCES`; all that verification tries are in
@@ -52,13 +51,13 @@ def write_usd(asset: ArticulatedAsset, path: Path) -> None:
     from pxr import Sdf, UsdGeom, UsdPhysics
 
     stage = new_stage(path)
-    textures = path.parent / f"{path.stem}_textures"
+
     UsdPhysics.SetStageKilogramsPerUnit(stage, 1.0)
     root = UsdGeom.Xform.Define(stage, f"/{_identifier(asset.name)}")
     stage.SetDefaultPrim(root.GetPrim())
     UsdPhysics.ArticulationRootAPI.Apply(root.GetPrim())
     root.GetPrim().SetDisplayName(asset.name)
-    writer = _Writer(stage=stage, root=str(root.GetPath()), textures=textures)
+    writer = _Writer(stage, str(root.GetPath()), path.parent / f"{path.stem}_textures")
     writer.contact_material()
     static = writer.link(asset.static)
     moving = writer.link(asset.moving)
@@ -74,18 +73,16 @@ def write_usd(asset: ArticulatedAsset, path: Path) -> None:
 
 
 def write_for_replay(asset: ArticulatedAsset, path: Path) -> None:
-    """Write an asset as `write_usd` does, and beside it the script that replays its episodes in Isaac Sim."""
+    """Write an asset as `write_usd` does, and the script that replays its episodes in Isaac Sim."""
     write_usd(asset, path)
     write_bytes(path.with_name(REPLAY_SCRIPT.name), REPLAY_SCRIPT.read_bytes())
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
 class _Writer:
-    """The stage under construction; `root` is a prim path, `textures` a folder beside the file."""
+    """The stage under construction; `root` is a prim path, `textures` a folder next to the file."""
 
-    stage: Any
-    root: str
-    textures: Path
+    def __init__(self, stage: Any, root: str, textures: Path) -> None:
+        self.stage, self.root, self.textures = stage, root, textures
 
     def link(self, link: AssetLink) -> str:
         from pxr import UsdGeom, UsdPhysics
@@ -159,7 +156,7 @@ class _Writer:
         return material
 
     def _texture(self, image: NDArray[np.uint8], path: str, name: str, file: str) -> Any:
-        """A node that reads an image, which is written beside the stage."""
+        """Write an image next to the stage, and add a node that reads it."""
         from pxr import Sdf, UsdShade
 
         kinds = Sdf.ValueTypeNames
@@ -235,8 +232,8 @@ def _set_resistance(prim: Any, asset: ArticulatedAsset) -> None:
     without unit that no torque corresponds to, so it is left out.
     """
     tried, holding = RESISTANCES[asset.joint.type], holding_friction(asset)
-    frictions = [resistance.frictionloss + holding for resistance in tried]
-    dampings = [resistance.damping for resistance in tried]
+    frictions = [friction + holding for _, friction in tried]
+    dampings = [damping for damping, _ in tried]
     prim.AddAppliedSchema("MjcJointAPI")
     _set(prim, "mjc:damping", dampings[0])
     _set(prim, "mjc:frictionloss", frictions[0])

@@ -1,4 +1,4 @@
-"""Tier A: does a commanded trajectory avoid collisions and reach the handle, before anything is simulated."""
+"""Tier A: check before any simulation that a commanded trajectory avoids collisions and reaches the handle."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -12,30 +12,29 @@ from numpy.typing import NDArray
 from aomgen.core.plan import Rejection
 from aomgen.core.transforms import matrix_from_quat
 from aomgen.core.values import Array
-from aomgen.robots.robot import RobotModel
 from aomgen.simulation.scene import Scene
 
-# No point moves farther between two configurations that are looked at, [m].
+# Largest motion of any point between two configurations that are checked, [m].
 SWEEP_M = 0.005
-# Configurations on the path of a search keep this much of the limits, [mm]: the path is smoothed afterwards.
+# Configurations of a path search keep this margin to the limits, [mm]: the path is smoothed afterwards.
 SEARCH_RESERVE_MM = 0.5
-# How much longer the way of a point may be than the chord between its samples, as a factor.
+# Factor by which the path of a point may be longer than the chord between its samples.
 SWEEP_RESERVE = 1.25
-# Halvings of the gripper's stroke until it stalls on what it holds: to half a millimetre.
+# Bisections of the gripper's stroke to find where it stalls on the handle: to half a millimetre.
 STALL_STEPS = 8
-# What overlaps: nothing that counts, robot and scene, two parts of the robot, hand and handle.
+# Kinds of overlaps: ignored, robot and scene, two parts of the robot, gripper and handle.
 NOTHING, SCENE, SELF, HANDLE = range(4)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class KinematicLimits:
-    """What tier A accepts.
+    """Largest overlaps and gap that tier A accepts.
 
     Attributes:
-        max_penetration_mm: Of robot and scene.
-        max_handle_penetration_mm: Of fingers and handle while they hold it.
+        max_penetration_mm: Overlap of robot and scene.
+        max_handle_penetration_mm: Overlap of fingers and handle while they hold it.
         max_gap_mm: Distance between the handle and the farther pad while they hold it.
-        max_self_penetration_mm: Of two parts of the robot, beyond `self_overlap_mm` where the real arm has been.
+        max_self_penetration_mm: Overlap of two parts of the robot, beyond `self_overlap_mm` where the real arm has been.
     """
 
     max_penetration_mm: float = 1.0
@@ -45,7 +44,7 @@ class KinematicLimits:
 
     @property
     def by_figure(self) -> dict[str, float]:
-        """Largest values of the figures of `check_kinematics`, but of what depends on the arm alone."""
+        """Largest values of the figures of `check_kinematics`, except self penetration."""
         return {
             "penetration_mm": self.max_penetration_mm,
             "handle_penetration_mm": self.max_handle_penetration_mm,
@@ -100,14 +99,14 @@ def check_kinematics(
 
 
 def self_overlap_mm(scene: Scene, joints: Array, gripper: float) -> float:
-    """How deep parts of the robot overlap at joints (J,): where a real arm stood, their shapes are too large there."""
+    """Overlap of parts of the robot at joints (J,), [mm]: of a real arm's configuration, the error of its collision shapes."""
     qpos, still = scene.qpos(joints[None], gripper, 0.0), np.zeros(1)
     found, _ = _sweep(scene, mujoco.MjData(scene.model), _pair_kinds(scene), qpos, still, still > 0)
     return found["self"].mm
 
 
 class _Overlap(NamedTuple):
-    """How deep two shapes overlap, [mm], at which sample, and which."""
+    """Overlap of two shapes, [mm], its sample, and the names of the shapes."""
 
     mm: float = 0.0
     sample: float = 0.0
@@ -144,7 +143,7 @@ def _sweep(
     rows: Array,
     holding: NDArray[np.bool_],
 ) -> tuple[dict[str, _Overlap], Array]:
-    """Deepest overlaps of each kind at states (N, nq), which stand at `rows` (N,) of the trajectory.
+    """Deepest overlaps of each kind at states (N, nq) of the trajectory's fractional samples `rows` (N,).
 
     Also poses (N, B, 12) of all bodies: rotation, then position.
     """
@@ -219,7 +218,7 @@ def _held(scene: Scene) -> NDArray[np.bool_]:
 
 
 def _pair_kinds(scene: Scene) -> NDArray[np.int8]:
-    """What it means when two geoms (G, G) overlap."""
+    """Kind of overlap (G, G) of every two geoms."""
     roles = scene.roles
     robot, hand = roles.robot, roles.gripper
     kinds = np.zeros((len(robot), len(robot)), np.int8)
@@ -232,7 +231,7 @@ def _pair_kinds(scene: Scene) -> NDArray[np.int8]:
 
 
 def _object_overlap(scene: Scene, data: mujoco.MjData) -> tuple[float, float, str]:
-    """How deep the object's base stands in an obstacle, [mm]: MuJoCo does not pair what cannot move."""
+    """Overlap of the object's base with obstacles, [mm]: MuJoCo does not pair two static bodies."""
     static, obstacles = np.flatnonzero(scene.roles.static), np.flatnonzero(scene.roles.obstacle)
     if not len(obstacles):
         return 0.0, 0.0, ""
@@ -247,7 +246,7 @@ def _object_overlap(scene: Scene, data: mujoco.MjData) -> tuple[float, float, st
 
 
 def _moves(scene: Scene, places: Array) -> Array:
-    """How far any point of robot or part moves from each state to the next (N - 1,), [m], for body poses (N, B, 12)."""
+    """Largest motion of any point of robot or part between consecutive states (N - 1,), [m], for body poses (N, B, 12)."""
     model = scene.model
     solid = np.flatnonzero(scene.roles.robot | scene.roles.moving)
     signs = np.array(list(product((-1.0, 1.0), repeat=3)))
@@ -261,19 +260,12 @@ def _moves(scene: Scene, places: Array) -> Array:
     return np.sqrt((shifts**2).sum(-1).max((1, 2)))
 
 
-def holding_gripper(robot: RobotModel, width_m: float, fallback: float) -> float:
-    """Gripper value 0..1 at which the pads stand `width_m` apart; `fallback` for a robot without pads."""
-    values = np.linspace(0.0, 1.0, 65)
-    widths = robot.pad_distances(values)
-    return float(np.interp(-width_m, -widths, values)) if len(widths) else fallback
-
-
 def stalling_gripper(scene: Scene, joints: Array, theta: float, fallback: float) -> float:
-    """Gripper value 0..1 at which the pads, on average, touch what is held; `fallback` for a robot without pads.
+    """Gripper value 0..1 at which the pads, on average, touch the handle; `fallback` for a robot without pads.
 
     Args:
-        joints: Of the arm (J,), about the handle.
-        theta: Of the object.
+        joints: Arm joints (J,) with the gripper at the handle.
+        theta: Value of the object's joint.
     """
     if not scene.robot.pads:
         return fallback
@@ -299,7 +291,7 @@ def _grip_gap_mm(scene: Scene, data: mujoco.MjData, qpos: Array) -> float:
 
 
 def _finger_gaps_m(scene: Scene, data: mujoco.MjData, qpos: Array) -> list[float]:
-    """Distance between what is held and each finger's pads, below 0 where they overlap, [m]; 0 without pads."""
+    """Distance between the handle and each finger's pads, below 0 where they overlap, [m]; 0 without pads."""
     data.qpos[:] = qpos
     mujoco.mj_kinematics(scene.model, data)
     held = np.flatnonzero(_held(scene))

@@ -1,4 +1,4 @@
-"""When a simulated run counts as opening or closing the object by hand: figures, their limits, and why they fail."""
+"""Decide whether a simulated run opens or closes the object by its handle: metrics, their limits, and rejections."""
 
 from dataclasses import dataclass
 
@@ -15,12 +15,12 @@ from aomgen.simulation.scene import Scene
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PassRule:
-    """When a run counts. Honest runs of five categories stay within a third to two thirds of most limits.
+    """Limits of an accepted run. Runs of five categories without errors use a third to two thirds of most limits.
 
     Attributes:
         target_share: Travel of the joint over the planned one, at least.
         contact_share: Share of the progress made while a pad at the handle carries force, at least.
-        contact_force_n: What counts as carrying force, [N].
+        contact_force_n: Least force that counts as contact, [N].
         min_revolute_rad, min_prismatic_m: Smallest planned travel.
         written_share: Part of the travel, over the planned one, that the joint's velocity does not account for.
         start_share: Distance from the planned first joint value before the robot touches the part, over the planned
@@ -35,7 +35,7 @@ class PassRule:
         handle_penetration_mm: Of gripper and handle, [mm]: pads are rubber, some 3 mm thick.
         penetration_mm: Of robot and anything else, [mm].
         base_friction: Coefficient between the object and its support.
-        drift_mm: Way the base of an object that is not bolted may slide, [mm].
+        drift_mm: Distance that the base of an object that is not bolted may slide, [mm].
     """
 
     target_share: float = 0.9
@@ -63,7 +63,7 @@ class PassRule:
 def judge(
     run: SimulatedRun, fitted: FittedAsset, scene: Scene, setting: Setting, rule: PassRule
 ) -> SettingOutcome | Rejection:
-    """Hold one run against the pass rule, and against the motion that is planned for the object.
+    """Compare one run with the pass rule and with the planned motion of the object.
 
     Returns:
         The figures; or a Rejection with the reason of the first check that fails. Causes come before what
@@ -136,11 +136,11 @@ class _Forces:
     Attributes:
         pads: Normal forces of pads on the handle, or on the part where it has none.
         part: Normal forces on the moving part.
-        pushing: Normal forces on it of all but these pads, where they turn or push it the way it shall go.
-        strange: Normal forces of all but these pads, the gripper at the handle, and pads on the part.
-        reactions: Level force on the object.
-        handle_depth_mm: Of the gripper in the handle.
-        depth_mm: Of the robot in anything else.
+        pushing: Normal forces on it of all but these pads, where they move it in the planned direction.
+        strange: Normal forces of all contacts other than of these pads, the gripper at the handle, and pads on the part.
+        reactions: Horizontal force on the object.
+        handle_depth_mm: Overlap of gripper and handle.
+        depth_mm: Overlap of the robot and anything else.
     """
 
     pads: Array
@@ -152,8 +152,8 @@ class _Forces:
     depth_mm: float
 
 
-def _forces(run: SimulatedRun, scene: Scene, way: float) -> _Forces:
-    """Of a run in which the joint shall be moved this way, 1 or -1."""
+def _forces(run: SimulatedRun, scene: Scene, direction: float) -> _Forces:
+    """Sum up the contacts of a run that shall move the joint in a direction, 1 or -1."""
     touches, roles, joint = run.touches, scene.roles, scene.joint_world
     part = roles.moving[touches.other_geoms]
     handle = roles.handle[touches.other_geoms] if roles.handle.any() else part
@@ -163,7 +163,7 @@ def _forces(run: SimulatedRun, scene: Scene, way: float) -> _Forces:
     moments = on_object
     if joint.type == "revolute":
         moments = np.cross(touches.points_world - joint.origin, on_object)
-    onward = way * (moments @ joint.axis) > 0
+    onward = direction * (moments @ joint.axis) > 0
 
     def sums(values: Array) -> Array:
         return np.bincount(touches.ticks, values, len(run.thetas)).astype(np.float64)

@@ -1,10 +1,10 @@
-"""The simulator: an arm tracks commands in MuJoCo; the object's joint is passive, only contact moves it."""
+"""The simulator: an arm tracks commands in MuJoCo; the object's joint is passive and moves by contact alone."""
 
 import copy
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, fields, replace
-from typing import Final, NamedTuple
+from typing import Final
 
 import mujoco
 import numpy as np
@@ -21,7 +21,7 @@ from aomgen.simulation.touches import RawContacts, Touches, find_touches, read_c
 
 # Rate of a UR5e's controller, [1/s]; a frame lasts a whole number of control ticks, so the rate used is a little higher.
 CONTROL_HZ: Final = 125.0
-# The arm stands at its first configuration for this long before the episode begins.
+# The arm rests at its first configuration for this long before the episode begins.
 SETTLE_S: Final = 0.2
 DIVERGENCE: Final = [
     int(kind)
@@ -39,24 +39,16 @@ STATE: Final = mujoco.mjtState.mjSTATE_INTEGRATION
 
 @dataclass(frozen=True, slots=True)
 class Commands:
-    """What the arm is told at every control tick (N): joints and their velocities (N, J), gripper (N,), 0..1."""
+    """Commands at every control tick (N): joints and their velocities (N, J), gripper (N,), 0..1."""
 
     joints: Array
     velocities: Array
     gripper: Array
 
 
-@dataclass(frozen=True, slots=True)
-class SimulationState:
-    """Full state of the simulation at a tick."""
-
-    tick: int
-    state: Array
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SimulatedRun:
-    """What happened, once a control tick (N ticks).
+    """Recorded motion of a simulation at every control tick (N).
 
     Attributes:
         frame_ticks: Tick of each commanded sample (T,).
@@ -65,12 +57,12 @@ class SimulatedRun:
         gripper: Reached gripper (N,), 0..1.
         thetas: Object joint (N,), [rad] or [m].
         rates: Its velocity (N,), [rad/s] or [m/s].
-        torques: Of the arm's drives (N, J), with what carries the arm's weight, [N m] or [N].
+        torques: Torques of the arm's drives (N, J), gravity compensation included, [N m] or [N].
         Ts_world_ee: Reached end effector (N, 4, 4).
-        bases_world: Where the object's static link stands (N, 3), [m].
+        bases_world: Position of the object's static link (N, 3), [m].
         commands: Commanded arm joints (N, J), [rad].
-        touches: Of the robot with anything else.
-        untouched: State at the last sample, but the very last, before the robot touched the object.
+        touches: Contacts of the robot with anything else.
+        untouched: Tick and full state at the last sample, the final one excluded, before the robot touched the object.
     """
 
     frame_ticks: NDArray[np.int64]
@@ -84,7 +76,7 @@ class SimulatedRun:
     bases_world: Array
     commands: Array
     touches: Touches
-    untouched: SimulationState
+    untouched: tuple[int, Array]
 
 
 class Simulation:
@@ -104,9 +96,9 @@ class Simulation:
         target: Array,
         setting: Setting | None = None,
         initial_theta: float = 0.0,
-        resumed: SimulationState | None = None,
+        resumed: tuple[int, Array] | None = None,
     ) -> None:
-        """Let the arm stand at a target (J + 1,), joints and gripper; or go on from a state that was `untouched`."""
+        """Let the arm rest at a target (J + 1,), joints and gripper; or resume from an `untouched` state."""
         self._ticks = math.ceil(CONTROL_HZ / fps)
         self._steps = math.ceil(1 / (fps * self._ticks * scene.model.opt.timestep))
         self._fps, self._scene, self._setting = fps, scene, setting
@@ -116,7 +108,7 @@ class Simulation:
         if setting is not None:
             apply_setting(scene, model, setting, initial_theta)
         self._target = target
-        self._rows: list[_Row] = []
+        self._rows: list[tuple[Array, ...]] = []
         self._contacts: list[RawContacts] = []
         self._commands: list[Array] = []
         self._tick, self._near = 0, resumed is not None
@@ -125,11 +117,11 @@ class Simulation:
             self.data = stand(scene, model, start, _ramp(target, target, fps, 1), SETTLE_S)
             self.untouched = _state_of(model, self.data, 0)
         else:
-            self._tick, self.untouched, self.data = resumed.tick, resumed, mujoco.MjData(model)
-            mujoco.mj_setState(model, self.data, resumed.state, STATE)
+            self._tick, self.untouched, self.data = resumed[0], resumed, mujoco.MjData(model)
+            mujoco.mj_setState(model, self.data, resumed[1], STATE)
 
     def follow(self, target: Array) -> None:
-        """Command the way from the last target straight to this one (J + 1,), which is reached a frame later."""
+        """Command a linear motion from the last target to this one (J + 1,), which is reached a frame later."""
         commands = _ramp(self._target, target, self._fps, self._ticks)
         first = self._tick
         for _ in track(self._scene, self._model, self.data, commands, self._steps):
@@ -152,7 +144,7 @@ class Simulation:
         return Rejection(reason="diverged", detail=detail, metrics={"time_s": time_s})
 
     def read_state(self) -> Trajectory:
-        """Where everything is now, as a trajectory of one sample."""
+        """Return the current state of robot and object as a trajectory of one sample."""
         now = _stack(self._scene, [_read_row(self._scene, self.data)])
         return Trajectory(
             times_s=np.array([self._tick / (self._fps * self._ticks)]),
@@ -162,7 +154,7 @@ class Simulation:
         )
 
     def run(self) -> SimulatedRun:
-        """What has happened so far, the state now included; of a resumed simulation, since then."""
+        """Return the recorded run, the current state included; of a resumed simulation, the part since then."""
         frames, ticks = len(self._commands) + 1, self._ticks
         contacts = [*self._contacts, *self._read()]
         return SimulatedRun(
@@ -199,16 +191,16 @@ def simulate(
     A warning of divergence ends the run with a Rejection "diverged".
 
     Args:
-        setting: How the object resists; None leaves it as it is in the scene.
-        approach: A run of the same commands whose object resists otherwise; until the robot touches the object the
-            two are the same, so this one starts where that one was still `untouched`.
+        setting: Resistance of the object; None keeps the scene's.
+        approach: A run of the same commands with another setting; until the robot touches the object the
+            two are the same, so this one starts from the `untouched` state of that one.
         initial_theta: The object's joint at reset, [rad] or [m].
     """
     samples = np.column_stack([joints, gripper])
     first, resumed = 0, None
     if approach is not None:
         resumed = approach.untouched
-        first = int(np.searchsorted(approach.frame_ticks, resumed.tick))
+        first = int(np.searchsorted(approach.frame_ticks, resumed[0]))
     simulation = Simulation(scene, fps, samples[first], setting, initial_theta, resumed)
     for target in samples[first + 1 :]:
         simulation.follow(target)
@@ -243,7 +235,7 @@ def track(
     into the state.
 
     Args:
-        scene: What is where in the model.
+        scene: Addresses in the model.
         model: The scene's, maybe with another time step.
         data: State at the first tick; it is advanced.
         commands: At every tick.
@@ -281,25 +273,15 @@ def _ignore_hand_on_hand(scene: Scene, model: mujoco.MjModel) -> None:
     model.geom_conaffinity[shell] = 0
 
 
-def _state_of(model: mujoco.MjModel, data: mujoco.MjData, tick: int) -> SimulationState:
+def _state_of(model: mujoco.MjModel, data: mujoco.MjData, tick: int) -> tuple[int, Array]:
     state = np.empty(mujoco.mj_stateSize(model, STATE))
     mujoco.mj_getState(model, data, state, STATE)
-    return SimulationState(tick, state)
+    return tick, state
 
 
-class _Row(NamedTuple):
-    """What one tick leaves: positions, velocities, what the drives and gravity compensation do, end effector, base."""
-
-    qpos: Array
-    qvel: Array
-    torques: Array
-    ee_point: Array
-    R_ee: Array
-    base_point: Array
-
-
-def _read_row(scene: Scene, data: mujoco.MjData) -> _Row:
-    return _Row(
+def _read_row(scene: Scene, data: mujoco.MjData) -> tuple[Array, ...]:
+    """Copy what `_stack` needs of a tick: qpos, qvel, torques, position and rotation of the end effector, base."""
+    return (
         data.qpos.copy(),
         data.qvel.copy(),
         data.qfrc_actuator + data.qfrc_gravcomp,
@@ -309,8 +291,8 @@ def _read_row(scene: Scene, data: mujoco.MjData) -> _Row:
     )
 
 
-def _stack(scene: Scene, rows: list[_Row]) -> dict[str, Array]:
-    """Fields of a run from what its ticks left."""
+def _stack(scene: Scene, rows: list[tuple[Array, ...]]) -> dict[str, Array]:
+    """Combine the rows of all ticks into fields of a run."""
     qpos, qvel, torques, points, turns, bases = (np.array(column) for column in zip(*rows, strict=True))
     opened, closed = scene.gripper.driver_range
     return {
@@ -326,7 +308,8 @@ def _stack(scene: Scene, rows: list[_Row]) -> dict[str, Array]:
 
 def _join(approach: SimulatedRun, rest: SimulatedRun) -> SimulatedRun:
     """The ticks of an approach up to where it was untouched, and those of a run that began there."""
-    last, early = approach.untouched.tick, approach.touches.ticks <= approach.untouched.tick
+    last = approach.untouched[0]
+    early = approach.touches.ticks <= last
     # A state that was restored has no forces before its first step: that tick is the approach's.
     names = ("joints", "gripper", "thetas", "rates", "torques", "Ts_world_ee", "bases_world")
     values = {

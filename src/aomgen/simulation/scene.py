@@ -1,4 +1,4 @@
-"""One MuJoCo model of robot, table and articulated object, and where everything is in it."""
+"""One MuJoCo model of robot, table and articulated object, and the addresses of their parts in it."""
 
 import copy
 from collections.abc import Sequence
@@ -20,13 +20,13 @@ from aomgen.errors import ConfigError
 from aomgen.robots.robot import RobotModel
 
 TABLE, OBSTACLES = "table", "obstacles"
-# So thick that nothing passes through in one step of the simulation, [m].
+# Thick enough that nothing passes through in one step of the simulation, [m].
 TABLE_THICKNESS_M = 0.04
 # Half size of the table where its outline is unknown, about the object, [m].
 TABLE_REACH_M = 0.7
-# The arm's foot may stand beside or in the plane of the table; bodies that fewer joints move ignore it.
+# The arm's base may be next to the table or reach through its plane; bodies that fewer joints move ignore it.
 FOOT_JOINTS = 3
-# A drive may do so many times its largest torque for a moment, while the pass rule judges its mean. Where a force is cut
+# A drive may exceed its largest torque by this factor for a moment, while the pass rule judges its mean. Where a force is cut
 # off, its dependence on the speed is lost to the implicit integrator: a nearly straight arm, whose joints move against
 # each other with little inertia, would chatter at every step of the commanded speed.
 PEAK = 1.5
@@ -72,7 +72,7 @@ class GripperDrive:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class GeomRoles:
-    """What each geom (G,) of the model belongs to.
+    """Masks and finger indices of the geoms (G,) of the model.
 
     Attributes:
         robot, gripper, table, obstacle, static, moving, handle: Masks; gripper is part of robot, handle of moving.
@@ -104,12 +104,12 @@ class Scene:
         asset: The object in it.
         names: The object's names in the model.
         arm, gripper: Drives.
-        roles: What the geoms belong to.
+        roles: Masks of the geoms.
         object_qpos, object_dof: Addresses of the object's joint.
         object_body: Id of its static link.
         ee_site: Id of the end effector.
         bolted: The object's base cannot move.
-        clearance: So near to the object contacts are told of, without a force, [m].
+        clearance: Distance to the object at which contacts are reported, without a force, [m].
     """
 
     model: mujoco.MjModel
@@ -177,9 +177,9 @@ def build_scene(
 
     Args:
         robot: With position actuators on all arm joints.
-        bolted: Weld the object to the world instead of letting it stand by friction.
-        visual: Also add what is seen, for rendering.
-        obstacles: What else stands there and does not move.
+        bolted: Weld the object to the world; otherwise only friction holds it.
+        visual: Also add the visual meshes, for rendering.
+        obstacles: Static obstacles.
 
     Raises:
         ConfigError: The robot has no position actuators.
@@ -206,7 +206,7 @@ def describe_scene(
     *,
     bolted: bool = True,
 ) -> Scene:
-    """Where robot and object are in a model that holds both, and a geom `TABLE`.
+    """Find the addresses of robot and object in a model that holds both, and a geom `TABLE`.
 
     Raises:
         ConfigError: The robot has no position actuators, or no fingers.
@@ -245,7 +245,7 @@ def _add_table(spec: mujoco.MjSpec, robot: RobotModel, support: SupportPlane, ce
 
 
 def _add_obstacles(spec: mujoco.MjSpec, obstacles: Sequence[OrientedBox]) -> None:
-    # A body of their own: the foot ignores what belongs to the world's body.
+    # A separate body, because the arm's base ignores contacts with the world body.
     body = spec.worldbody.add_body(name=OBSTACLES)
     for number, box in enumerate(obstacles):
         body.add_geom(

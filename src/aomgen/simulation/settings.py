@@ -1,4 +1,4 @@
-"""How else the object may resist: settings of a simulated run, drawn from an episode's seed and index.
+"""Settings of a simulated run: variations of the object's resistance, drawn from an episode's seed and index.
 
 Four properties have two levels each, which makes sixteen corners. An episode is tried in two opposite ones, so that
 it meets both levels of every property, and in the nominal setting; eight episodes in a row meet all sixteen.
@@ -10,7 +10,7 @@ from itertools import product
 import mujoco
 import numpy as np
 
-from aomgen.assets.mjcf import HOLDING_SOLIMP, RESISTANCES, JointResistance, holding_friction
+from aomgen.assets.mjcf import HOLDING_SOLIMP, RESISTANCES, holding_friction
 from aomgen.core.asset import ArticulatedAsset
 from aomgen.core.verdict import Setting
 from aomgen.simulation.scene import Scene
@@ -59,7 +59,7 @@ def corner_setting(
 
 
 def apply_setting(scene: Scene, model: mujoco.MjModel, setting: Setting, theta: float) -> None:
-    """Let the object of a model, a copy of the scene's, resist in this way; its joint has this value."""
+    """Apply a setting to a model, a copy of the scene's, whose object joint has the value `theta`."""
     model.dof_damping[scene.object_dof] = setting.damping
     model.dof_frictionloss[scene.object_dof] = setting.friction_at(theta)
     if setting.latch:
@@ -74,12 +74,13 @@ def apply_setting(scene: Scene, model: mujoco.MjModel, setting: Setting, theta: 
 
 
 def _setting(
-    name: str, asset: ArticulatedAsset, resistance: JointResistance, mass_factor: float = 1.0
+    name: str, asset: ArticulatedAsset, resistance: tuple[float, float], mass_factor: float = 1.0
 ) -> Setting:
-    """A setting without a latch; what holds a lid grows with its weight."""
+    """A setting without a latch, of damping and dry friction; the holding friction of a lid grows with its weight."""
+    damping, friction = resistance
     return Setting(
         name=name,
-        damping=resistance.damping,
-        frictionloss=resistance.frictionloss + mass_factor * holding_friction(asset),
+        damping=damping,
+        frictionloss=friction + mass_factor * holding_friction(asset),
         moving_mass=mass_factor * asset.moving.mass,
     )

@@ -1,4 +1,4 @@
-"""Contacts of the robot with what is not the robot: copied at every tick, sorted out once a run."""
+"""Contacts of the robot with anything else: copied at every tick, sorted once a run."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -14,11 +14,11 @@ from aomgen.simulation.scene import Scene
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Touches:
-    """Contacts of the robot with what is not the robot (C), ordered by tick.
+    """Contacts of the robot with anything else (C), ordered by tick.
 
     Attributes:
-        ticks: When.
-        robot_geoms, other_geoms: Of the model.
+        ticks: Tick of each contact.
+        robot_geoms, other_geoms: Geoms in contact.
         distances: Between them, negative where they overlap, [m].
         points_world: (C, 3), [m].
         normals_world: (C, 3) unit, into the robot.
@@ -50,7 +50,7 @@ class RawContacts(NamedTuple):
 
 
 def read_contacts(model: mujoco.MjModel, data: mujoco.MjData, tick: int) -> RawContacts:
-    """Copy what the next step overwrites; sorting it out is left to `find_touches`, once for all ticks."""
+    """Copy the contacts, which the next step overwrites, for `find_touches`."""
     contact = data.contact
     wrenches = np.empty((data.ncon, 6))
     for index in range(data.ncon):
@@ -66,7 +66,7 @@ def read_contacts(model: mujoco.MjModel, data: mujoco.MjData, tick: int) -> RawC
 
 
 def find_touches(scene: Scene, contacts: list[RawContacts]) -> Touches:
-    """The contacts of the robot with what is not the robot."""
+    """Select the contacts of the robot with anything else."""
     ticks = np.repeat([item.tick for item in contacts], [len(item.geoms) for item in contacts])
     geoms = np.concatenate([np.zeros((0, 2), np.int32), *(item.geoms for item in contacts)])
     robot = scene.roles.robot[geoms]

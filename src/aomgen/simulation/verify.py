@@ -1,4 +1,4 @@
-"""Tier B: an episode counts only when contact moves the object in every simulated setting; the certificate of that."""
+"""Tier B: accept an episode only when contact moves the object in every simulated setting; write its certificate."""
 
 import hashlib
 from collections.abc import Mapping
@@ -44,9 +44,9 @@ def verify_plan(
     its hinge's friction holds, rests within 1e-4 rad of where it would in the others.)
 
     Args:
-        commanded: Joints (T, J) that the arm is told instead of the plan's.
+        commanded: Joints (T, J) that replace the plan's as commands.
         limits: Tier A's largest values by name of the plan's metrics; those of `KinematicLimits` if None.
-        digests: SHA-256 of what the plan was made from, by name, for the certificate.
+        digests: SHA-256 of the plan's inputs, by name, for the certificate.
 
     Returns:
         The episode with its verdict; or a Rejection "target_too_small", "not_finite", "imposed", "diverged", or one of `judge`, of
@@ -104,7 +104,7 @@ def verify_plan(
 
 
 def find_drive(scene: Scene) -> str:
-    """Name of what else than contact could move the object's joint; empty when it is passive."""
+    """Name the model element, other than contact, that could move the object's joint; empty when it is passive."""
     model, names = scene.model, scene.names
     joint = model.joint(names.joint).id
     bodies = [model.body(name).id for name in (names.static_body, names.moving_body)]
@@ -139,7 +139,7 @@ def _digest_actions(plan: EpisodePlan) -> str:
 
 
 def _episode(plan: EpisodePlan, run: SimulatedRun, scene: Scene, verdict: Verdict) -> VerifiedEpisode:
-    """What a run reached at the plan's samples, with the pads' contacts."""
+    """Build the episode from the states that a run reached at the plan's samples, and from the pads' contacts."""
     ticks, touches, roles = run.frame_ticks, run.touches, scene.roles
     fingers = roles.finger[touches.robot_geoms]
     kept = (fingers >= 0) & roles.moving[touches.other_geoms] & (touches.forces > 0)
@@ -167,11 +167,11 @@ def _episode(plan: EpisodePlan, run: SimulatedRun, scene: Scene, verdict: Verdic
 def assumptions(
     asset: ArticulatedAsset, settings: tuple[Setting, ...], joint_zeros_rad: Array, *, bolted: bool
 ) -> dict[str, Any]:
-    """What verification assumed, so that another simulator can repeat it: `simulation` in `episode.json`, SI units.
+    """List the assumptions of verification for other simulators: `simulation` in `episode.json`, SI units.
 
     Args:
         asset: As it was simulated, after scaling.
-        settings: That it was simulated in; the last one gave the episode's states.
+        settings: The simulated settings; the last one gave the episode's states.
         joint_zeros_rad: All joints of the episode minus what the real arm reads there (J,).
         bolted: Its base was held by the world.
     """

@@ -18,7 +18,6 @@ from aomgen.robots.robot import RobotModel
 from aomgen.simulation.collision_check import (
     KinematicLimits,
     check_kinematics,
-    holding_gripper,
     stalling_gripper,
 )
 from aomgen.simulation.episode_scene import table_overlap_m
@@ -28,6 +27,7 @@ from aomgen.simulation.scene import Scene, build_scene
 from aomgen.simulation.settings import apply_setting, corner_setting, draw_settings
 from aomgen.simulation.touches import Touches
 from aomgen.simulation.verify import verify_plan
+from synthetic.grasp_selection import holding_gripper
 from toy_plans import LEFT_RIGHT, SUPPORT, drawer_plan, facing_robot, microwave_plan, pulled, toy_plan
 
 TRAVEL = 0.15
@@ -162,7 +162,7 @@ def test_a_run_that_shares_the_approach_is_the_run_from_the_start_bit_for_bit(
     scene = build_scene(robot, asset, plan.T_world_object, SUPPORT)
     first, *others = draw_settings(asset, 0, 3)
     approach = run_of(scene, plan, first)
-    assert 100 < approach.untouched.tick < len(approach.thetas) / 2
+    assert 100 < approach.untouched[0] < len(approach.thetas) / 2
     for setting in others:
         whole = run_of(scene, plan, setting)
         shared = run_of(scene, plan, setting, approach=approach)

@@ -1,4 +1,4 @@
-"""What all designs of made assets share: sizes drawn from a table, links built row by row, feet, joints.
+"""Common parts of all procedural designs: sizes sampled from a table, links built row by row, feet, joints.
 
 A design is a table of sizes in `designs.toml`, which every style changes in some rows, and one function that lists
 boxes, prints and rods in the asset frame: front towards -y, centred in x, on z = 0.
@@ -44,9 +44,9 @@ FACES: Final = {
     "left": ((0, -1, 0), (0, 0, 1)),
     "right": ((0, 1, 0), (0, 0, 1)),
 }
-# What a category's table holds beside its sizes.
+# Key of a category's table that holds its styles; all others are sizes.
 STYLES: Final = "styles"
-# How far corner posts stand out, and a plinth stands back, [m].
+# Protrusion of corner posts, and recess of a plinth, [m].
 POST_OUT, PLINTH_INSET = 0.006, 0.025
 
 
@@ -91,7 +91,7 @@ class LinkBuilder:
     """A link under construction; what is added first comes first."""
 
     def __init__(self, name: str, *, mirrored: bool = False) -> None:
-        """Where `mirrored`, boxes are given for one side and built for the other (x -> -x)."""
+        """With `mirrored`, boxes are given for one side and built for the other (x -> -x)."""
         self._name, self.mirrored = name, mirrored
         self.meshes: list[Mesh] = []
         self.colliders: list[BoxCollider] = []
@@ -103,17 +103,17 @@ class LinkBuilder:
     def boxes(
         self, name: str, rows: Mapping[str, AlignedBox], surface: Material, *, symmetric: bool = False
     ) -> None:
-        """One mesh of several boxes, each a collider of its own; `symmetric` ones are given for both sides."""
+        """Add one mesh of several boxes, each with its collider; `symmetric` ones are given for both sides."""
         sided = rows if symmetric else {key: self._orient(row) for key, row in rows.items()}
         self.meshes.append(boxes_mesh(name, list(sided.values()), surface))
         self.colliders += [row.collider(key) for key, row in sided.items()]
 
     def shell(self, name: str, rows: Sequence[AlignedBox], surface: Material) -> None:
-        """One mesh of several boxes that nothing touches."""
+        """Add one mesh of several boxes without colliders."""
         self.meshes.append(boxes_mesh(name, [self._orient(row) for row in rows], surface))
 
     def solid(self, name: str, row: AlignedBox) -> None:
-        """A collider that nobody sees."""
+        """Add an invisible collider."""
         self.colliders.append(self._orient(row).collider(name))
 
     def print(
@@ -141,12 +141,12 @@ class LinkBuilder:
                 self.colliders.append(part.collider(f"{key}_{number}" if number else key))
 
     def handle(self, handle: Handle, surface: Material) -> None:
-        """What it is held at."""
+        """Add the handle of the asset."""
         self.meshes.append(handle.mesh(surface))
         self.colliders += handle.colliders()
 
     def behind(self, name: str, handle: Handle, surface: Material) -> None:
-        """A handle that nobody opens anything with, turned half round to the back."""
+        """Add a handle without function at the back, turned by 180 degrees."""
         turn = np.diag([-1.0, -1.0, 1.0, 1.0])
         self.meshes.append(replace(handle.mesh(surface), name=name).transform(turn))
         for part in handle.colliders(f"{name}_"):
@@ -188,7 +188,7 @@ def feet(w: float, depth: Span, height: float, *, inset: float, half: float) -> 
 def stand(
     kind: str, w: float, depth: Span, height: float, inset: float, half: float
 ) -> dict[str, AlignedBox]:
-    """What a body stands on: blocks as `feet`, legs at its corners, rails along its sides, a plinth, or nothing."""
+    """The base of a body: blocks as `feet`, legs at its corners, rails along its sides, a plinth, or nothing."""
     y0, y1 = depth
     if kind == "legs":
         return feet(w, depth, height, inset=half, half=half)
@@ -204,7 +204,7 @@ def stand(
 
 
 def corner_posts(w: float, depth: Span, height: Span, side: float) -> dict[str, AlignedBox]:
-    """Posts around the four upright edges of a body, `side` wide; they stand out a little, [m]."""
+    """Posts around the four upright edges of a body, `side` wide; they protrude a little, [m]."""
     (y0, y1), out, inside = depth, POST_OUT, side - POST_OUT
     posts = {}
     for end, y in (("front", (y0 - out, y0 + inside)), ("back", (y1 - inside, y1 + out))):
@@ -238,7 +238,7 @@ def lining(x: Span, y: Span, z: Span) -> list[AlignedBox]:
 
 
 def hinge(axis: ArrayLike, origin: ArrayLike, opening_deg: float) -> Joint:
-    """A revolute joint that opens so far."""
+    """A revolute joint with an opening angle, [deg]."""
     line, place = np.asarray(axis, np.float64), np.asarray(origin, np.float64)
     return Joint(type="revolute", axis=line, origin=place, lower=0.0, upper=np.deg2rad(opening_deg))
 

@@ -42,9 +42,9 @@ LEAST_BAR_Z = 0.105
 DARK_SHARE, ONE_WOOD_SHARE = 0.4, 0.3
 # A drawer stays in its body by this much, [m].
 KEPT_IN = 0.09
-# An open shelf is at least so high; feet stand so far inside, [m].
+# Least height of an open shelf, and inset of the feet, [m].
 LEAST_SHELF, FOOT_INSET = 0.02, 0.05
-# Of the corners of a table top, [m].
+# Radius of the corners of a table top, [m].
 TOP_RADIUS = 0.02
 # Plywood, sRGB 0..1.
 PLY = (0.86, 0.77, 0.62)
@@ -101,7 +101,7 @@ def _drawer_boards(s: SimpleNamespace) -> dict[str, AlignedBox]:
 
 
 def _add_base_and_top(body: LinkBuilder, s: SimpleNamespace, wood: Material) -> None:
-    """What a piece of furniture stands on; a table top with round corners and a board behind it, where it has them."""
+    """Add the base of a piece of furniture, and its table top with round corners and a board behind it."""
     w, y0, y1 = s.width / 2, -s.depth / 2, s.depth / 2
     base = stand(s.stand, w, (y0, y1), s.feet, FOOT_INSET, s.foot_half)
     if base:
@@ -145,7 +145,7 @@ def _drawer_handle(s: SimpleNamespace, face: AlignedBox) -> Handle:
 
 
 def _drawer_surfaces(rng: np.random.Generator) -> tuple[Material, Material, Material]:
-    """Of the body, of all fronts and of all handles."""
+    """Sample the materials of the body, of all fronts and of all handles."""
     kind = rng.random()
     body = _wood(rng, "dark" if kind < DARK_SHARE else "wood", 0.55)
     front = _paint(rng, pick_color(rng, "paint")) if kind > DARK_SHARE + ONE_WOOD_SHARE else body

@@ -24,15 +24,15 @@ from aomgen.core.mesh import Mesh
 from aomgen.core.transforms import transform
 from aomgen.core.values import Array
 
-# Where fronts look.
+# Outward normal of fronts.
 OUTWARD: Final = np.array([0.0, -1.0, 0.0])
 # Posts of a bar: their thickness, and their distance from its ends, in thicknesses of the bar.
 POST: Final = 0.8
-# An arch falls to the front along this share of its length at either end, in so many pieces.
+# Share of an arch's length that is bent at either end, and the number of its pieces.
 BENT_SHARE, BENT_PIECES = 0.27, 4
 # Depth of a strap over its width.
 STRAP: Final = 0.5
-# How far inside of its outer edge a solid handle is held, and how far down the cheeks of a cup reach, [m].
+# Distance of the held point from a solid handle's outer edge, and height of the cheeks of a cup, [m].
 HELD, CHEEK = 0.016, 0.026
 # Radius of a knob's edges over its thickness.
 KNOB_EDGE: Final = 0.2
@@ -40,14 +40,14 @@ KNOB_EDGE: Final = 0.2
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Handle(ABC):
-    """What stands off a front and can be held, [m].
+    """A graspable shape that protrudes from a front, [m].
 
     Attributes:
         foot: Point of the front's plane behind the handle's middle (3,).
         axis: Unit direction of the handle: level or upright (3,).
-        length: Along it.
-        thickness: Across it.
-        clearance: Free depth between front and bar, or how far a solid handle stands off.
+        length: Extent along the axis.
+        thickness: Extent across the axis.
+        clearance: Free depth between front and bar, or protrusion of a solid handle.
     """
 
     foot: Array
@@ -58,7 +58,7 @@ class Handle(ABC):
 
     @property
     def middle(self) -> Array:
-        """Where it is held (3,), [m]."""
+        """Grasp point (3,), [m]."""
         return self.foot + OUTWARD * (self.clearance - HELD)
 
     @abstractmethod
@@ -66,15 +66,15 @@ class Handle(ABC):
         """Colliders by name; all names start with "handle"."""
 
     def mesh(self, surface: Material) -> Mesh:
-        """What is seen."""
+        """Visible mesh."""
         return boxes_mesh("handle", list(self.boxes().values()), surface)
 
     def colliders(self, prefix: str = "") -> list[BoxCollider]:
-        """What is touched; with a prefix where it does not move."""
+        """Colliders; with a prefix on a static link."""
         return [row.collider(prefix + name) for name, row in self.boxes().items()]
 
     def point(self, along: float, out: float) -> Array:
-        """A point (3,) so far from the foot."""
+        """Point (3,) at distances from the foot along the handle and out of the front."""
         return self.foot + along * self.axis + out * OUTWARD
 
     def block(self, along: ArrayLike, out: ArrayLike, across: ArrayLike) -> AlignedBox:
@@ -103,7 +103,7 @@ class BarHandle(Handle):
         return merge_meshes("handle", rods)
 
     def boxes(self) -> dict[str, AlignedBox]:
-        """Of bar and posts."""
+        """Colliders of bar and posts."""
         half, round_ = self.length / 2, np.array([-0.5, 0.5]) * self.thickness
         out = (self.clearance, self.clearance + self.thickness)
         rows = {"handle_bar": self.block((-half, half), out, round_)}
@@ -130,13 +130,13 @@ class ArchHandle(BarHandle):
         return merge_meshes("handle", rods)
 
     def boxes(self) -> dict[str, AlignedBox]:
-        """Of the straight part."""
+        """Collider of the straight part."""
         half, round_ = (0.5 - BENT_SHARE) * self.length, np.array([-0.5, 0.5]) * self.thickness
         out = (self.clearance, self.clearance + self.thickness)
         return {"handle_bar": self.block((-half, half), out, round_)}
 
     def colliders(self, prefix: str = "") -> list[BoxCollider]:
-        """Of the straight part and of every piece of the ends."""
+        """Colliders of the straight part and of every piece of the ends."""
         bent = [
             _cover_rod(f"{prefix}handle_bend_{i}", start, end, self.thickness / 2)
             for i, (start, end) in enumerate(self._pieces()[1:])
@@ -175,7 +175,7 @@ class StrapHandle(Handle):
 
 
 class LipHandle(Handle):
-    """A plate that stands off like a rim."""
+    """A plate that protrudes like a rim."""
 
     def boxes(self) -> dict[str, AlignedBox]:
         """The plate."""
@@ -225,7 +225,7 @@ HANDLES: Final[dict[str, type[Handle]]] = {
 
 
 def make_handle(s: SimpleNamespace, foot: ArrayLike, axis: Array, length: float) -> Handle:
-    """A handle of the kind, as thick and as far off as the drawn sizes say."""
+    """Make a handle of the kind, thickness and clearance of the sampled sizes."""
     place = np.asarray(foot, np.float64)
     return HANDLES[s.handle](
         foot=place, axis=axis, length=length, thickness=s.bar_thickness, clearance=s.bar_clearance

@@ -45,7 +45,7 @@ LEAST_CROWN, TIER_INSET = 0.002, 0.03
 CARRY, CARRY_SHARE = 0.04, 0.16
 # Shares of a laptop's depth that gets thinner, of its width that the fans' block and the ridge on its lid take.
 WEDGE_SHARE, TAIL_SHARE, RIDGE_SHARE = 0.75, 0.72, 0.6
-# How far a laptop's sides stand back from its front, [m].
+# Recess of a laptop's sides from its front, [m].
 WING_INSET = 0.03
 # Height of the rubber strips below a laptop, depth of its lid's rim, and how far inside of the edge it is held, [m].
 STRIPS, RIM, HELD = 0.002, 0.016, 0.004
@@ -61,7 +61,7 @@ def make_toolbox(rng: np.random.Generator, table: Mapping[str, Any]) -> Articula
     body_color, lid_color = pick_color(rng, "toolbox"), pick_color(rng, "lid")
     s.seam += s.feet
     s.low = s.seam + SEAL
-    # Where the lid's upright walls end.
+    # Height at which the lid's upright walls end.
     s.eaves = s.low + s.lid - s.crown
     handle = make_handle(s, [0.0, -s.depth / 2, (s.low + s.eaves) / 2], LEVEL, s.bar_length)
     body, lid = LinkBuilder("body"), LinkBuilder("lid")
@@ -108,7 +108,7 @@ def _add_toolbox_body(
 
 
 def _add_tools(body: LinkBuilder, s: SimpleNamespace, rng: np.random.Generator) -> None:
-    """What lies inside: a tray with a screwdriver, a hammer and a wrench."""
+    """Add the content: a tray with a screwdriver, a hammer and a wrench."""
     w, y0, y1, wall, z = s.width / 2, -s.depth / 2, s.depth / 2, s.wall, s.seam - 0.035
     felt = Material(texture_srgb=textures.make_speckles(rng, (0.52, 0.50, 0.46), 256), roughness=0.7)
     size = (2 * (w - wall), 0, 0), (0, y1 - y0 - 2 * wall, 0)
@@ -269,7 +269,7 @@ def _add_strips(base: LinkBuilder, s: SimpleNamespace) -> None:
 
 
 def _add_armour(base: LinkBuilder, s: SimpleNamespace, case: Material) -> None:
-    """What stands out of the base: sides and a block for fans behind the hinge, corner posts, a carrying handle."""
+    """Add protruding parts of the base: sides and a block for fans behind the hinge, corner posts, a carrying handle."""
     w, d, z = s.width / 2, s.depth / 2, (STRIPS, s.seam - POST_ROOM)
     if s.tail > 0:
         half = TAIL_SHARE * w
@@ -281,7 +281,7 @@ def _add_armour(base: LinkBuilder, s: SimpleNamespace, case: Material) -> None:
     if s.post > 0:
         base.boxes("posts", corner_posts(w, (-d, d), z, s.post), RUBBER)
     if s.carry:
-        # Of an arch that looks to the front, turned to the back.
+        # The arch is defined for the front and turned to the back.
         arch = ArchHandle(
             foot=np.array([0.0, -d, sum(z) / 2]), axis=LEVEL, length=w, thickness=0.014, clearance=0.03
         )

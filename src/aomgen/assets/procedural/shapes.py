@@ -13,7 +13,7 @@ from aomgen.core.mesh import NUMBERS, Mesh
 from aomgen.core.transforms import transform
 from aomgen.core.values import Array
 
-# Prints lie this far in front of the surface they are on, [m]: neither renderer lets them flicker, and nobody sees the gap.
+# Distance of prints from the surface they are on, [m]: large enough to avoid z-fighting, too small to be visible.
 PRINT_GAP = 0.0006
 # The two in-plane axes (u, v) of a face whose normal is axis x, y or z.
 _PLANE_AXES = ((1, 2), (0, 2), (0, 1))
@@ -22,20 +22,20 @@ NO_TEXTURE = np.zeros((0, 0, 3), np.uint8)
 LEAST_STEPS, STEP = 4, 0.006
 # All four edges of a box along an axis.
 ALL_EDGES: Final = ((-1, -1), (1, -1), (1, 1), (-1, 1))
-# Those on the high side of the second other axis.
+# The edges on the high side of the second other axis.
 UPPER_EDGES: Final = ((1, 1), (-1, 1))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Material:
-    """What a mesh is covered with.
+    """Color, texture and reflectance of a mesh.
 
     Attributes:
         texture_srgb: (H, W, 3) uint8; empty where `color_srgb` holds.
         color_srgb: (3,), 0..1.
         tile_m: Length of the texture's edge on planar-mapped parts, [m].
         roughness, metallic, opacity: UsdPreviewSurface's parameters.
-        maps: Images that hold instead, see `Mesh`.
+        maps: Images that replace single parameters, see `Mesh`.
     """
 
     texture_srgb: NDArray[np.uint8] = field(default_factory=lambda: NO_TEXTURE)
@@ -113,10 +113,10 @@ class RoundedBox:
     """A box whose edges along one axis are rounded, or cut straight.
 
     Attributes:
-        whole: The box before; all of its faces are seen.
-        axis: 0, 1 or 2: where the edges run to.
-        radii: What an edge takes away along the two other axes, in their order, [m].
-        corners: Which edges: their sides (-1 or 1) along these axes.
+        whole: The box before rounding; all of its faces are visible.
+        axis: 0, 1 or 2: direction of the edges.
+        radii: Extent of the rounding along the two other axes, in their order, [m].
+        corners: The rounded edges by their sides (-1 or 1) along these axes.
         bevel: Straight instead of round.
     """
 
@@ -224,10 +224,10 @@ def rod(
     return _triangles_mesh(name, np.array(triangles), np.array(uvs), surface)
 
 
-def dome(name: str, center: ArrayLike, radii: ArrayLike, surface: Material, sides: int = 20) -> Mesh:
+def dome(name: str, center: ArrayLike, radii: ArrayLike, surface: Material) -> Mesh:
     """Upper half of an ellipsoid with radii (3,) on a plane z around a center (3,), [m], texture seen from above."""
-    around = np.arange(sides + 1) * 2 * np.pi / sides
-    up = np.linspace(0.0, np.pi / 2, sides // 4 + 1)
+    around = np.arange(21) * 2 * np.pi / 20
+    up = np.linspace(0.0, np.pi / 2, 6)
     unit = np.stack(
         [
             np.cos(up)[:, None] * np.cos(around),

@@ -69,10 +69,10 @@ def window(rng: np.random.Generator, size: int = 256) -> Texture:
     return tint((0.9, 0.95, 1.0), value - 1.0)
 
 
-def tread_plate(rng: np.random.Generator, color_srgb: ArrayLike, size: int = 512) -> Texture:
+def tread_plate(rng: np.random.Generator, color_srgb: ArrayLike) -> Texture:
     """Pressed sheet with crossed bars in two directions, worn unevenly."""
+    size, pitch = 512, 32
     v, u = np.meshgrid(np.arange(size), np.arange(size), indexing="ij")
-    pitch = 32
     column, row = u // pitch, v // pitch
     x, y = u % pitch - pitch / 2 + 0.5, v % pitch - pitch / 2 + 0.5
     slant = np.where((column + row) % 2 == 0, 1.0, -1.0)
@@ -87,7 +87,7 @@ def stickers(
 ) -> Texture:
     """A grained surface with stickers of several shapes, colors and words, no two alike.
 
-    Each has a cell of its own, so that none hides another.
+    Each is in a separate cell, so that none hides another.
     """
     size = max(width, height)
     ground = tint(color_srgb, 0.03 * noise(rng, size, 0.8) + 0.03 * noise(rng, size, 20))
@@ -213,7 +213,7 @@ def label(rng: np.random.Generator) -> Texture:
 
 
 def vents(rng: np.random.Generator, color_srgb: ArrayLike) -> Texture:
-    """Rows of ventilation slots in a painted sheet."""
+    """Rows of ventilation slots in a colored sheet."""
     width, height = 256, 160
     image = Image.new("RGB", (width, height), _to_pixel(color_srgb))
     draw = ImageDraw.Draw(image)
