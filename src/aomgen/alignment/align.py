@@ -2,24 +2,23 @@
 
 Hypotheses come from the prompted boxes and a coarse color score (`pose_search`); each is fitted to
 the contours in the scan images (`contours`), the best is refined on all views,
-and doubtful answers are refused. Source: AOMGen, sec. 4.1, "Scene and robot alignment"; the paper's rigid ICP needs a
+and ambiguous estimates are refused. Source: AOMGen, sec. 4.1, "Scene and robot alignment"; the paper's rigid ICP needs a
 known scale and clean robot points, so outlines in the images take its place.
 """
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from aomgen.alignment.confidence import (
     Confirmation,
     ViewEvidence,
-    WristRotation,
     collect_evidence,
     confirmation,
     find_wrist_rotation,
 )
 from aomgen.alignment.contours import AlignmentImage
-from aomgen.alignment.pose_search import Scan, SearchParams, search_poses
+from aomgen.alignment.pose_search import Scan, search_poses
 from aomgen.alignment.silhouette_fit import (
     FINE,
     MIDDLE,
@@ -45,7 +44,7 @@ from aomgen.errors import AlignmentError
 from aomgen.robots.robot import RobotConfiguration
 
 STAGE = "alignment"
-# Least support beyond chance of the whole robot, 0..1; contours beside the robot reach 0 by definition.
+# Least support beyond chance of the whole robot, 0..1; displaced contours reach 0 by definition.
 MIN_LIFT = 0.2
 # The same for every segment of the arm that a joint moves: half, because a segment has few contour points.
 MIN_SEGMENT_LIFT = MIN_LIFT / 2
@@ -70,15 +69,17 @@ class AlignmentParams:
     """Effort and limits.
 
     Attributes:
-        guesses: Factors of its guesses, tried in turn until a hypothesis is confirmed.
+        guesses: Poses scored first by the search, tried in turn until a hypothesis is confirmed.
+        search_views, search_width: Number of the images for the search, and their width, [px].
         views: Scan images used, spread over the walk.
         contour_points: Outline points a view.
     """
 
-    search: SearchParams = field(default_factory=SearchParams)
+    guesses: tuple[int, ...] = (2400, 7200)
+    search_views: int = 8
+    search_width: int = 80
     views: int = 24
     contour_points: int = 400
-    guesses: tuple[int, ...] = (1, 3)
 
 
 def align(
@@ -120,8 +121,11 @@ def align(
         evidence = collect_evidence(S, chosen, drawing, params.contour_points)
         confirmed = confirmation(evidence)
         _refuse_unconfirmed(confirmed, runner_up, configuration)
-        hand = find_wrist_rotation(S, chosen[::2], drawing, params.contour_points, evidence)
-        _refuse_turned_hand(hand, configuration)
+        rotation = find_wrist_rotation(S, chosen[::2], drawing, params.contour_points, evidence)
+        if rotation is not None:
+            turn_rad, gain = rotation
+            measured = f"they confirm {gain:.0%} more of the gripper there"
+            raise _make_joint_error(configuration.robot.joint_names[-1], turn_rad, measured)
     _refuse_wrong_joints(evidence, configuration)
     residuals = {view.name: np.abs(view.edge_px[view.confirmed]) for view in evidence}
     result = Alignment(
@@ -154,13 +158,19 @@ def _likeliest(
         AlignmentError: The images confirm no hypothesis.
     """
     best: list[tuple[Confirmation, Array]] = []
-    for number, factor in enumerate(params.guesses):
-        effort = replace(params.search, guesses=factor * params.search.guesses)
-        found = search_poses(scan, drawing.configuration, rng, effort).at_least(FINALIST_SHARE)
+    for number, guesses in enumerate(params.guesses):
+        found = search_poses(
+            scan,
+            drawing.configuration,
+            rng,
+            guesses=guesses,
+            view_count=params.search_views,
+            width=params.search_width,
+        ).at_least(FINALIST_SHARE)
         now = part(progress, number / len(params.guesses), (number + 1) / len(params.guesses))
-        now(0.5, "looked for likely places")
+        now(0.5, "searched for likely poses")
         ranked = _refine_starts(found.Ss_world_recon, scan.views, drawing, part(now, 0.5, 1.0))
-        best = max(best, ranked, key=lambda places: places[0][0].lift if places else -1.0)
+        best = max(best, ranked, key=lambda poses: poses[0][0].lift if poses else -1.0)
         if best and best[0][0].lift >= MIN_LIFT:
             break
     if not best:
@@ -204,7 +214,7 @@ def _refine_starts(
         if chosen:
             S = refine(start, chosen, drawing, MIDDLE, 200)
             ranked.append((confirmation(collect_evidence(S, chosen, drawing, 200)), S))
-        progress((index + 1) / len(starts), f"place {index + 1} of {len(starts)}")
+        progress((index + 1) / len(starts), f"pose {index + 1} of {len(starts)}")
     return sorted(ranked, key=lambda item: -item[0].support)
 
 
@@ -223,10 +233,10 @@ def _refuse_unconfirmed(found: Confirmation, runner_up: float, configuration: Ro
     if not found.support - runner_up >= MIN_MARGIN:
         raise AlignmentError(
             STAGE,
-            f"two places of the robot are confirmed alike ({found.support:.0%} and {runner_up:.0%})",
+            f"two poses of the robot are confirmed alike ({found.support:.0%} and {runner_up:.0%})",
             "add a robot box on an image from another side",
         )
-    # The base may stand behind things or on a mount, and says nothing about the joints.
+    # The base may be occluded or on a mount, and does not depend on the joints.
     for segment, lift in sorted(found.lift_of_segment.items()):
         if segment > 0 and not lift >= MIN_SEGMENT_LIFT:
             joint = configuration.robot.joint_names[segment - 1]
@@ -246,20 +256,14 @@ def _refuse_wrong_joints(evidence: list[ViewEvidence], configuration: RobotConfi
     if wrong.any():
         worst = int(np.argmax(np.where(wrong, sizes, 0)))
         sd_deg, limit_deg = np.degrees(found.sds_rad[worst]), np.degrees(MAX_JOINT_OFFSET_RAD)
-        said = f"+-{sd_deg:.1f}, limit {limit_deg:.0f}"
-        raise _joint_off(configuration.robot.joint_names[worst], found.offsets_rad[worst], said)
+        measured = f"+-{sd_deg:.1f}, limit {limit_deg:.0f}"
+        raise _make_joint_error(configuration.robot.joint_names[worst], found.offsets_rad[worst], measured)
 
 
-def _refuse_turned_hand(found: WristRotation, configuration: RobotConfiguration) -> None:
-    if found.clear:
-        said = f"they confirm {found.gain:.0%} more of the gripper there"
-        raise _joint_off(configuration.robot.joint_names[-1], found.turn_rad, said)
-
-
-def _joint_off(name: str, offset_rad: float, said: str) -> AlignmentError:
+def _make_joint_error(name: str, offset_rad: float, measured: str) -> AlignmentError:
     return AlignmentError(
         STAGE,
-        f"{name} looks {np.degrees(offset_rad):+.0f} deg off in the images ({said})",
+        f"{name} looks {np.degrees(offset_rad):+.0f} deg off in the images ({measured})",
         "check scan_state: the joint values must be those during the scan",
     )
 

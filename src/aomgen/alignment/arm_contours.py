@@ -13,7 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from aomgen.alignment.contours import AlignmentImage, Contour, edge_sds, edge_shifts
-from aomgen.alignment.silhouette_fit import EDGE_KERNEL, RobotDrawing, gray_levels, render_robot
+from aomgen.alignment.silhouette_fit import EDGE_KERNEL, RobotDrawing, render_robot
+from aomgen.conventions import luma_from_srgb
 from aomgen.core.alignment import Clock
 from aomgen.core.camera import Camera, camera_in_world
 from aomgen.core.least_squares import Kernel
@@ -32,6 +33,8 @@ _READING_S = 0.02
 _SPEED_S = 0.05
 # Contour points a scan view, and a frame that validates; errors of closer points are correlated.
 _SCAN_POINTS, _CHECK_POINTS = 400, 300
+# Search reach of the misfit in a frame that validates, [px].
+_CHECK_REACH_PX = 4
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -99,7 +102,7 @@ def read_gray_frames(video: Video, frames: NDArray[np.int64], width: int) -> Gra
         return NO_FRAMES
     full = video.frames_srgb.shape[2]
     size = (min(full, width), round(video.frames_srgb.shape[1] * min(1.0, width / full)))
-    grays = [gray_levels(resize(video.frames_srgb[k], *size)) for k in frames]
+    grays = [luma_from_srgb(resize(video.frames_srgb[k], *size)) for k in frames]
     return GrayFrames(times_s=video.times_s[frames], grays=np.stack(grays))
 
 
@@ -109,7 +112,7 @@ def choose_frames(video: Video, arm: LoggedRobot, clock: Clock, count: int) -> N
     if not len(covered):
         return covered
     places = arm.robot.ee_poses(arm.states(clock.log_times(video.times_s[covered]))[0])[:, :3, 3]
-    # Where the arm rests, time alone parts the frames a little.
+    # A small constant separates the frames of an arm at rest by time alone.
     steps = np.linalg.norm(np.diff(places, axis=0), axis=1) + 1e-4
     path = np.concatenate([[0.0], np.cumsum(steps)])
     marks = (np.arange(count) + 0.5) / count * path[-1]
@@ -183,7 +186,7 @@ def common_bias(shifts: Array, sds: Array, kernel: Kernel) -> float:
     return bias
 
 
-def misfits(frames: GrayFrames, camera: Camera, clock: Clock, arm: LoggedRobot, reach: int = 4) -> Array:
+def misfits(frames: GrayFrames, camera: Camera, clock: Clock, arm: LoggedRobot) -> Array:
     """Mean robust distance (F,), 0..1, between image edges and rendered contour in each frame; one bias is free.
 
     NaN for frames that do not show the arm.
@@ -192,7 +195,7 @@ def misfits(frames: GrayFrames, camera: Camera, clock: Clock, arm: LoggedRobot, 
     costs = np.full(len(frames.times_s), np.nan)
     if not contours:
         return costs
-    found = [edge_shifts(item.contour, item.gray, reach) for item in contours]
+    found = [edge_shifts(item.contour, item.gray, _CHECK_REACH_PX) for item in contours]
     shifts, strength = (np.concatenate(part) for part in zip(*found, strict=True))
     bias = common_bias(shifts, edge_sds(strength), EDGE_KERNEL)
     for item, (own, clear) in zip(contours, found, strict=True):

@@ -37,7 +37,7 @@ _STEPS, _TOLERANCE = 10, 1e-6
 _MAX_DRIFT_S = 0.04
 # Edges unrelated to the arm lie anywhere in reach of its contour, which gives a misfit of 2/3.
 _MAX_MISFIT = 0.5
-# Standard errors by which held-out frames must fit better before joint zeros are believed, so that chance takes
+# Standard errors by which held-out frames must fit better before joint zeros are accepted, so that chance takes
 # one in forty; zeros that are a quarter of a degree off gave 3 to 5 on made captures.
 _CLEAR_SDS = 2.0
 
@@ -90,7 +90,7 @@ def adjust_bundle(problem: BundleProblem, near: BundleSolution | None = None) ->
 
 
 def drifts(clock: Clock, seconds: float) -> bool:
-    """Whether a clock's drift matters over so many seconds, and is known well enough to say so."""
+    """Return whether a clock's drift over a duration is both relevant and significant."""
     shift = abs(clock.rate) * seconds
     return shift > _MAX_DRIFT_S and abs(clock.rate) > SIGNIFICANT_SDS * clock.rate_sd
 

@@ -1,4 +1,4 @@
-"""Evidence of the bundle adjustment as terms: what each says about similarity, joint zeros, cameras and clocks.
+"""Evidence of the bundle adjustment as residual terms of similarity, joint zeros, cameras and clocks.
 
 Unknown are a correction of `S_world_recon`, the zero of each arm joint, and for each fixed camera its
 pose, the offset and drift of its clock and the bias of its contours. Evidence are the contours of the arm in
@@ -21,8 +21,9 @@ from aomgen.alignment.contours import (
     edge_shifts,
     shift_jacobian,
 )
-from aomgen.alignment.silhouette_fit import RobotDrawing, gray_levels, move_similarity
+from aomgen.alignment.silhouette_fit import RobotDrawing, move_similarity
 from aomgen.alignment.uncertainty import JACKKNIFE_GROUPS
+from aomgen.conventions import luma_from_srgb
 from aomgen.core.alignment import Clock
 from aomgen.core.camera import Camera, camera_in_world
 from aomgen.core.least_squares import Kernel, ResidualTerm
@@ -33,13 +34,13 @@ from aomgen.core.values import Array, Matrix4, freeze_arrays
 _POSE, OFFSET, RATE, _BIAS, _COLUMNS = slice(0, 6), 6, 7, 8, 9
 # Edges are trusted to a tenth of a pixel at best, [px].
 _EDGE_SD_PX = 0.1
-# How far blur, tone curves and simple meshes widen all contours of one camera, [px].
+# Standard deviation by which blur, tone curves and simple meshes widen all contours of one camera, [px].
 _BIAS_SD_PX = 1.0
 # Standard deviation of what is known, in the unit of the unknown: far below that of any data.
 KNOWN_SD = 1e-6
 # Points that carry the pose of a camera in the structure; six degrees of freedom need no more.
 _STRUCTURE_POINTS = 300
-# How far a camera placed in the structure is off, in its own image, [px]: about half the reprojection error
+# Standard deviation of a camera placed in the structure, in its image, [px]: about half the reprojection error
 # of a single image.
 _STRUCTURE_SD_PX = 0.25
 # Standard deviations assumed of a hand-eye calibration: position [m] and rotation [rad], 0.2 degrees.
@@ -132,7 +133,7 @@ class Bundle:
 
     def __init__(self, problem: BundleProblem) -> None:
         self.problem, self.pivot = problem, problem.drawing.pivot
-        self.grays = [gray_levels(view.image_srgb) for view in problem.views]
+        self.grays = [luma_from_srgb(view.image_srgb) for view in problem.views]
         self.zeros = slice(7, 7 + len(problem.arm.zeros_rad))
         self.scan_bias = self.zeros.stop
         self.first = {name: self.scan_bias + 1 + _COLUMNS * k for k, name in enumerate(problem.cameras)}
@@ -162,7 +163,7 @@ class Bundle:
         )
 
     def priors(self) -> list[ResidualTerm[BundleSolution]]:
-        """What is known without any contour."""
+        """Terms that need no contour."""
         terms: list[ResidualTerm[BundleSolution]] = [
             ResidualTerm(
                 name="joint zeros", residual=lambda x: x.zeros_rad, sd=self.problem.params.zero_sd_rad
@@ -260,7 +261,7 @@ class Bundle:
 def _camera_priors(
     name: str, item: CameraEvidence, points_recon: Array
 ) -> list[ResidualTerm[BundleSolution]]:
-    """Where structure and calibration put a camera, its bias, and its clock if that is known."""
+    """Terms of a camera's pose by structure and calibration, its bias, and its clock if that is known."""
     terms: list[ResidualTerm[BundleSolution]] = [
         ResidualTerm(
             name=f"{name} bias", residual=lambda x: np.array([x.cameras[name].bias_px]), sd=_BIAS_SD_PX

@@ -28,8 +28,8 @@ from aomgen.alignment.silhouette_fit import (
     EDGE_KERNEL,
     RenderedRobot,
     RobotDrawing,
-    gray_levels,
 )
+from aomgen.conventions import luma_from_srgb
 from aomgen.core.camera import camera_in_world
 from aomgen.core.values import Array, freeze_arrays
 
@@ -44,6 +44,8 @@ ASIDE = 0.06
 TURNS_DEG = (-60.0, -30.0, -15.0, 15.0, 30.0, 60.0, 90.0)
 # Standard deviations by which a rotated wrist must fit better, so that chance does not report one.
 CLEAR_SDS = 3.0
+# Segments with fewer contour points are not judged; ten neighbours count as one.
+MIN_SEGMENT_POINTS = 100
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -93,7 +95,7 @@ def _evidence(
     S: Array, number: int, view: AlignmentImage, drawn: RenderedRobot, drawing: RobotDrawing
 ) -> ViewEvidence:
     camera = camera_in_world(S, view.camera_recon)
-    gray = gray_levels(view.image_srgb)
+    gray = luma_from_srgb(view.image_srgb)
     contour = drawn.contour
     edges, strength = edge_shifts(contour, gray, REACH_PX)
     ratio = color_ratio(view.image_srgb, drawn.mask, 2 * BORDER_REACH_PX)
@@ -159,12 +161,8 @@ class Confirmation:
         return (self.support - self.chance) / (1 - self.chance)
 
 
-def confirmation(evidence: list[ViewEvidence], min_points: int = 100) -> Confirmation:
-    """Pool the evidence of all views; nothing is confirmed where there is none.
-
-    Args:
-        min_points: Segments with fewer outline points say nothing (ten neighbours count as one).
-    """
+def confirmation(evidence: list[ViewEvidence]) -> Confirmation:
+    """Pool the evidence of all views; nothing is confirmed where there is none."""
     if not evidence:
         return Confirmation(support=0.0, chance=0.0, lift_of_segment={})
     confirmed = np.concatenate([view.confirmed for view in evidence])
@@ -174,29 +172,9 @@ def confirmation(evidence: list[ViewEvidence], min_points: int = 100) -> Confirm
     lifts = {
         int(segment): (float(confirmed[segments == segment].mean()) - chance) / (1 - chance)
         for segment in np.unique(segments)
-        if np.sum(segments == segment) >= min_points
+        if np.sum(segments == segment) >= MIN_SEGMENT_POINTS
     }
     return Confirmation(support=float(confirmed.mean()), chance=chance, lift_of_segment=lifts)
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class WristRotation:
-    """Rotation of the last joint that the images confirm best, among those rendered.
-
-    Attributes:
-        turn_rad: Against the log; 0 when the log's is best.
-        gain: How much larger the share of confirmed outline is there than as logged.
-        gain_sd: Standard deviation of that.
-    """
-
-    turn_rad: float
-    gain: float
-    gain_sd: float
-
-    @property
-    def clear(self) -> bool:
-        """Whether the images contradict the log."""
-        return self.gain > CLEAR_SDS * self.gain_sd
 
 
 def find_wrist_rotation(
@@ -205,21 +183,26 @@ def find_wrist_rotation(
     drawing: RobotDrawing,
     contour_points: int,
     logged: list[ViewEvidence],
-) -> WristRotation:
-    """Render the gripper at several rotations of the last joint and compare how far images confirm it.
+) -> tuple[float, float] | None:
+    """Find a rotation of the last joint that the images confirm clearly better than the logged one.
+
+    The gripper is rendered at several rotations, and the confirmed shares of its contour are compared.
 
     Args:
         drawing: Draws the robot as logged.
-        logged: What the images say of the robot as logged; of these views and perhaps more.
+        logged: Evidence for the robot as logged; of these views and perhaps more.
+
+    Returns:
+        The rotation relative to the log, [rad], and the gain in the confirmed share; None where the images do
+        not contradict the log.
 
     Not checked: the last joint turns (one that slides finds no better turn).
     """
-    hand = len(drawing.configuration.joints)
-
+    gripper = len(drawing.configuration.joints)
     names = {view.name for view in views}
 
     def confirm(evidence: list[ViewEvidence]) -> tuple[float, int]:
-        seen = [view.confirmed[view.segments == hand] for view in evidence if view.name in names]
+        seen = [view.confirmed[view.segments == gripper] for view in evidence if view.name in names]
         points = np.concatenate(seen) if seen else np.zeros(0, np.bool_)
         return (float(points.mean()), len(points)) if len(points) else (0.0, 0)
 
@@ -231,9 +214,9 @@ def find_wrist_rotation(
     own, count = confirm(logged)
     shares = [confirm(collect_evidence(S, views, turn(angle), contour_points))[0] for angle in TURNS_DEG]
     best = int(np.argmax(shares))
-    if count == 0 or shares[best] <= own:
-        return WristRotation(turn_rad=0.0, gain=0.0, gain_sd=0.0)
+    if count == 0:
+        return None
+    gain = shares[best] - own
     variance = (own * (1 - own) + shares[best] * (1 - shares[best])) * CORRELATED_POINTS / count
-    return WristRotation(
-        turn_rad=float(np.radians(TURNS_DEG[best])), gain=shares[best] - own, gain_sd=float(np.sqrt(variance))
-    )
+    clear = gain > 0 and gain > CLEAR_SDS * np.sqrt(variance)
+    return (float(np.radians(TURNS_DEG[best])), gain) if clear else None

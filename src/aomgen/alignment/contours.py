@@ -23,7 +23,7 @@ BINS = 16
 CLEAR_EDGE = 0.05
 # Variance of the border between two colors that no sharpness takes away, [px^2].
 BORDER_VARIANCE = 0.5
-# Errors of neighboring contour points are correlated: so many count as one.
+# Errors of neighboring contour points are correlated: this number of points counts as one.
 CORRELATED_POINTS = 10
 
 
@@ -44,13 +44,11 @@ class Contour:
         pixels: (C, 2), on the outline, [px].
         normals: (C, 2), unit, out of the silhouette.
         points: (C, 3) on the robot, in the frame of the camera drawn with.
-        share: Area of the silhouette over the image's.
     """
 
     pixels: Array
     normals: Array
     points: Array
-    share: float
 
     def move(self, points: Array, camera: Camera) -> "Contour":
         """The contour after robot or camera moved a little: its points are there now; normals are kept."""
@@ -86,7 +84,6 @@ def outline(camera: Camera, mask: NDArray[np.bool_], depth: NDArray[np.float32],
         pixels=centers + 0.5 * normals,
         normals=normals,
         points=apply(camera.T_world_cam, points_cam),
-        share=float(mask.mean()),
     )
 
 
@@ -134,7 +131,7 @@ def region_shifts(contour: Contour, ratio: NDArray[np.float32], reach: int) -> t
 
 
 def border_kernel(reach: int) -> Kernel:
-    """Of shifts to color borders: at half of the search reach they lose half of their weight."""
+    """Robust kernel of shifts to color borders: at half of the search reach they lose half of their weight."""
     return Kernel(scale=0.5 * reach, power=1.0)
 
 

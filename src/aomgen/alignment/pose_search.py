@@ -1,6 +1,6 @@
 """Search for the pose of the robot: many poses that agree with the prompted boxes, the best improved further.
 
-Boxes leave heading and depth open and are drawn by hand, so a thousand poses are scored in small
+Boxes leave heading and depth open and are drawn manually, so a thousand poses are scored in small
 images. The robot has the same colors in all images, and others than its surroundings: colors inside and just
 outside the silhouette, pooled over a few images, differ most at the true pose. Silhouettes are drawn as points
 on the surface, thousands in a second. The best poses, kept apart from one another, are perturbed in ever smaller
@@ -42,8 +42,7 @@ class Generation:
     step: float
 
 
-# Poses that fit the prompted boxes worse than the best by this share of a box are dropped; boxes are drawn
-# by hand.
+# Poses that fit the prompted boxes worse than the best by this share of a box are dropped; boxes are inexact.
 MAX_MISFIT = 0.15
 # Width of the images for the first pass over all poses, [px]: links are a few pixels wide, and it is quick.
 FIRST_WIDTH = 48
@@ -54,33 +53,18 @@ GENERATIONS = (
     Generation(parents=12, apart=0.05, children=10, step=0.025),
     Generation(parents=6, apart=0.03, children=12, step=0.012),
 )
-# Number of poses returned at most: the best and its rivals.
-KEPT = 3
+# Number of poses returned at most: the best and its rivals; they differ by more than a share of the robot's size.
+KEPT, KEPT_APART = 3, 0.5
 # Colors in the palette of the images; k-means merges similar ones, so more change little.
 COLORS = 40
 # Width of the band, as a share of the image's width: less than an arm's link is thick.
 RIM = 0.06
-# A silhouette of which less than this is in the images says less.
+# A silhouette of which less than this share is in the images gets a lower score.
 SEEN = 0.5
 # Poses scored at once: bounds the memory, no effect on the result.
 BATCH = 128
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class SearchParams:
-    """Effort.
-
-    Attributes:
-        guesses: Poses scored first.
-        width, first_width: Of the small images, and of those for the first pass, [px].
-        views: How many of them.
-        apart: The poses returned differ by more than this share of the robot's size.
-    """
-
-    guesses: int = 2400
-    width: int = 80
-    views: int = 8
-    apart: float = 0.5
+# Points on the robot's surface: enough that neighbours are a pixel apart.
+SURFACE_POINTS = 1200
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -120,19 +104,26 @@ def search_poses(
     scan: Scan,
     configuration: RobotConfiguration,
     rng: np.random.Generator,
-    params: SearchParams | None = None,
+    *,
+    guesses: int = 2400,
+    view_count: int = 8,
+    width: int = 80,
 ) -> PoseCandidates:
-    """Find likely poses of the robot, best first and far from one another."""
-    params = params or SearchParams()
+    """Find likely poses of the robot, best first and far from one another.
+
+    Args:
+        guesses: Poses scored first.
+        view_count, width: Number of the small images, and their width, [px].
+    """
     vertices = configuration.points_world()
     probe = vertices[rng.choice(len(vertices), 16, replace=False)]
     ups = up_candidates([view.camera_recon for view in scan.views], scan.points_recon, rng)
-    places = find_starting_poses(scan.boxes, vertices, ups, scan.points_recon, rng, params.guesses)
-    Ss = places.Ss_world_recon[places.scores >= places.scores.max() - MAX_MISFIT]
+    starts = find_starting_poses(scan.boxes, vertices, ups, scan.points_recon, rng, guesses)
+    Ss = starts.Ss_world_recon[starts.scores >= starts.scores.max() - MAX_MISFIT]
     Ss_recon_world = np.asarray(np.linalg.inv(Ss[:200]), np.float64)
-    chosen = _views_on(scan.views, apply(Ss_recon_world, probe.mean(0)), params.views)
-    first = color_score([limit_width(view, FIRST_WIDTH) for view in chosen], configuration, rng)
-    score = color_score([limit_width(view, params.width) for view in chosen], configuration, rng)
+    chosen = _views_on(scan.views, apply(Ss_recon_world, probe.mean(0)), view_count)
+    first = ColorScore([limit_width(view, FIRST_WIDTH) for view in chosen], configuration, rng)
+    score = ColorScore([limit_width(view, width) for view in chosen], configuration, rng)
     begin = GENERATIONS[0]
     found = PoseCandidates(Ss_world_recon=Ss, scores=first(Ss))
     found = select_distinct(found, probe, begin.apart, begin.parents)
@@ -144,7 +135,7 @@ def search_poses(
             Ss_world_recon=np.concatenate([found.Ss_world_recon, children]),
             scores=np.concatenate([found.scores, score(children)]),
         )
-    return select_distinct(found, probe, params.apart, KEPT)
+    return select_distinct(found, probe, KEPT_APART, KEPT)
 
 
 def select_distinct(found: PoseCandidates, points_world: Array, apart: float, count: int) -> PoseCandidates:
@@ -192,18 +183,21 @@ def _transform_points(Ss: Array, points: Array) -> Array:
     return np.asarray(points @ np.swapaxes(Ss[:, :3, :3], 1, 2) + Ss[:, None, :3, 3], np.float64)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
 class ColorScore:
-    """Small images in few colors, and points on the posed robot.
+    """Score of robot poses by the colors inside and just outside the silhouette, in small images of few colors."""
 
-    Attributes:
-        labels: Of each view, (H * W, COLORS) float32, one-hot.
-        points_world: Points spread over the robot's surface (P, 3), [m].
-    """
-
-    views: list[AlignmentImage]
-    labels: list[NDArray[np.float32]]
-    points_world: Array
+    def __init__(
+        self, views: list[AlignmentImage], configuration: RobotConfiguration, rng: np.random.Generator
+    ) -> None:
+        """Quantize the views, some 80 px wide: an arm's link is then a few pixels thick."""
+        pixels = [view.image_srgb.reshape(-1, 3).astype(np.float32) for view in views]
+        palette = _palette(np.concatenate(pixels), rng)
+        one_hot = np.eye(COLORS, dtype=np.float32)
+        self._views = views
+        # One row (COLORS,) for each pixel of a view.
+        self._labels = [one_hot[vq(part, palette)[0]] for part in pixels]
+        points = configuration.surface_world(SURFACE_POINTS, rng)
+        self._points = np.concatenate([points, np.ones((SURFACE_POINTS, 1))], 1).astype(np.float32)
 
     def __call__(self, Ss_world_recon: Array) -> Array:
         """Scores (H,) of similarities (H, 4, 4): 0 = colors do not differ; more for larger outlines."""
@@ -215,14 +209,14 @@ class ColorScore:
         count = len(Ss_world_recon)
         inside, outside = np.zeros((count, COLORS)), np.zeros((count, COLORS))
         seen = np.zeros(count)
-        for view, labels in zip(self.views, self.labels, strict=True):
+        for view, labels in zip(self._views, self._labels, strict=True):
             masks, share = self._silhouettes(view, Ss_recon_world)
             rims = _dilate(masks, max(2, round(RIM * view.camera_recon.width))) & ~masks
             inside += masks.reshape(count, -1).astype(np.float32) @ labels
             outside += rims.reshape(count, -1).astype(np.float32) @ labels
-            seen += share / len(self.views)
+            seen += share / len(self._views)
         # Pixels of one link are alike: evidence grows with the length of the outline, not with area.
-        length = np.sqrt(inside.sum(1) / sum(len(labels) for labels in self.labels))
+        length = np.sqrt(inside.sum(1) / sum(len(labels) for labels in self._labels))
         return divergence(inside, outside) * length * np.minimum(seen / SEEN, 1.0)
 
     def _silhouettes(self, view: AlignmentImage, Ss_recon_world: Array) -> tuple[NDArray[np.bool_], Array]:
@@ -231,7 +225,7 @@ class ColorScore:
         K = np.array([[camera.fx, 0, camera.cx], [0, camera.fy, camera.cy], [0, 0, 1]])
         Ms = K @ (camera.T_cam_world @ Ss_recon_world)[:, :3]
         # Pixels are whole numbers here: single precision is more than enough.
-        u, v, z = np.einsum("hij,pj->ihp", Ms.astype(np.float32), self._homogeneous(), optimize=True)
+        u, v, z = np.einsum("hij,pj->ihp", Ms.astype(np.float32), self._points, optimize=True)
         depth = np.maximum(z, np.float32(1e-6))
         u, v = np.floor(u / depth), np.floor(v / depth)
         width, height = camera.width, camera.height
@@ -241,32 +235,6 @@ class ColorScore:
         masks[(first + np.where(inside, v * width + u, 0).astype(np.int64))[inside]] = True
         masks = masks.reshape(len(Ms), height, width)
         return ~_dilate(~_dilate(masks, 1), 1), inside.mean(1)
-
-    def _homogeneous(self) -> NDArray[np.float32]:
-        ones = np.ones((len(self.points_world), 1))
-        return np.concatenate([self.points_world, ones], 1).astype(np.float32)
-
-
-def color_score(
-    views: list[AlignmentImage],
-    configuration: RobotConfiguration,
-    rng: np.random.Generator,
-    points: int = 1200,
-) -> ColorScore:
-    """Prepare small images for quick looks.
-
-    Args:
-        views: Images, some 80 px wide: an arm's link is then a few pixels thick.
-        points: On the robot's surface; enough that neighbours are a pixel apart.
-    """
-    pixels = [view.image_srgb.reshape(-1, 3).astype(np.float32) for view in views]
-    palette = _palette(np.concatenate(pixels), rng)
-    one_hot = np.eye(COLORS, dtype=np.float32)
-    return ColorScore(
-        views=views,
-        labels=[one_hot[vq(part, palette)[0]] for part in pixels],
-        points_world=configuration.surface_world(points, rng),
-    )
 
 
 def divergence(inside: Array, outside: Array) -> Array:

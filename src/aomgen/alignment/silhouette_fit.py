@@ -18,6 +18,7 @@ from aomgen.alignment.contours import (
     region_shifts,
     shift_jacobian,
 )
+from aomgen.conventions import luma_from_srgb
 from aomgen.core.camera import Camera, camera_in_world
 from aomgen.core.least_squares import Kernel, ResidualTerm, solve
 from aomgen.core.transforms import matrix_from_rotvec, similarity
@@ -145,7 +146,7 @@ def _contour_term(
         drawn = drawing.draw(camera_in_world(S, view.camera_recon), limit, fine=level.fine)
         if drawn is not None:
             field = (
-                gray_levels(view.image_srgb)
+                luma_from_srgb(view.image_srgb)
                 if level.edges
                 else color_ratio(view.image_srgb, drawn.mask, 2 * level.reach)
             )
@@ -224,8 +225,3 @@ def limit_width(view: AlignmentImage, width: int) -> AlignmentImage:
     camera = view.camera_recon.narrow(width)
     image = resize(view.image_srgb, camera.width, camera.height)
     return replace(view, camera_recon=camera, image_srgb=image)
-
-
-def gray_levels(image: NDArray[np.uint8]) -> NDArray[np.float32]:
-    gray = image.astype(np.float32) @ np.array([0.299, 0.587, 0.114], np.float32)
-    return (gray / 255).astype(np.float32)

@@ -33,7 +33,7 @@ def run(results: Results, folder: Path, progress: Progress) -> dict[str, Any]:
 
 
 def align_scan(results: Results, progress: Progress) -> Alignment:
-    """The similarity from the robot's contours; held-out images are not looked at."""
+    """Estimate the similarity from the robot's contours; held-out images are not used."""
     capture, structure = results.pinhole_capture, results.structure
     first_srgb = {name: video.frames_srgb[0] for name, video in results.videos.items()}
     scan = Scan(
@@ -86,7 +86,7 @@ def calibrate_cameras(
 
 
 def camera_errors_of(structure: Structure) -> CameraErrors:
-    """How far the scan cameras may be off, by the structure's own observations, recon frame."""
+    """Covariance of the scan cameras by the structure's observations, recon frame."""
     return CameraErrors(
         names=tuple(structure.cameras_recon),
         covariance=camera_covariance(

@@ -18,7 +18,7 @@ from aomgen.core.values import Array, freeze_arrays
 
 # A side of a box this close to the image border is cut by it, [px]: the accuracy of a hand-drawn box.
 BORDER_PX = 3.0
-# Sides of boxes drawn by hand miss by some tenths of the box; beyond this a side counts less.
+# Sides of manually drawn boxes miss by some tenths of the box; beyond this a side counts less.
 _SIDE_ERROR = 0.1
 # A guess holds on with the weight of a side that is this many times less exact.
 _GUESS_SPREAD, _GUESS_WEIGHT = np.array([1.0, 1.0, 1.0, 0.5]), 0.02
@@ -26,6 +26,10 @@ _GUESS_SPREAD, _GUESS_WEIGHT = np.array([1.0, 1.0, 1.0, 0.5]), 0.02
 _STEPS = 12
 # Triples tried in the search for a level plane: one that holds a tenth of the points is met all but surely.
 _PLANE_TRIALS = 1500
+# Plane normals that are tried before the mean of the cameras: table and floor.
+_PLANES = 2
+# Directions in which the farthest points of the robot are kept, and random points in addition.
+_EXTREME_POINTS = 150
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -52,7 +56,7 @@ class PoseCandidates:
     __post_init__ = freeze_arrays
 
     def at_least(self, share: float) -> "PoseCandidates":
-        """Those whose score is this share of the best one's."""
+        """Candidates whose score is at least this share of the best one's."""
         good = self.scores >= share * self.scores.max()
         return PoseCandidates(Ss_world_recon=self.Ss_world_recon[good], scores=self.scores[good])
 
@@ -67,12 +71,12 @@ def find_starting_poses(
 ) -> PoseCandidates:
     """Guess heading, depth and size, then move and scale each guess until it fills the boxes.
 
-    Every guess but the first few has its own boxes, perturbed by the error of boxes drawn by hand.
+    Every guess but the first few has its own boxes, perturbed by the error of manually drawn boxes.
 
     Args:
         vertices_world: Points on the posed robot (V, 3), [m].
         ups_recon: Candidates (3,) for world z in the recon frame, best first.
-        points_recon: Sparse points (P, 3); those seen in a box tell likely depths.
+        points_recon: Sparse points (P, 3); those seen in a box give likely depths.
 
     Returns:
         Poses; their scores are minus the root mean square gap between box sides and the robot's extent, as a
@@ -113,23 +117,18 @@ def find_starting_poses(
     return PoseCandidates(Ss_world_recon=np.array(Ss), scores=-np.sqrt(np.mean(gaps**2, axis=1)))
 
 
-def up_candidates(
-    cameras_recon: list[Camera], points_recon: Array, rng: np.random.Generator, count: int = 2
-) -> list[Array]:
+def up_candidates(cameras_recon: list[Camera], points_recon: Array, rng: np.random.Generator) -> list[Array]:
     """Likely up directions (3,) in the recon frame, best first.
 
     People hold cameras upright, so up lies near the mean of the cameras' own; the large planes of
-    the scene (table, floor) sharpen it. Planes tilted more than 30 degrees from it are walls.
-
-    Args:
-        count: How many plane normals to return before the plain mean.
+    the scene (table, floor) refine it. Planes tilted more than 30 degrees from it are walls.
     """
     mean_up = -np.mean([camera.T_world_cam[:3, 1] for camera in cameras_recon], 0)
     mean_up /= np.linalg.norm(mean_up)
     ups: list[Array] = []
     left = np.asarray(points_recon, np.float64)
     extent = np.median(np.linalg.norm(left - np.median(left, 0), axis=1)) if len(left) else 1.0
-    for _ in range(count):
+    for _ in range(_PLANES):
         if len(left) < 50:
             break
         tolerance = 0.01 * extent
@@ -146,13 +145,13 @@ def up_candidates(
     return [*ups, mean_up]
 
 
-def _outline_points(points: Array, rng: np.random.Generator, count: int = 150) -> Array:
-    """Those points that lie farthest in some direction: what the extent of a projection needs.
+def _outline_points(points: Array, rng: np.random.Generator) -> Array:
+    """Select the points that are farthest in some direction, which determine the extent of a projection.
 
-    As many others say how far that part of the robot reaches which the image border leaves.
+    As many random points represent the extent of a robot that the image border cuts.
     """
-    farthest = np.argmax(points @ rng.normal(size=(3, count)), axis=0)
-    return points[np.unique(np.concatenate([farthest, rng.integers(len(points), size=count)]))]
+    farthest = np.argmax(points @ rng.normal(size=(3, _EXTREME_POINTS)), axis=0)
+    return points[np.unique(np.concatenate([farthest, rng.integers(len(points), size=_EXTREME_POINTS)]))]
 
 
 def _headings(ups: list[Array], rng: np.random.Generator, count: int) -> Array:
@@ -202,7 +201,7 @@ def _guesses(
 
 
 def _cut(box: RobotBox, near: float = 0.0) -> NDArray[np.bool_]:
-    """Which sides (4,) lie on the image border, or nearer to it than a share of the box's size."""
+    """Mask of the sides (4,) on the image border, or nearer to it than a share of the box's size."""
     x0, y0, x1, y1 = box.box_px
     camera = box.camera_recon
     room = np.array([x0, y0, camera.width - x1, camera.height - y1])
@@ -210,12 +209,12 @@ def _cut(box: RobotBox, near: float = 0.0) -> NDArray[np.bool_]:
 
 
 def _maybe_cut(box: RobotBox, rng: np.random.Generator, count: int) -> NDArray[np.bool_]:
-    """Which sides the border cuts (N, 4): a side drawn a little short of it may be cut, too."""
+    """Sample masks (N, 4) of sides that the border cuts: a side a little short of it may be cut, too."""
     return _cut(box) | (_cut(box, 2 * _SIDE_ERROR) & (rng.random((count, 4)) < 0.5))
 
 
 def _perturb_box(box: RobotBox, rng: np.random.Generator, count: int) -> Array:
-    """Perturb the sides (N, 4) of a box by the error of drawing by hand; a quarter stays, and so do cut sides."""
+    """Perturb the sides (N, 4) of a box by the error of manual drawing; a quarter stays, and so do cut sides."""
     spans = np.tile(box.box_px[2:] - box.box_px[:2], 2)
     noise = rng.uniform(-_SIDE_ERROR, _SIDE_ERROR, (count, 4)) * spans
     noise[::4] = 0
@@ -247,9 +246,9 @@ def _gaps(
         axis = side % 2
         focal = camera.fx if axis == 0 else camera.fy
         seen = pixels[..., axis]
-        beside = ~shown[..., 1 - axis] & shown[..., 1 - axis].any(1, keepdims=True)
+        outside = ~shown[..., 1 - axis] & shown[..., 1 - axis].any(1, keepdims=True)
         outwards = -1 if side < 2 else 1
-        extreme = np.argmax(np.where(beside, -np.inf, outwards * seen), axis=1)
+        extreme = np.argmax(np.where(outside, -np.inf, outwards * seen), axis=1)
         gaps[:, side] = (seen[rows, extreme] - sides[:, side]) / span[side]
         zs, p = z[rows, extreme], points_cam[rows, extreme]
         along = focal * (R[axis] / zs[:, None] - p[:, axis, None] * R[2] / zs[:, None] ** 2) / span[side]

@@ -4,11 +4,11 @@ Where the robot model, posed by the log, covers a pixel at one of two moments on
 have changed there between these moments; where it covers the pixel at neither, it should not have.
 The offset under which that is most likely wins, first on a grid over everything the two clocks
 allow, with clocks that drift against one another among the hypotheses, then in steps of a fraction
-of a frame. Only changes count, so a small error of the camera pose hardly moves the answer; what is
+of a frame. Only changes count, so a small error of the camera pose hardly moves the estimate; what is
 left of it is absorbed by a common shift of the silhouettes. `bundle_adjustment` continues from here.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import product
 
 import numpy as np
@@ -41,7 +41,7 @@ SHIFTS_PX = (-4, -2, 0, 2, 4)
 CHANGE_LIKELIHOOD = 0.6
 # Largest score of another offset, as share of the best one: with more, the offset is ambiguous.
 MAX_RIVAL = 0.85
-# Offsets farther than this from the best are rivals, [s]: beyond the width of its own peak.
+# Offsets farther than this from the best are rivals, [s]: beyond the width of its peak.
 RIVAL_DISTANCE_S = 0.5
 # Largest clock drift among the hypotheses, in seconds a second: above a 25 fps video that is labelled as 24
 # fps (0.04).
@@ -56,17 +56,10 @@ _BLOCKS = 5
 MIN_CLOCK_SD_S = 0.001
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
 class ClockFrames:
-    """Small frames at nearly equal steps, and the noise between two of them."""
+    """Small frames of a video at nearly equal steps, and the noise between two of them."""
 
-    times_s: Array
-    step_s: float
-    images: NDArray[np.float32]
-    noise: float
-
-    @staticmethod
-    def of(video: Video) -> "ClockFrames":
+    def __init__(self, video: Video) -> None:
         # Frames of a variable rate are taken at even times, the nearest one to each.
         stride = max(1, round(STEP_S * video.fps))
         even = np.arange(video.times_s[0], video.times_s[-1] + 0.5 / video.fps, stride / video.fps)
@@ -76,25 +69,17 @@ class ClockFrames:
         images = np.stack([resize(frame, *size) for frame in video.frames_srgb[chosen]]).astype(np.float32)
         if not len(images) > max(LAGS):
             raise SyncError("video", f"has only {len(images)} frames to compare", "record the whole motion")
-        times = video.times_s[chosen]
-        noise = robust_sd(np.diff(images, axis=0))
-        step = float((times[-1] - times[0]) / (len(times) - 1))
-        return ClockFrames(times_s=times, step_s=step, images=images, noise=max(noise, 0.5))
-
-    @property
-    def size(self) -> tuple[int, int]:
-        return self.images.shape[2], self.images.shape[1]
-
-    @property
-    def middle_s(self) -> float:
-        return float(self.times_s[0] + self.times_s[-1]) / 2
+        self.images, self.size, self.times_s = images, size, video.times_s[chosen]
+        self.step_s = float((self.times_s[-1] - self.times_s[0]) / (len(self.times_s) - 1))
+        self.middle_s = float(self.times_s[0] + self.times_s[-1]) / 2
+        self._noise = max(robust_sd(np.diff(images, axis=0)), 0.5)
 
     def change(self, first: int, second: int) -> NDArray[np.float32]:
-        """How surely each pixel changed (P,), 0..1; a common brightness change does not count."""
+        """Confidence (P,), 0..1, that a pixel changed; a common brightness change does not count."""
         difference = self.images[second] - self.images[first]
         difference = difference - np.median(difference, axis=(0, 1))
         strength = np.abs(difference).max(-1).ravel()
-        low = 4 * self.noise + 4
+        low = 4 * self._noise + 4
         return np.clip((strength - low) / (2 * low), 0, 1)
 
 
@@ -125,7 +110,7 @@ def estimate_clock(video: Video, log_times_s: Array, masks_at: MasksAt) -> Clock
 
     Not checked: a drift that changes during the demonstration.
     """
-    frames = ClockFrames.of(video)
+    frames = ClockFrames(video)
     grid = np.arange(log_times_s[0], log_times_s[-1], frames.step_s, dtype=np.float64)
     tables = _coarse_tables(frames, grid, masks_at)
     rates, candidates, scores = _coarse_scores(frames, tables, grid)
@@ -272,7 +257,7 @@ def _telling_pairs(frames: ClockFrames, clock: Clock, log_times_s: Array) -> lis
         raise SyncError(
             "joint log", "does not cover the moving frames", "export the log of the whole demonstration"
         )
-    # Evenly over the energy, not the strongest: strokes in different directions tell time from shift.
+    # Evenly over the energy, not the strongest: strokes in different directions separate time from shift.
     energy = np.cumsum([frames.change(k, k + lag).sum() + 1e-6 for k in covered])
     marks = (np.arange(FINE_PAIRS) + 0.5) / FINE_PAIRS * energy[-1]
     chosen = np.unique(np.searchsorted(energy, marks))
@@ -280,7 +265,7 @@ def _telling_pairs(frames: ClockFrames, clock: Clock, log_times_s: Array) -> lis
 
 
 def _vertex(offsets: NDArray, scores: NDArray) -> float:
-    """Where a parabola through the best score and its neighbours is highest."""
+    """Offset at the vertex of a parabola through the best score and its neighbours."""
     top = int(np.argmax(scores))
     near = slice(max(0, top - 2), top + 3)
     if len(offsets[near]) < 3:

@@ -27,7 +27,7 @@ from aomgen.core.values import Array, freeze_arrays
 JACKKNIFE_GROUPS = 8
 # Largest joint offset of a mastered arm, [rad].
 MAX_JOINT_OFFSET_RAD = float(np.radians(2.0))
-# What should not be there counts when it is this many of its standard deviations: four, as many things are tested.
+# Standard deviations of a significant deviation: four, because many quantities are tested.
 SIGNIFICANT_SDS = 4.0
 # Arms report their joints to a fraction of a degree; offsets beyond this are not expected at all.
 JOINT_PRIOR_RAD = np.radians(20.0)
@@ -66,7 +66,7 @@ def camera_covariance(
     """Covariance (6 N, 6 N) of the poses of N cameras: centre, then rotation vector, for each.
 
     Errors are counted after the similarity that fits the camera centres best: a
-    structure has no position, direction and size of its own.
+    structure has no absolute position, direction and size.
 
     Args:
         cameras: In any frame; lengths of the result are in its unit.
@@ -76,8 +76,8 @@ def camera_covariance(
     """
     point, camera = observations[:, 0].astype(np.int64), observations[:, 1].astype(np.int64)
     J_point, J_camera = _jacobians(cameras, points, point, camera)
-    # Sightings of one point are of one patch, whose corner a detector misses in the same way: all
-    # of them together say as much as one.
+    # Observations of one point are of one patch, whose corner a detector misses in the same way: all
+    # of them together carry the information of one.
     share = 1 / np.sqrt(np.bincount(point, minlength=len(points))[point])[:, None, None]
     J_point, J_camera = share * J_point, share * J_camera
     U = np.zeros((len(cameras), 6, 6))
@@ -138,7 +138,7 @@ def _gauge_projection(centers: Array) -> Array:
 def similarity_covariance(evidence: list[ViewEvidence]) -> Array:
     """Covariance (7, 7) of rotation vector [rad], end effector [m] and log scale.
 
-    Infinite when fewer than three views say anything. Not checked: errors that all views share;
+    Infinite with fewer than three views. Not checked: errors that all views share;
     see `covariance_from_cameras`.
     """
     return _jackknife(evidence, _similarity_step)

@@ -7,9 +7,8 @@ import pytest
 
 from aomgen.alignment.contours import AlignmentImage
 from aomgen.alignment.pose_search import (
+    ColorScore,
     Scan,
-    SearchParams,
-    color_score,
     divergence,
     search_poses,
     select_distinct,
@@ -127,7 +126,7 @@ def test_a_side_on_the_border_lets_the_robot_reach_farther(configuration):
 
 
 def test_colors_single_out_where_the_robot_stands(configuration, views):
-    score = color_score(views, configuration, np.random.default_rng(3))
+    score = ColorScore(views, configuration, np.random.default_rng(3))
     rng = np.random.default_rng(4)
     moved = []
     for _ in range(60):
@@ -141,7 +140,7 @@ def test_colors_single_out_where_the_robot_stands(configuration, views):
 
 
 def test_a_robot_out_of_sight_scores_nothing(configuration, views):
-    score = color_score(views, configuration, np.random.default_rng(3))
+    score = ColorScore(views, configuration, np.random.default_rng(3))
     behind = S_WORLD_RECON.copy()
     behind[2, 3] += 30.0
     assert score(behind[None])[0] == 0.0
@@ -167,7 +166,7 @@ def test_the_search_ends_near_the_robot(configuration, views, careless):
         Scan(views=views, boxes=boxes, points_recon=points),
         configuration,
         rng,
-        SearchParams(guesses=1200 if len(boxes) > 1 else 2400),
+        guesses=1200 if len(boxes) > 1 else 2400,
     )
     assert off_m(found.Ss_world_recon[:1], configuration)[0] < 0.06
 

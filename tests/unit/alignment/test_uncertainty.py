@@ -38,7 +38,7 @@ def evidence(views: list[Camera], edge_px: float = 0.0) -> list[ViewEvidence]:
     for number, camera in enumerate(views):
         points, angles = rng.uniform(-0.4, 0.4, (60, 3)), rng.uniform(0, 6.28, 60)
         normals = np.stack([np.cos(angles), np.sin(angles)], 1)
-        contour = Contour(pixels=camera.project(points)[0], normals=normals, points=points, share=0.1)
+        contour = Contour(pixels=camera.project(points)[0], normals=normals, points=points)
         gradient = shift_gradient(camera, contour)
         found.append(
             ViewEvidence(
