@@ -30,7 +30,7 @@ STILLS = ("first", "median")
 SAME_ANGLE_DEG = 2.0
 # The same for the distance, as share of the depth.
 SAME_DISTANCE_SHARE = 0.03
-# Of two places the better one is believed with this many times the matches of the other.
+# The better one of two contradicting poses is accepted with this many times the matches of the other.
 CLEAR_MAJORITY = 2.0
 # Matches in one corner leave a camera free to swing about them.
 MIN_SPREAD = 0.15
@@ -234,7 +234,7 @@ def choose_view_lens(
         placed: The camera as it was placed, with the stated optics if there are any.
         scan_lens: The scan's lens where the view may have it too; its own has to be clearly better.
 
-    The matches are told inliers under the richest lens, because a pinhole drops those near the border.
+    Inliers are determined under the richest lens, because a pinhole drops those near the border.
     """
     start = placed.camera_recon
     plain = _plain_lens(stated, start)
@@ -273,11 +273,9 @@ def choose_view_lens(
 
 def _plain_lens(stated: Intrinsics | None, camera: Camera) -> Lens:
     """Stated optics where they have a distortion, else the pinhole of a camera."""
-    optics, coefficients = camera, {}
-    if stated is not None and stated.distortion is not None:
-        optics, coefficients = stated, dict(zip(("k1", "k2", "p1", "p2"), stated.distortion, strict=True))
-    pinhole = {name: getattr(optics, name) for name in ("fx", "fy", "cx", "cy")}
-    return Lens(**pinhole, **coefficients, width=camera.width, height=camera.height)
+    if stated is None or stated.distortion is None:
+        stated = Intrinsics(fx=camera.fx, fy=camera.fy, cx=camera.cx, cy=camera.cy)
+    return stated.lens(camera.width, camera.height)
 
 
 def _refine_camera(

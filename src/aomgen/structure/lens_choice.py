@@ -1,7 +1,7 @@
-"""Which lens model a scan supports, decided on tracks that the fit has not seen.
+"""Choice of the lens model that a scan supports, by tracks that the fit has not seen.
 
 A richer model always fits better what it was fitted to. So the tracks are split in two halves:
-cameras and optics are adjusted on one half under each model, and every answer has to explain the
+cameras and optics are adjusted on one half under each model, and every result has to explain the
 other half, where only the points may move. Where no richer model wins, the stated values stay.
 """
 
@@ -31,7 +31,7 @@ MIN_SIGNIFICANCE = 3.0
 MIN_GAIN = 0.005
 # Errors above this many medians are outliers and count no more than this.
 OUTLIER_MEDIANS = 2.0
-# What focal lengths from two halves of a scan repeat to at best, as a share: blur and compression
+# Best repeatability of focal lengths from two halves of a scan, as a share: blur and compression
 # move the features of both halves alike.
 MIN_FOCAL_SD = 0.002
 # Cells across and down the image.

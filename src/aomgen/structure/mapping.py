@@ -1,7 +1,6 @@
 """COLMAP through pycolmap: features, matches and mapping in a scratch folder."""
 
-from collections.abc import Iterator
-from dataclasses import dataclass, field
+from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
@@ -15,74 +14,70 @@ from aomgen.core.values import Array
 from aomgen.errors import ReconstructionError
 from aomgen.structure.sparse_model import Links, Pair, SparseModel, adjust, lens_of, read_model, set_camera
 
+# SIFT contrast threshold; half of COLMAP's default, for plain surfaces.
+PEAK_THRESHOLD = 0.0035
 # Twice the error that verified matches may have: a lens that bends the border by more costs some.
 MAX_SHIFT_PX = 8.0
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ImageSet:
-    """Images of one camera.
-
-    Attributes:
-        images: Pairs of name and (H, W, 3) uint8, all of one size.
-        intrinsics: Known intrinsics, or None to estimate one focal length.
-    """
-
-    group: str
-    images: Iterator[tuple[str, NDArray[np.uint8]]]
-    intrinsics: Intrinsics | None
-
-
-@dataclass(kw_only=True)
 class Workspace:
-    """A scratch folder with COLMAP's database; the only mutable thing of this stage.
+    """A scratch folder with COLMAP's database, empty at the start; the only mutable object of this stage."""
 
-    Attributes:
-        folder: Scratch folder, empty at the start.
-    """
-
-    folder: Path
-    seed: int
-    threads: int = -1
-    _files: dict[str, dict[str, str]] = field(default_factory=dict)
-    _focal_known: dict[str, bool] = field(default_factory=dict)
-    _lens_known: dict[str, bool] = field(default_factory=dict)
-    _model: pycolmap.Reconstruction | None = None
-
-    def __post_init__(self) -> None:
+    def __init__(self, folder: Path, seed: int, threads: int) -> None:
+        self.folder, self.seed, self.threads = folder, seed, threads
+        # By group of images: the file of each name, and what of the camera is known.
+        self._files: dict[str, dict[str, str]] = {}
+        self._focal_known: dict[str, bool] = {}
+        self._lens_known: dict[str, bool] = {}
+        self._model: pycolmap.Reconstruction | None = None
         pycolmap.logging.minloglevel = pycolmap.logging.ERROR.value
-        pycolmap.set_random_seed(self.seed)
-        (self.folder / "images").mkdir(parents=True)
+        pycolmap.set_random_seed(seed)
+        (folder / "images").mkdir(parents=True)
 
     @property
     def database(self) -> Path:
         """COLMAP's database file."""
         return self.folder / "database.db"
 
-    def extract(self, images: ImageSet, max_features: int, peak_threshold: float) -> None:
-        """Write SIFT features of a set into the database; the set becomes one camera.
+    def extract(
+        self,
+        group: str,
+        images: Iterable[tuple[str, NDArray[np.uint8]]],
+        intrinsics: Intrinsics | None,
+        max_features: int,
+    ) -> None:
+        """Write SIFT features of a group of images into the database; the group becomes one camera.
+
+        Args:
+            images: Pairs of name and (H, W, 3) uint8, all of one size.
+            intrinsics: Known intrinsics, or None to estimate one focal length.
 
         Raises:
             ReconstructionError: The images differ in size.
         """
         files, sizes = {}, set()
-        for index, (name, image) in enumerate(images.images):
+        for index, (name, image) in enumerate(images):
             file = f"{len(self._files):02d}-{index:05d}.png"
             Image.fromarray(image).save(self.folder / "images" / file, compress_level=1)
             files[name] = file
             sizes.add(image.shape[1::-1])
         if len(sizes) != 1:
             raise ReconstructionError(
-                images.group, f"has images of {len(sizes)} sizes", "use one camera and one size"
+                group, f"has images of {len(sizes)} sizes", "use one camera and one size"
             )
         options = pycolmap.FeatureExtractionOptions(num_threads=self.threads)
         options.sift.max_num_features = max_features
-        options.sift.peak_threshold = peak_threshold
+        options.sift.peak_threshold = PEAK_THRESHOLD
         reader = pycolmap.ImageReaderOptions(camera_model="SIMPLE_PINHOLE")
-        if images.intrinsics is not None:
-            known = images.intrinsics
-            params = (known.fx, known.fy, known.cx, known.cy, *(known.distortion or ()))
-            reader.camera_model = "OPENCV" if known.distortion else "PINHOLE"
+        if intrinsics is not None:
+            params = (
+                intrinsics.fx,
+                intrinsics.fy,
+                intrinsics.cx,
+                intrinsics.cy,
+                *(intrinsics.distortion or ()),
+            )
+            reader.camera_model = "OPENCV" if intrinsics.distortion else "PINHOLE"
             reader.camera_params = ",".join(repr(float(value)) for value in params)
         pycolmap.extract_features(
             self.database,
@@ -92,9 +87,9 @@ class Workspace:
             reader,
             options,
         )
-        self._files[images.group] = files
-        self._focal_known[images.group] = images.intrinsics is not None
-        self._lens_known[images.group] = images.intrinsics is not None and bool(images.intrinsics.distortion)
+        self._files[group] = files
+        self._focal_known[group] = intrinsics is not None
+        self._lens_known[group] = intrinsics is not None and bool(intrinsics.distortion)
 
     def match(self, exhaustive_limit: int) -> None:
         """Match and verify pairs: all of them, or neighbours and a coarse grid for long scans."""
@@ -241,7 +236,7 @@ class Workspace:
         options.ba_refine_focal_length = not self._focal_known[group]
         # Nothing to refine in a pinhole camera, which has no such parameters.
         options.ba_refine_extra_params = not self._lens_known[group]
-        # One image alone says too little about the camera all of them share.
+        # One image alone does not determine the camera that all of them share.
         options.mapper.abs_pose_refine_focal_length = not self._focal_known[group]
         options.mapper.abs_pose_refine_extra_params = False
         return options

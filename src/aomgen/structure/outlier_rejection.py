@@ -1,11 +1,11 @@
-"""Rejection of images that registered at a wrong pose: groups first, then every image by itself.
+"""Rejection of images that registered at a wrong pose: groups first, then single images.
 
 A mapper accepts an image when enough of its matches agree with each other; with the same print on
 several cartons a wrong place can gather enough. Two-view geometry is evidence the mapper did not
 use up: at the true pose nearly all verified matches of nearly all pairs are consistent with the
 epipolar geometry of the poses, at a wrong pose most pairs contradict it. A group at a wrong place agrees
 with itself, so that no image of it stands out alone; between it and the rest there are matches that contradict
-the poses, and images that stand side by side by their poses and yet have nothing in common.
+the poses, and images that are close to each other by their poses and yet share no matches.
 """
 
 from dataclasses import dataclass
@@ -40,25 +40,12 @@ SAME_PX = 1.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Views:
-    """Poses (4, 4) of the registered images by name, and their intrinsics K (3, 3), [px].
-
-    Attributes:
-        depths: Median depth of the points that an image shows, by image name.
-    """
-
-    Ts_recon_cam: dict[str, Array]
-    depths: dict[str, float]
-    K: Array
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
 class Agreement:
-    """How well an image's pose fits its matches.
+    """Consistency of an image's pose with its matches.
 
     Attributes:
         share: Weighted share of verified matches that fit the poses, 0..1.
-        pairs: Pairs that had a say.
+        pairs: Number of pairs that were tested.
     """
 
     share: float
@@ -107,9 +94,8 @@ def is_better(new: InlierModel, old: InlierModel, max_error_px: float) -> bool:
 def reject_outliers(work: Workspace, mapped: SparseModel) -> InlierModel:
     """Remove the images that the matches contradict from a model and map the rest again."""
     pairs = work.pairs("scan", mapped.lens)
-    views = Views(Ts_recon_cam=mapped.Ts_recon_cam, depths=_depths(mapped), K=mapped.K)
     dropped: dict[str, str] = {}
-    for group in wrong_groups(views, pairs):
+    for group in find_wrong_groups(mapped.Ts_recon_cam, _depths(mapped), mapped.K, pairs):
         reason = (
             "misregistered: the other images contradict its pose"
             if len(group) == 1
@@ -134,16 +120,21 @@ def _depths(mapped: SparseModel) -> dict[str, float]:
     return depths
 
 
-def wrong_groups(views: Views, pairs: list[Pair]) -> list[set[str]]:
-    """Groups of images that the rest contradicts more than it supports; the larger side is kept.
+def find_wrong_groups(
+    Ts_recon_cam: dict[str, Array], depths: dict[str, float], K: Array, pairs: list[Pair]
+) -> list[set[str]]:
+    """Find groups of images that the rest contradicts more than it supports; the larger side is kept.
 
     Args:
+        Ts_recon_cam: Poses (4, 4) of the registered images by name.
+        depths: Median depth of the points that an image shows, by image name.
+        K: Intrinsics (3, 3), [px].
         pairs: Every pair that was tried, with its verified matches or with none.
 
-    Not checked: a wrong group that shares no view with the rest, nor stands where the rest stands.
+    Not checked: a wrong group that shares no view with the rest and is not near it.
     """
-    names = sorted(views.Ts_recon_cam)
-    evidence = _evidence(names, views, pairs)
+    names = sorted(Ts_recon_cam)
+    evidence = _evidence(names, Ts_recon_cam, depths, K, pairs)
     alive = np.ones(len(names), bool)
     groups = []
     while True:
@@ -175,24 +166,26 @@ def duplicates(pairs: list[Pair], preferred: set[str]) -> dict[str, str]:
     return found
 
 
-def _evidence(names: list[str], views: Views, pairs: list[Pair]) -> Array:
+def _evidence(
+    names: list[str], Ts_recon_cam: dict[str, Array], depths: dict[str, float], K: Array, pairs: list[Pair]
+) -> Array:
     """Symmetric (N, N): matches in favor of two images' poses, less those against them."""
     order = {name: index for index, name in enumerate(names)}
     known = [pair for pair in pairs if pair.a in order and pair.b in order]
     counts = np.zeros((len(names), len(names)))
     for pair in known:
         counts[order[pair.a], order[pair.b]] = counts[order[pair.b], order[pair.a]] = len(pair.pixels_a)
-    # What an image shares with its third best partner: what it should share with one beside it.
+    # The matches with the third best partner are expected of every adjacent image.
     usual = np.sort(counts, axis=1)[:, -3] if len(names) > 3 else np.zeros(len(names))
     evidence = np.zeros_like(counts)
     for pair in known:
         i, j, count = order[pair.a], order[pair.b], len(pair.pixels_a)
-        T_a, T_b = views.Ts_recon_cam[pair.a], views.Ts_recon_cam[pair.b]
+        T_a, T_b = Ts_recon_cam[pair.a], Ts_recon_cam[pair.b]
         if count >= MIN_MATCHES:
-            errors = epipolar_errors_px(pair, T_a, T_b, views.K)
+            errors = epipolar_errors_px(pair, T_a, T_b, K)
             share = float((errors <= MAX_ERROR_PX).mean())
             value = max(count - FALSE_MATCHES, 0) * (share - MIN_SHARE)
-        elif _near(T_a, T_b, min(views.depths[pair.a], views.depths[pair.b])):
+        elif _near(T_a, T_b, min(depths[pair.a], depths[pair.b])):
             value = -MIN_SHARE * max(0.5 * min(usual[i], usual[j]) - FALSE_MATCHES, 0)
         else:
             value = 0.0

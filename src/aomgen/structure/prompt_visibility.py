@@ -1,4 +1,4 @@
-"""Prompts in undistorted images, and how many scan images see the prompted places, from how many sides."""
+"""Prompts in undistorted images, and the number and viewing angles of the scan images that see them."""
 
 from dataclasses import dataclass, replace
 
@@ -11,7 +11,7 @@ from aomgen.core.recording import Prompt
 from aomgen.core.values import Array
 from aomgen.errors import ReconstructionError
 
-# Sparse points tell a place's depth: those inside the prompt, else this many nearest ones.
+# Sparse points give the depth of a prompted location: those inside the prompt, else this many nearest ones.
 NEAREST_POINTS = 5
 # Below this a surface's depth is a guess: three views, and the angle between the outermost ones at
 # which a pixel of error is six pixels' worth of depth (1 / sin).
@@ -133,7 +133,7 @@ def require_coverage(found: list[PromptVisibility]) -> None:
 
 
 def _place(prompt: Prompt, camera: Camera, points_recon: Array) -> Array | None:
-    """Where a prompted place is (3,): on the ray of its middle, at the depth of the points there."""
+    """Position of a prompted location (3,): on the ray of its middle, at the depth of the points there."""
     pixel = _middle(prompt)
     if not len(points_recon):
         return None

@@ -19,7 +19,7 @@ from aomgen.errors import ReconstructionError
 from aomgen.io.images import read_image
 from aomgen.structure.fixed_cameras import DemoView, PlacedCamera, place_fixed_camera
 from aomgen.structure.lens_choice import choose_lens, fit_lens, lens_misfit_px, require_lens_fits
-from aomgen.structure.mapping import ImageSet, Workspace
+from aomgen.structure.mapping import Workspace
 from aomgen.structure.outlier_rejection import InlierModel, duplicates, is_better, reject_outliers
 from aomgen.structure.prompt_visibility import measure_prompt_visibility, require_coverage, undistort_prompts
 from aomgen.structure.sparse_model import SparseModel
@@ -40,8 +40,6 @@ class Photographs:
     prompts: tuple[Prompt, ...] = ()
 
 
-# SIFT contrast threshold; half of COLMAP's default, for plain surfaces.
-PEAK_THRESHOLD = 0.0035
 # With more images than this only neighbours and a coarse grid are matched, to bound the time (pairs grow
 # with the square).
 EXHAUSTIVE_LIMIT = 90
@@ -49,7 +47,7 @@ EXHAUSTIVE_LIMIT = 90
 MIN_IMAGES = 8
 # Least share of the different scan images that must be registered: with less, sides of the scene are missing.
 MIN_REGISTERED = 0.8
-# When fewer than this share are registered, a second mapper is tried as well.
+# Share of registered images below which a second mapper is tried as well.
 RETRY_BELOW = 0.95
 # Largest mean reprojection error of a valid reconstruction, [px]; SIFT locates features to about half a
 # pixel.
@@ -117,13 +115,12 @@ def _require_images(count: int, repeated: int) -> None:
 def _extract(work: Workspace, photographs: Photographs, params: StructureParams, progress: Progress) -> None:
     images = photographs.images
     scan = ((name, read_image(images[name])) for name in sorted(images))
-    sets = [ImageSet(group="scan", images=scan, intrinsics=photographs.intrinsics)]
-    for name, view in photographs.demo.items():
-        stills = iter([("first", view.first_srgb), ("median", view.median_srgb)])
-        sets.append(ImageSet(group=f"demo:{name}", images=stills, intrinsics=view.intrinsics))
-    for index, item in enumerate(sets):
-        progress(0.2 * index / len(sets), "finding features")
-        work.extract(item, params.max_features, PEAK_THRESHOLD)
+    progress(0.0, "finding features")
+    work.extract("scan", scan, photographs.intrinsics, params.max_features)
+    for index, (name, view) in enumerate(photographs.demo.items(), 1):
+        progress(0.2 * index / (1 + len(photographs.demo)), "finding features")
+        stills = [("first", view.first_srgb), ("median", view.median_srgb)]
+        work.extract(f"demo:{name}", stills, view.intrinsics, params.max_features)
 
 
 def _solve(
@@ -143,7 +140,7 @@ def _solve(
             attempts[mapper] = reject_outliers(work, mapped), lens_figures
             if attempts[mapper][0].count >= RETRY_BELOW * count:
                 break
-        progress(0.97, "mapping in another way")
+        progress(0.97, "mapping by the other method")
     if not attempts:
         raise ReconstructionError(
             "scan", "no two images could be related", "record with more overlap and texture"

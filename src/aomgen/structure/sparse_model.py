@@ -11,11 +11,11 @@ from aomgen.core.lens import Lens
 from aomgen.core.transforms import invert
 from aomgen.core.values import Array
 
-# Of a lens is refined: nothing (as stated, or as the scan's is), the focal length, it and one radial
+# Refined parameters of a lens: none (as stated, or as the scan's is), the focal length, it and one radial
 # coefficient, it and all four coefficients.
 LensModel = Literal["stated", "scan", "focal", "radial", "full"]
 
-# Beyond the usual error of a SIFT feature matches fade: mismatches, shadows and smeared images err far.
+# Usual error of a SIFT feature, [px]; matches with larger ones (mismatches, shadows, blurred images) lose weight.
 FEATURE_SD_PX = 0.5
 # Iterations of bundle adjustment at most: it starts from a mapped model, near the optimum.
 MAX_ITERATIONS = 30
@@ -104,8 +104,8 @@ def adjust(
     """Robust bundle adjustment of a whole model in place (COLMAP's own call turns its log on for good).
 
     Args:
-        focal, distortion: Whether these are refined.
-        points_only: Whether the poses stay.
+        focal, distortion: Refine these.
+        points_only: Keep the poses.
     """
     options = pycolmap.BundleAdjustmentOptions(print_summary=False)
     options.refine_focal_length = focal

@@ -96,7 +96,7 @@ def undistort_scan(
     """
     undistort = undistorter(lens)
     for index, (name, path) in enumerate(sorted(images.items())):
-        progress(index / len(images), "straightening images")
+        progress(index / len(images), "undistorting images")
         image = undistort(read_image(path))
         lossy = path.suffix.lower() in (".jpg", ".jpeg")
         data = encode_jpeg(image, JPEG_QUALITY) if lossy else encode_png(image)

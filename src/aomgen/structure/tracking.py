@@ -1,4 +1,4 @@
-"""Tracking of points from image to image: how far the view of a camera has moved."""
+"""Tracking of points from image to image, which measures the motion of a camera's view."""
 
 from dataclasses import dataclass
 
@@ -63,12 +63,12 @@ def pyramid(gray: NDArray[np.uint8]) -> Pyramid:
     return tuple(levels)
 
 
-def new_tracks(picture: Pyramid) -> Tracks:
+def new_tracks(image: Pyramid) -> Tracks:
     """The best textured point of every cell of a grid, where there is texture.
 
     Source: Shi & Tomasi, Good features to track (1994).
     """
-    gray = picture[0]
+    gray = image[0]
     gy, gx = np.gradient(gray)
     size = 2 * HALF_WINDOW + 1
     xx, yy, xy = (uniform_filter(product, size) for product in (gx * gx, gy * gy, gx * gy))
@@ -87,11 +87,11 @@ def new_tracks(picture: Pyramid) -> Tracks:
 
 
 def follow(tracks: Tracks, first: Pyramid, before: Pyramid, after: Pyramid) -> Tracks:
-    """Where the points are one image later.
+    """Track the points into the next image.
 
     Args:
         tracks: Points as they were in `before`.
-        first: The image in which they started; what they look like now is compared with it.
+        first: The image in which they started; their present patches are compared with it.
         before, after: Two images in a row.
 
     Source: Lucas & Kanade (1981) on a pyramid, Bouguet (2001); gain and offset of a patch are
@@ -105,8 +105,8 @@ def follow(tracks: Tracks, first: Pyramid, before: Pyramid, after: Pyramid) -> T
         shift = _track_level(a, b, tracks.now * scale, 2 * shift)
     now = tracks.now + shift
     inside = ((now >= HALF_WINDOW) & (now <= np.array(after[0].shape[::-1]) - 1 - HALF_WINDOW)).all(1)
-    looks = _correlation(first[0], tracks.start, after[0], now)
-    return Tracks(start=tracks.start, now=now, alive=tracks.alive & inside & (looks >= MIN_CORRELATION))
+    correlation = _correlation(first[0], tracks.start, after[0], now)
+    return Tracks(start=tracks.start, now=now, alive=tracks.alive & inside & (correlation >= MIN_CORRELATION))
 
 
 def _track_level(
@@ -129,7 +129,7 @@ def _track_level(
 def _correlation(
     image_a: NDArray[np.float32], points_a: Array, image_b: NDArray[np.float32], points_b: Array
 ) -> Array:
-    """How alike patches are: 1 = the same up to gain and offset, 0 = unrelated."""
+    """Normalized correlation of patches: 1 = equal up to gain and offset, 0 = unrelated."""
     a, b = _patches(image_a, points_a), _patches(image_b, points_b)
     a, b = a - a.mean(1, keepdims=True), b - b.mean(1, keepdims=True)
     return (a * b).sum(1) / np.sqrt(np.maximum((a * a).sum(1) * (b * b).sum(1), 1e-6))

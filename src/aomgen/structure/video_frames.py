@@ -1,8 +1,8 @@
 """Selection of frames from a scan video: sharp ones, each with new content.
 
-A frame is wanted when the view has moved on by `step` since the last wanted one, measured on
-points that are followed from frame to frame, so that standing still (and trembling while doing
-so) gives nothing. Around each wanted place the sharpest frame is taken.
+A frame is selected when the view has moved on by `STEP` since the last selected one, measured on
+points that are tracked from frame to frame, so that standing still (and trembling while doing
+so) adds no frame. The sharpest frame around each selected one is used.
 """
 
 from collections.abc import Iterator
@@ -31,29 +31,19 @@ CANDIDATE_S = 0.1
 SHARPNESS_WIDTH = 640
 # Share of tracked points below which the view counts as new: half of the view has gone.
 MIN_KEPT = 0.5
+# Motion between selected frames, as a share of the image's width: a fifth of the motion at which half of the view
+# has gone.
+STEP = 0.05
+# Frames that are kept of a long walk; more only if their motion would otherwise exceed `MAX_STEP`.
+TARGET = 80
+# Fewer different views than this are no scan.
+MIN_FRAMES = 12
 # Largest motion between chosen frames, as share of the width: four fifths of the view stay for matching.
 MAX_STEP = 0.2
 # A frame less sharp than this share of the median around it is blurred; texture alone varies less.
 MIN_SHARPNESS = 0.6
 # Time to either side over which that median is taken, [s]: the view is nearly the same.
 AROUND_S = 2.0
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class FrameParams:
-    """How frames are chosen.
-
-    Attributes:
-        step: Motion between wanted frames, as a share of the image's width: a fifth of the motion
-            at which half of the view has gone.
-        target: As many frames as this are kept of a long walk; more only if their motion would
-            otherwise exceed `MAX_STEP`.
-        min_frames: Fewer different views than this are no scan.
-    """
-
-    step: float = 0.05
-    target: int = 80
-    min_frames: int = 12
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -72,9 +62,7 @@ class FrameCandidate:
     gray: NDArray[np.uint8]
 
 
-def extract_frames(
-    video: Path, forced: set[str], folder: Path, progress: Progress, params: FrameParams | None = None
-) -> dict[str, Path]:
+def extract_frames(video: Path, forced: set[str], folder: Path, progress: Progress) -> dict[str, Path]:
     """Choose frames of a scan video and write them as PNG below `folder`; done once, then kept.
 
     Args:
@@ -85,49 +73,48 @@ def extract_frames(
         Path by name, in the order of time.
 
     Raises:
-        IncompleteCaptureError: Fewer different views than `min_frames`.
+        IncompleteCaptureError: Fewer different views than `MIN_FRAMES`.
         InputError: The video cannot be read.
         StorageError: The disk refuses.
     """
-    params = params or FrameParams()
     if (folder / LISTING).is_file():
         return _paths(folder, [int(index) for index in read_json(folder / LISTING)["frames"]])
     candidates = list(_candidates(video, part(progress, 0.0, 0.5)))
-    chosen = choose_frames(candidates, params)
-    if not len(chosen) >= params.min_frames:
+    chosen = choose_frames(candidates)
+    if not len(chosen) >= MIN_FRAMES:
         raise IncompleteCaptureError(
             video,
-            f"shows {len(chosen)} different views, at least {params.min_frames} are needed",
+            f"shows {len(chosen)} different views, at least {MIN_FRAMES} are needed",
             "walk around robot and object while filming",
         )
-    wanted = set(chosen) - _as_forced(chosen, forced)
+    written = set(chosen) - _as_forced(chosen, forced)
     later = part(progress, 0.5, 1.0)
     total = probe_video(video).frames
     for index, (_, frame) in enumerate(decode_frames(video)):
-        if index in wanted or frame_name(index) in forced:
-            wanted.add(index)
+        if index in written or frame_name(index) in forced:
+            written.add(index)
             later(index / total, "writing frames")
             write_image(folder / FRAMES_FOLDER / frame_name(index), _rgb(frame))
-    write_json(folder / LISTING, {"frames": sorted(wanted), "of": total, "looked_at": len(candidates)})
-    return _paths(folder, sorted(wanted))
+    write_json(folder / LISTING, {"frames": sorted(written), "of": total, "looked_at": len(candidates)})
+    return _paths(folder, sorted(written))
 
 
-def choose_frames(candidates: list[FrameCandidate], params: FrameParams) -> list[int]:
+def choose_frames(candidates: list[FrameCandidate]) -> list[int]:
     """Numbers of the frames to keep, ascending; see the top of this file."""
     if not candidates:
         return []
-    places, ways = _select_moved(candidates, params)
-    keep = max(min(params.target, len(places)), int(np.ceil(ways[-1] / MAX_STEP)) + 1)
-    picks = np.abs(ways - np.linspace(0.0, ways[-1], keep)[:, None]).argmin(1)
-    wanted = [places[i] for i in np.unique(picks)]
+    moved, lengths = _select_moved(candidates)
+    keep = max(min(TARGET, len(moved)), int(np.ceil(lengths[-1] / MAX_STEP)) + 1)
+    picks = np.abs(lengths - np.linspace(0.0, lengths[-1], keep)[:, None]).argmin(1)
+    selected = [moved[i] for i in np.unique(picks)]
     sharpness = np.array([item.sharpness for item in candidates])
     times = np.array([item.time_s for item in candidates])
     usual = np.array([np.median(sharpness[np.abs(times - t) <= AROUND_S]) for t in times])
     kept: list[int] = []
-    for place, at in enumerate(wanted):
-        # Halfway to the neighbours on both sides, so that two places never choose the same frame.
-        low = 0 if place == 0 else (wanted[place - 1] + at) // 2 + 1
-        high = len(candidates) - 1 if place == len(wanted) - 1 else (at + wanted[place + 1]) // 2
+    for number, at in enumerate(selected):
+        # Halfway to the neighbours on both sides, so that no frame is chosen twice.
+        low = 0 if number == 0 else (selected[number - 1] + at) // 2 + 1
+        high = len(candidates) - 1 if number == len(selected) - 1 else (at + selected[number + 1]) // 2
         best = low + int(np.argmax(_near(sharpness[low : high + 1], at - low)))
         if sharpness[best] >= MIN_SHARPNESS * usual[best]:
             kept.append(candidates[best].index)
@@ -135,7 +122,7 @@ def choose_frames(candidates: list[FrameCandidate], params: FrameParams) -> list
 
 
 def _as_forced(chosen: list[int], forced: set[str]) -> set[int]:
-    """Chosen frames with a forced one beside them: within a third of the way to a neighbour."""
+    """Chosen frames with a forced one nearby: within a third of the distance to a neighbour."""
     found = set()
     for place, number in enumerate(chosen):
         others = [chosen[k] for k in (place - 1, place + 1) if 0 <= k < len(chosen)]
@@ -146,37 +133,37 @@ def _as_forced(chosen: list[int], forced: set[str]) -> set[int]:
 
 
 def _near(sharpness: Array, middle: int) -> Array:
-    """Sharpness with a slight preference for the middle: one of two equals is the wanted one."""
+    """Sharpness with a slight preference for the middle, which decides between equals."""
     distance = np.abs(np.arange(len(sharpness)) - middle) / max(1, len(sharpness))
     return sharpness * (1 - 0.1 * distance)
 
 
-def _select_moved(candidates: list[FrameCandidate], params: FrameParams) -> tuple[list[int], Array]:
-    """Places in `candidates` at which the view has moved on by a step each, and the way up to each.
+def _select_moved(candidates: list[FrameCandidate]) -> tuple[list[int], Array]:
+    """Indices of the candidates at which the view has moved on by a step each, and the path length up to each.
 
-    The way is the sum of the motions, as shares of the width; a view that was lost counts as the
+    The path length is the sum of the motions, as shares of the width; a view that was lost counts as the
     largest step.
     """
     width = candidates[0].gray.shape[1]
     key = before = pyramid(candidates[0].gray)
-    tracks, wanted, ways = new_tracks(key), [0], [0.0]
-    for place, candidate in enumerate(candidates[1:], 1):
+    tracks, moved, lengths = new_tracks(key), [0], [0.0]
+    for index, candidate in enumerate(candidates[1:], 1):
         now = pyramid(candidate.gray)
         tracks = follow(tracks, key, before, now)
         before = now
-        if tracks.shift_px >= params.step * width or tracks.kept < MIN_KEPT:
+        if tracks.shift_px >= STEP * width or tracks.kept < MIN_KEPT:
             lost = tracks.kept < MIN_KEPT
-            ways.append(ways[-1] + (MAX_STEP if lost else tracks.shift_px / width))
+            lengths.append(lengths[-1] + (MAX_STEP if lost else tracks.shift_px / width))
             key, tracks = now, new_tracks(now)
-            wanted.append(place)
-    return wanted, np.array(ways)
+            moved.append(index)
+    return moved, np.array(lengths)
 
 
 def _candidates(video: Path, progress: Progress) -> Iterator[FrameCandidate]:
     total = probe_video(video).frames
     best: FrameCandidate | None = None
     for index, (time_s, frame) in enumerate(decode_frames(video)):
-        progress(index / total, "looking for sharp frames")
+        progress(index / total, "searching for sharp frames")
         gray = _gray(frame, SHARPNESS_WIDTH)
         found = FrameCandidate(
             index=index,

@@ -6,11 +6,10 @@ import pytest
 from aomgen.core.camera import Camera, look_at
 from aomgen.core.transforms import matrix_from_rotvec, transform
 from aomgen.structure.outlier_rejection import (
-    Views,
     check_registration,
     duplicates,
     epipolar_errors_px,
-    wrong_groups,
+    find_wrong_groups,
 )
 from aomgen.structure.sparse_model import Pair
 
@@ -52,9 +51,12 @@ def _pairs(points: np.ndarray, cameras: dict[str, Camera], rng: np.random.Genera
     return pairs
 
 
-def _views(cameras: dict[str, Camera], moved: set[str], T: np.ndarray) -> Views:
-    poses = {name: (T if name in moved else np.eye(4)) @ c.T_world_cam for name, c in cameras.items()}
-    return Views(Ts_recon_cam=poses, depths=dict.fromkeys(poses, 3.3), K=next(iter(cameras.values())).K)
+def _poses(cameras: dict[str, Camera], moved: set[str], T: np.ndarray) -> dict[str, np.ndarray]:
+    return {name: (T if name in moved else np.eye(4)) @ c.T_world_cam for name, c in cameras.items()}
+
+
+def _find(poses: dict[str, np.ndarray], cameras: dict[str, Camera], pairs: list[Pair]) -> list[set[str]]:
+    return find_wrong_groups(poses, dict.fromkeys(poses, 3.3), next(iter(cameras.values())).K, pairs)
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -72,7 +74,7 @@ def test_a_right_model_has_no_wrong_group(seed):
         )
         for i in range(11)
     ]
-    assert wrong_groups(_views(cameras, set(), np.eye(4)), pairs) == []
+    assert _find(_poses(cameras, set(), np.eye(4)), cameras, pairs) == []
 
 
 @pytest.mark.parametrize("size", [1, 4, 9])
@@ -84,12 +86,12 @@ def test_a_group_that_is_wrong_as_a_whole_is_found(seed, size):
     group = {names[(first + i) % COUNT] for i in range(size)}
     T = transform(matrix_from_rotvec(rng.normal(0, 0.6, 3)), rng.normal(0, 1.0, 3))
     pairs = _pairs(points, cameras, rng)
-    views = _views(cameras, group, T)
-    found = wrong_groups(views, pairs)
+    poses = _poses(cameras, group, T)
+    found = _find(poses, cameras, pairs)
     assert found == [group]
     if size == 9:
         # Each image by itself is held up by its group.
-        verdicts = check_registration(views.Ts_recon_cam, views.K, pairs)
+        verdicts = check_registration(poses, next(iter(cameras.values())).K, pairs)
         dropped = {name for name, verdict in verdicts.items() if not verdict.accepted}
         assert dropped != group
 
@@ -100,8 +102,8 @@ def test_the_far_side_of_a_carton_placed_at_its_front_is_found_by_what_is_missin
     names = list(cameras)
     group = set(names[12:19])
     half_turn = transform(matrix_from_rotvec([0, 0, np.pi + 0.05]), [0, 0, 0])
-    views = _views(cameras, group, half_turn)
-    shown = {name: cameras[name].move(views.Ts_recon_cam[name]) for name in names}
+    poses = _poses(cameras, group, half_turn)
+    shown = {name: cameras[name].move(poses[name]) for name in names}
     pairs = []
     for pair in _pairs(points, cameras, rng):
         if (pair.a in group) == (pair.b in group):
@@ -111,36 +113,31 @@ def test_the_far_side_of_a_carton_placed_at_its_front_is_found_by_what_is_missin
     # The print fits the wrong place: forty matches between two images that stand side by side there.
     at = next(i for i, p in enumerate(pairs) if (p.a, p.b) == (names[2], names[14]))
     pairs[at] = _pair(names[2], names[14], shown, points[:40], rng)
-    assert wrong_groups(views, pairs) == [group]
+    assert _find(poses, cameras, pairs) == [group]
 
 
 def test_two_wrong_groups_are_both_found():
     points, cameras, rng = _world(3)
     names = list(cameras)
     one, two = set(names[2:6]), set(names[14:18])
-    views = _views(cameras, one, transform(np.eye(3), [0, 0, 1.0]))
-    other = _views(cameras, two, transform(np.eye(3), [0.8, 0, -0.6]))
-    poses = views.Ts_recon_cam | {name: other.Ts_recon_cam[name] for name in two}
-    both = Views(Ts_recon_cam=poses, depths=views.depths, K=views.K)
-    found = wrong_groups(both, _pairs(points, cameras, rng))
+    poses = _poses(cameras, one, transform(np.eye(3), [0, 0, 1.0]))
+    other = _poses(cameras, two, transform(np.eye(3), [0.8, 0, -0.6]))
+    poses |= {name: other[name] for name in two}
+    found = _find(poses, cameras, _pairs(points, cameras, rng))
     assert set().union(*found) == one | two
 
 
 def test_names_do_not_matter():
     points, cameras, rng = _world(5)
     group = set(list(cameras)[4:9])
-    views = _views(cameras, group, transform(np.eye(3), [0, 0, 1.0]))
+    poses = _poses(cameras, group, transform(np.eye(3), [0, 0, 1.0]))
     pairs = _pairs(points, cameras, rng)
     new = dict(zip(cameras, rng.permutation([f"x{i:02d}" for i in range(COUNT)]), strict=True))
-    renamed = Views(
-        Ts_recon_cam={new[name]: T for name, T in views.Ts_recon_cam.items()},
-        depths={new[name]: depth for name, depth in views.depths.items()},
-        K=views.K,
-    )
+    renamed = {new[name]: T for name, T in poses.items()}
     swapped = [
         Pair(a=new[p.b], b=new[p.a], pixels_a=p.pixels_b, pixels_b=p.pixels_a) for p in reversed(pairs)
     ]
-    assert wrong_groups(renamed, swapped) == [{new[name] for name in group}]
+    assert _find(renamed, cameras, swapped) == [{new[name] for name in group}]
 
 
 def test_a_repeated_image_is_found_and_the_prompted_one_stays():

@@ -14,7 +14,6 @@ from aomgen.io.video import encode_video
 from aomgen.structure import video_frames as frames_module
 from aomgen.structure.tracking import follow, new_tracks, pyramid
 from aomgen.structure.video_frames import (
-    FrameParams,
     choose_frames,
     extract_frames,
     sharpness_of,
@@ -78,8 +77,10 @@ def test_chosen_frames_are_sharp_and_none_is_there_twice(video, tmp_path):
     assert steps.max() < 0.3
 
 
-def test_a_long_walk_is_thinned_but_never_beyond_the_largest_step(video, tmp_path):
-    few = extract_frames(video, set(), tmp_path / "few", silent, FrameParams(target=4, min_frames=4))
+def test_a_long_walk_is_thinned_but_never_beyond_the_largest_step(video, tmp_path, monkeypatch):
+    monkeypatch.setattr(frames_module, "TARGET", 4)
+    monkeypatch.setattr(frames_module, "MIN_FRAMES", 4)
+    few = extract_frames(video, set(), tmp_path / "few", silent)
     chosen = [int(Path(name).stem.split("_")[1]) for name in few]
     steps = np.diff(PATH[chosen]) / WIDTH
     assert len(few) < 20
@@ -139,4 +140,4 @@ def test_sharpness_falls_with_blur_and_not_with_exposure(walk):
 
 
 def test_nothing_to_choose_from():
-    assert choose_frames([], FrameParams()) == []
+    assert choose_frames([]) == []
