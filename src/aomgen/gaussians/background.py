@@ -22,6 +22,7 @@ from aomgen.gaussians.depth_fusion import (
     join_samples,
     thin,
 )
+from aomgen.splatting.surfaces import sphere_directions
 
 # Planes at most: walls, floor and ceiling of a room, or a table and its surroundings.
 MAX_PLANES = 5
@@ -42,7 +43,7 @@ COARSE_DIRECTIONS = 3000
 # Weights of pixels that neighbours explain, and of those that only this view vouches for: the shell
 # behind everything may take them, but never against an explanation.
 EXPLAINED_WEIGHT, OPEN_WEIGHT = 1.5, 0.01
-# Of all views together, at least.
+# Least number of rays to infinity, over all views, for each point of the shell.
 RAYS_A_POINT = 6
 
 
@@ -55,14 +56,14 @@ class Plane:
     support: Array
 
 
-def dominant_planes(points: Array, seed: int = 0, *, min_share: float = 0.03) -> list[Plane]:
+def dominant_planes(points: Array, *, min_share: float = 0.03) -> list[Plane]:
     """Up to `MAX_PLANES` planes that hold many points, largest first.
 
     Args:
         points: (P, 3); thin them evenly first, or near surfaces win.
         min_share: Share of all points a plane must hold.
     """
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(0)
     reach = np.median(np.linalg.norm(points - np.median(points, 0), axis=1))
     tolerance = 0.015 * reach
     rest = points[rng.permutation(len(points))[:8000]]
@@ -122,7 +123,7 @@ def explain(
         explained = table[best, np.arange(len(best))] <= MAX_DIFFERENCE
         depth = np.stack(depths)[best, np.arange(len(best))]
         on_plane, at_infinity = undecided & explained & np.isfinite(depth), explained & ~np.isfinite(depth)
-        # What nothing explains is taken for far when the nearest pixel with a depth is.
+        # Unexplained pixels are taken as far when the nearest pixel with a depth is far.
         known = np.where(undecided & ~explained, 0, np.where(undecided & at_infinity, 2, 1)).reshape(shape)
         nearest = np.asarray(
             ndimage.distance_transform_edt(known == 0, return_distances=False, return_indices=True)
@@ -206,7 +207,7 @@ def far_shell(rays: Samples, points_recon: Array, centers: Array, limit: int) ->
     seen = thin(rays, wanted, min_weight=OPEN_WEIGHT) if wanted else rays
     fine = seen.points_recon / np.maximum(np.linalg.norm(seen.points_recon, axis=1, keepdims=True), 1e-12)
     colors = seen.colors_srgb.astype(np.float64)
-    coarse, coarse_edge = _sphere(COARSE_DIRECTIONS), np.sqrt(4 * np.pi / COARSE_DIRECTIONS)
+    coarse, coarse_edge = sphere_directions(COARSE_DIRECTIONS), np.sqrt(4 * np.pi / COARSE_DIRECTIONS)
     if len(fine):
         distances, nearest = cKDTree(fine).query(coarse)
         coarse, coarse_colors = coarse[distances > coarse_edge], colors[nearest[distances > coarse_edge]]
@@ -222,11 +223,3 @@ def far_shell(rays: Samples, points_recon: Array, centers: Array, limit: int) ->
         detail=np.ones(len(unit)),
         weights=np.ones(len(unit)),
     )
-
-
-def _sphere(count: int) -> Array:
-    """Unit directions (count, 3), evenly spread on a Fibonacci spiral."""
-    k = np.arange(count) + 0.5
-    z, turn = 1 - 2 * k / count, np.pi * (1 + np.sqrt(5)) * k
-    around = np.sqrt(1 - z * z)
-    return np.stack([around * np.cos(turn), around * np.sin(turn), z], 1)

@@ -7,6 +7,7 @@ from typing import Annotated
 import numpy as np
 from numpy.typing import NDArray
 
+from aomgen.conventions import luma_from_srgb
 from aomgen.core.camera import Camera
 from aomgen.core.progress import Progress
 from aomgen.core.structure import Structure
@@ -31,7 +32,7 @@ class DensifyParams:
     """Effort and limits.
 
     Attributes:
-        target_points: Points wanted on surfaces; the result is within a few percent.
+        target_points: Requested points on surfaces; the result is within a few percent.
         width: Width the images are reduced to, [px].
         planes: Depth hypotheses a pixel, evenly spaced in inverse depth from infinity on.
         sources: Neighbours a view is matched with.
@@ -88,7 +89,7 @@ def densify(
     views = [_limit_width(structure.cameras_recon[name], images_srgb[name], params.width) for name in names]
     neighbours = choose_neighbours(structure, names, params.sources)
     nearest = nearest_depth(structure, names)
-    grays = [_gray(image) for _, image in views]
+    grays = [luma_from_srgb(image) for _, image in views]
 
     def sweep(index: int) -> DepthMap:
         camera, image = views[index]
@@ -188,10 +189,6 @@ def _limit_width(camera: Camera, image: NDArray[np.uint8], width: int) -> tuple[
         return camera, image
     small = camera.narrow(width)
     return small, resize(image, small.width, small.height)
-
-
-def _gray(image: NDArray[np.uint8]) -> NDArray[np.float32]:
-    return (image.astype(np.float32) @ np.array([0.299, 0.587, 0.114], np.float32)) / 255.0
 
 
 def _sparse(structure: Structure, names: list[str], views: list[tuple[Camera, NDArray[np.uint8]]]) -> Samples:

@@ -71,8 +71,8 @@ def plane_sweep(
         inverse_depths: (D,) evenly increasing, D <= 256; 0 is infinity.
 
     Returns:
-        Inverse depth (H, W) and correlation at it (H, W), -1..1. Every pixel gets an answer; what
-        no other view confirms is for the caller to discard.
+        Inverse depth (H, W) and correlation at it (H, W), -1..1. Every pixel gets an estimate; those that
+        no other view confirms are for the caller to discard.
 
     Raises:
         BackendError: The engine refuses or is short of memory.
@@ -258,7 +258,7 @@ def thin(samples: Samples, target: int, *, min_weight: float = MIN_WEIGHT) -> Sa
 
 
 def contrast_detail(image_srgb: NDArray[np.uint8]) -> Array:
-    """How finely each pixel (H, W) wants to be drawn, 0.45..1.8: about the root of the local contrast."""
+    """Level of detail (H, W), 0.45..1.8, at each pixel: about the root of the local contrast."""
     gray = image_srgb.mean(-1)
     contrast = ndimage.gaussian_filter(ndimage.gaussian_gradient_magnitude(gray, 0.8), 1.5)
     return np.clip(np.sqrt(contrast / 6.0), 0.45, 1.8)

@@ -151,7 +151,7 @@ def train_scene(
         raise ReconstructionError(
             "gaussians",
             f"held-out images are reproduced with {mean:.1f} dB, at least {params.min_psnr_db:.1f} are needed",
-            "check for motion blur, changing light and moving things in the scan",
+            "check for motion blur, changing light and moving objects in the scan",
         )
     figures: dict[str, object] = {
         "heldout_psnr": mean if evaluated else None,
@@ -194,7 +194,7 @@ def without_floaters(
     """Without Gaussians that hang before a camera or far from anything.
 
     Args:
-        dense: The points it started from; they say how near the scene comes to each camera.
+        dense: The points it started from; they determine the distance of the scene from each camera.
         near_share: See `GaussiansParams`.
     """
     keep = np.ones(len(gaussians), bool)
