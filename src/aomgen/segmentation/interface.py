@@ -1,4 +1,4 @@
-"""What every segmenter offers: masks of a prepared image, by box or by points."""
+"""Interface of all segmenters: masks of a prepared image, by box or by points."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -23,7 +23,7 @@ class Segmenter(Protocol):
 
 
 class PreparedImage(Protocol):
-    """An image that can be asked for masks."""
+    """An image that is ready for prompts."""
 
     def mask(self, part: str, box_px: ArrayLike, points: ArrayLike) -> Mask:
         """Mask (H, W) of a part.
@@ -42,11 +42,11 @@ class PreparedImage(Protocol):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PointMasks:
-    """Answers to points nobody named, in the order of the points.
+    """Masks of points without a part's name, in the order of the points.
 
     Attributes:
         masks: (M, H, W).
-        quality: (M,), IoU that the segmenter expects of its answer, 0..1; 1 where masks are given.
+        quality: (M,), IoU that the segmenter expects of its mask, 0..1; 1 where masks are given.
         stability: (M,), IoU between the mask cut a little tighter and a little looser, 0..1.
     """
 

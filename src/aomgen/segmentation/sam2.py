@@ -1,6 +1,6 @@
 """SAM 2 through `transformers`, for users who have its weights.
 
-Pre-processing is our own: an image is stretched to the network's square and normalised; the answer is
+Pre-processing is our own: an image is stretched to the network's square and normalised; the mask is
 stretched back. (The library's own image processors need torchvision.)
 Source: Ravi et al., SAM 2: Segment Anything in Images and Videos, 2024.
 """
@@ -8,7 +8,6 @@ Source: Ravi et al., SAM 2: Segment Anything in Images and Videos, 2024.
 import importlib
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path
 from types import ModuleType
 from typing import Any, Final
@@ -23,15 +22,15 @@ from aomgen.core.recording import Prompt
 from aomgen.errors import BackendError, InputError
 from aomgen.io.artifact import read_json
 from aomgen.segmentation.interface import Mask, PointMasks, PreparedImage, clean, masks_of_logits
-from aomgen.segmentation.sam2_weights import Sam2Files, find_sam2
+from aomgen.segmentation.sam2_weights import CONFIG, WEIGHTS, find_sam2
 
 # Means and spreads of the images that the published networks were trained on, 0..1.
 _MEAN: Final = np.array([0.485, 0.456, 0.406], np.float32)
 _SPREAD: Final = np.array([0.229, 0.224, 0.225], np.float32)
-# Points asked at once; the decoder's memory grows with them.
+# Points in one request; the decoder's memory grows with them.
 _POINTS: Final = 16
 EXTRA: Final = 'pip install "aomgen[sam2]"'
-# What lies on top comes last: the moving part lies on the prompted object.
+# Parts in drawing order: the moving part is drawn over the prompted object.
 PARTS: Final = (("static", STATIC), ("moving", MOVING))
 
 
@@ -47,8 +46,8 @@ def transformers_module(name: str) -> ModuleType:
         raise BackendError("transformers", f"cannot load {name} ({error})", EXTRA) from error
 
 
-def load_pretrained(module: str, model: str, files: Sam2Files, device: str) -> Any:
-    """A network, by its module of `transformers.models` and its class in it, with installed weights.
+def load_pretrained(module: str, model: str, folder: Path) -> Any:
+    """A network, by its module of `transformers.models` and its class in it, with the weights of a folder.
 
     Raises:
         BackendError: transformers is missing, or the file lacks some of the network's weights.
@@ -57,11 +56,11 @@ def load_pretrained(module: str, model: str, files: Sam2Files, device: str) -> A
     damaged = importlib.import_module("safetensors").SafetensorError
 
     # Published weights call themselves "sam2_video"; the network for images takes its share of them.
-    stored = read_json(files.config) | {"model_type": kind.config_class.model_type}
+    stored = read_json(folder / CONFIG) | {"model_type": kind.config_class.model_type}
     try:
         with _quiet():
             network, found = kind.from_pretrained(
-                files.weights.parent,
+                folder,
                 config=kind.config_class.from_dict(stored),
                 local_files_only=True,
                 use_safetensors=True,
@@ -69,15 +68,17 @@ def load_pretrained(module: str, model: str, files: Sam2Files, device: str) -> A
                 output_loading_info=True,
             )
     except (OSError, ValueError, RuntimeError, damaged) as error:
-        raise BackendError(files.weights, f"does not hold a {model} ({error})", "install it again") from error
+        raise BackendError(
+            folder / WEIGHTS, f"does not hold a {model} ({error})", "install it again"
+        ) from error
     missing = sorted({*found["missing_keys"], *(item[0] for item in found["mismatched_keys"])})
     if missing:
         raise BackendError(
-            files.weights,
+            folder / WEIGHTS,
             f"lacks {len(missing)} weights of a {model}, {missing[0]} for example",
             "install the published model",
         )
-    return network.to(device).eval()
+    return network.eval()
 
 
 @contextmanager
@@ -129,30 +130,27 @@ def input_prompt(
 class Sam2:
     """A `Segmenter` with installed SAM 2 weights."""
 
-    def __init__(self, name: str, folder: Path | None = None, device: str = "cpu") -> None:
+    def __init__(self, name: str, folder: Path | None = None) -> None:
         """Load the weights of a name, see `sam2_weights`.
 
         Raises:
             BackendError: The extra or the weights are missing or broken.
         """
-        self._device = device
-        self._network = load_pretrained("sam2", "Sam2Model", find_sam2(name, folder), device)
+        self._network = load_pretrained("sam2", "Sam2Model", find_sam2(name, folder))
 
     def prepare(self, name: str, image_srgb: NDArray[np.uint8]) -> PreparedImage:
         """Encode an image; see `Segmenter`."""
         import torch
 
         values = torch.from_numpy(pixel_values(image_srgb, input_side(self._network))[None])
-        embeddings = self._network.get_image_embeddings(values.to(self._device))
+        embeddings = self._network.get_image_embeddings(values)
         height, width = image_srgb.shape[:2]
-        return _Sam2Image(network=self._network, embeddings=embeddings, shape=(height, width))
+        return _Sam2Image(self._network, embeddings, (height, width))
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
 class _Sam2Image:
-    network: Any
-    embeddings: Any
-    shape: tuple[int, int]
+    def __init__(self, network: Any, embeddings: Any, shape: tuple[int, int]) -> None:
+        self.network, self.embeddings, self.shape = network, embeddings, shape
 
     def mask(self, part: str, box_px: ArrayLike, points: ArrayLike) -> Mask:
         coordinates, labels = input_prompt(box_px, points, self.shape, input_side(self.network))
@@ -177,24 +175,23 @@ class _Sam2Image:
         """Scores (B, M, h, w) and expected IoUs (B, M) of B prompts (B, P, 2) with labels (B, P)."""
         import torch
 
-        device = self.embeddings[-1].device
         with torch.inference_mode():
             answer = self.network(
                 image_embeddings=self.embeddings,
-                input_points=torch.from_numpy(coordinates[None]).to(device),
-                input_labels=torch.from_numpy(labels[None]).to(device),
+                input_points=torch.from_numpy(coordinates[None]),
+                input_labels=torch.from_numpy(labels[None]),
                 multimask_output=several,
             )
         return answer.pred_masks[0].float().cpu().numpy(), answer.iou_scores[0].float().cpu().numpy()
 
 
-def load_tracker(files: Sam2Files, device: str = "cpu") -> Any:
-    """The network that follows parts.
+def load_tracker(folder: Path) -> Any:
+    """Load the network that tracks parts, with the weights of a folder.
 
     Raises:
         BackendError: transformers is missing, or the weights have no memory.
     """
-    return load_pretrained("sam2_video", "Sam2VideoModel", files, device)
+    return load_pretrained("sam2_video", "Sam2VideoModel", folder)
 
 
 def carry_prompts(

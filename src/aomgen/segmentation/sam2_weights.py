@@ -1,4 +1,4 @@
-"""SAM 2's weights: where they lie, and `python -m aomgen.segmentation.sam2_weights` to put them there.
+"""SAM 2's weights: their location, and `python -m aomgen.segmentation.sam2_weights` to install them.
 
 A set of weights is a folder as the model's publisher offers it for `transformers`: `config.json` and
 `model.safetensors`. Installing copies the two under a name, after the SHA-256 that the publisher's page
@@ -10,7 +10,6 @@ import argparse
 import re
 import shutil
 import sys
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
@@ -27,22 +26,16 @@ COMMAND: Final = "python -m aomgen.segmentation.sam2_weights"
 NAME: Final = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,63}")
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Sam2Files:
-    """One installed set of weights, its digests checked."""
-
-    config: Path
-    weights: Path
-
-
 def list_installed(folder: Path | None = None) -> tuple[str, ...]:
     """Names of the sets of weights that are installed, sorted."""
     root = (folder or weights_folder()) / FOLDER
     return tuple(sorted(path.parent.name for path in root.glob(f"*/{NOTE}")))
 
 
-def find_sam2(name: str, folder: Path | None = None) -> Sam2Files:
-    """The installed weights of a name, in a folder of all weights; `weights_folder()` when None.
+def find_sam2(name: str, folder: Path | None = None) -> Path:
+    """Find the folder of installed weights, below a folder of all weights; `weights_folder()` when None.
+
+    It holds `CONFIG` and `WEIGHTS`, whose digests are checked.
 
     Raises:
         BackendError: They are missing, or not the installed ones any more.
@@ -58,11 +51,11 @@ def find_sam2(name: str, folder: Path | None = None) -> Sam2Files:
     note = read_json(root / NOTE)
     for file in (CONFIG, WEIGHTS):
         _check(root / file, note.get(file, ""))
-    return Sam2Files(config=root / CONFIG, weights=root / WEIGHTS)
+    return root
 
 
-def install_sam2(source: Path, name: str, sha256: str, folder: Path | None = None) -> Sam2Files:
-    """Copy a downloaded model under a name.
+def install_sam2(source: Path, name: str, sha256: str, folder: Path | None = None) -> Path:
+    """Copy a downloaded model under a name; returns its folder.
 
     Args:
         source: Folder with `config.json` and `model.safetensors`.
@@ -76,7 +69,7 @@ def install_sam2(source: Path, name: str, sha256: str, folder: Path | None = Non
         raise BackendError(name, "is no name for weights", "use letters, digits, dots and dashes")
     _check(source / WEIGHTS, sha256.lower())
     if not (source / CONFIG).is_file():
-        raise BackendError(source / CONFIG, "is missing", "download it beside the weights")
+        raise BackendError(source / CONFIG, "is missing", "download it to the folder of the weights")
     with stage_folder((folder or weights_folder()) / FOLDER / name) as staging:
         for file in (CONFIG, WEIGHTS):
             shutil.copyfile(source / file, staging / file)
@@ -92,18 +85,18 @@ def _check(path: Path, sha256: str) -> None:
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Install downloaded weights; the exit code says how it went."""
+    """Install downloaded weights; returns the exit code."""
     parser = argparse.ArgumentParser(prog=COMMAND, description="Install downloaded SAM 2 weights.")
     parser.add_argument("source", type=Path, help=f"folder with {CONFIG} and {WEIGHTS}")
     parser.add_argument("--name", required=True, help="how projects call them, sam2.1-hiera-tiny for example")
     parser.add_argument("--sha256", required=True, help=f"of {WEIGHTS}, from its publisher's page")
     given = parser.parse_args(arguments)
     try:
-        files = install_sam2(given.source, given.name, given.sha256)
+        installed = install_sam2(given.source, given.name, given.sha256)
     except AomgenError as error:
         sys.stderr.write(f"error: {error}\n")
         return error.exit_code
-    sys.stdout.write(f"{files.weights}\n")
+    sys.stdout.write(f"{installed / WEIGHTS}\n")
     return 0
 
 

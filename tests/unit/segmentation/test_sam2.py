@@ -97,7 +97,7 @@ def test_weights_are_installed_under_a_name(tmp_path, capsys, monkeypatch):
     given = digest(source / "model.safetensors").upper()
     assert main([str(source), "--name", "one", "--sha256", given]) == 0
     assert list_installed() == ("one",)
-    assert find_sam2("one").weights.read_bytes() == b"weights"
+    assert (find_sam2("one") / "model.safetensors").read_bytes() == b"weights"
     assert main([str(source), "--name", "two", "--sha256", "0" * 64]) == BackendError.exit_code
     assert "is not the file whose SHA-256 was given" in capsys.readouterr().err
     assert list_installed() == ("one",)
@@ -115,7 +115,7 @@ def test_unknown_weights_list_the_known_ones(tmp_path):
 @pytest.mark.parametrize("file", ["config.json", "model.safetensors"])
 def test_changed_or_lost_weights_are_refused(tmp_path, file):
     source = plain_weights(tmp_path / "source")
-    installed = install_sam2(source, "one", digest(source / "model.safetensors"), tmp_path).config.parent
+    installed = install_sam2(source, "one", digest(source / "model.safetensors"), tmp_path)
     (installed / file).write_bytes(b"others")
     with pytest.raises(BackendError, match="is not the file whose SHA-256 was given"):
         find_sam2("one", tmp_path)
@@ -182,7 +182,7 @@ def test_a_box_is_answered_as_by_the_library(weights):
     image = images(1)["0.png"]
     box = np.array([10.0, 6, 40, 30])
     mask = segmenter.prepare("0.png", image).mask("moving", box, np.zeros((0, 3)))
-    network = load_pretrained("sam2", "Sam2Model", find_sam2("tiny", weights), "cpu")
+    network = load_pretrained("sam2", "Sam2Model", find_sam2("tiny", weights))
     scaled = box * np.array([SIDE / 50, SIDE / 40, SIDE / 50, SIDE / 40]) - 0.5
     with torch.inference_mode():
         answer = network(
