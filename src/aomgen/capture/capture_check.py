@@ -20,19 +20,19 @@ from aomgen.robots.robot import RobotModel
 
 # A real joint may stand this far past the limit that its file states, [rad] or [m].
 LIMIT_SLACK = 0.05
-# No joint passes its limits by so much: the log counts from another zero, or its angles wrap, [rad] or [m].
+# A joint beyond its limits by this much has another zero in the log, or its angles wrap, [rad] or [m].
 IMPOSSIBLE = 0.3
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CheckedCapture:
-    """What the check of a capture found.
+    """Result of the check of a capture.
 
     Attributes:
         scan_count: Stills, or frames of the scan video.
         videos_s: Length of every demonstration video by camera, [s].
         frames: Their numbers of frames.
-        warnings: Sentences: what is doubtful, and what follows or what to do.
+        warnings: Sentences about doubtful properties, their consequences and remedies.
     """
 
     robot: RobotModel
@@ -71,7 +71,7 @@ def check_capture(capture: Recording) -> CheckedCapture:
     """Check everything that can be known of a capture before work starts.
 
     Raises:
-        ConfigError, InputError: The first thing that would stop a run, in one sentence.
+        ConfigError, InputError: The first problem that would stop a run, in one sentence.
     """
     videos = read_demo_videos(capture)
     lengths = {name: float(video.times_s[-1] - video.times_s[0]) for name, video in videos.items()}
@@ -98,13 +98,13 @@ def check_capture(capture: Recording) -> CheckedCapture:
 
 
 def _guess_robot(capture: Recording) -> list[str]:
-    """A warning where no robot.toml says what the parts of the capture's robot are for."""
+    """Warn where no robot.toml describes the capture's robot."""
     file = capture.robot.model_file
     if file is None or find_description(file) is not None:
         return []
     joints = " ".join(f"--joint {name}" for name in capture.robot.joints)
     return [
-        f"{file}: has no {FILE_NAME} beside it, so its gripper and end effector are guessed; "
+        f"{file}: has no {FILE_NAME} in its folder, so its gripper and end effector are guessed; "
         f"write the guess down with `aomgen robot propose {file} {joints}` and check it"
     ]
 

@@ -1,7 +1,6 @@
 """The demonstration's videos: decoded, and refused where they are short, frozen or from a camera that was pushed."""
 
 import os
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -97,29 +96,25 @@ def check_demo_video(video: Video, path: Path) -> None:
     if not changed >= MIN_CHANGED_SHARE:
         raise IncompleteCaptureError(
             path,
-            f"shows nothing that moves ({changed:.2%} of the picture changes, want {MIN_CHANGED_SHARE:.1%})",
+            f"shows nothing that moves ({changed:.2%} of the image changes, want {MIN_CHANGED_SHARE:.1%})",
             "check that it is the demonstration's video and that the camera did not freeze",
         )
     push = find_push(video)
     if push is not None:
+        time_s, share = push
         raise IncompleteCaptureError(
             path,
-            f"was moved: from {push.time_s:.1f} s on its background lies {push.share:.1%} of the width from where "
+            f"was moved: from {time_s:.1f} s on its background is shifted by {share:.1%} of the width from where "
             "it was at the start",
             "fix the camera and record again, or cut the video with its part before or after the push",
         )
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Push:
-    """When a video's background had moved, [s], and by how far, as a share of the width."""
+def find_push(video: Video) -> tuple[float, float] | None:
+    """Find the first of some frames from which on the background is shifted relative to the first frame.
 
-    time_s: float
-    share: float
-
-
-def find_push(video: Video) -> Push | None:
-    """The first of some frames from which on the background lies elsewhere than in the first frame.
+    Returns:
+        Its time, [s], and the shift as a share of the width; None without a shift.
 
     Not checked: a push that shifts the background by less than 0.3 % of the width, or a background
     without texture.
@@ -134,21 +129,19 @@ def find_push(video: Video) -> Push | None:
     first, *others = (np.fft.rfft2(window * (gray - gray.mean())) for gray in grays)
     shifts = np.array([_shift_px(first, other, (size[1], size[0])) for other in others])
     moved = shifts > 0
-    # Until the end: what passes before the camera goes again.
+    # Until the end: objects that pass before the camera leave again.
     since = len(moved) - int(np.argmin(moved[::-1])) if not moved.all() else 0
     if since == len(moved):
         return None
-    return Push(
-        time_s=float(video.times_s[chosen[since + 1]]), share=float(np.median(shifts[since:])) / size[0]
-    )
+    return float(video.times_s[chosen[since + 1]]), float(np.median(shifts[since:])) / size[0]
 
 
 def _shift_px(first: NDArray[np.complex128], other: NDArray[np.complex128], size: tuple[int, int]) -> float:
-    """How far the background of another frame lies from the first one's, 0 where it stayed, [px]."""
+    """Shift of another frame's background from the first one's, 0 where it stayed, [px]."""
     product = first.conj() * other
     surface: Array = np.fft.irfft2(product / np.maximum(np.abs(product), 1e-9), size)
     rows, columns = np.fft.fftfreq(size[0], 1 / size[0]), np.fft.fftfreq(size[1], 1 / size[1])
-    # Nobody pushes a camera by more than a tenth of the image and records on.
+    # A recording is not continued after a push by more than a tenth of the image.
     surface = np.where(
         (np.abs(rows)[:, None] <= size[1] / 10) & (np.abs(columns) <= size[1] / 10), surface, -1
     )

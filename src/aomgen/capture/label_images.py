@@ -11,12 +11,12 @@ from aomgen.core.recording import DemoCamera, Recording, frame_name
 from aomgen.errors import IncompleteCaptureError, MalformedFileError, MissingFileError
 from aomgen.io.images import read_labels
 
-# Beside the videos: `masks/` belongs to the scan, whose images have the same names.
+# In the folder of the videos: `masks/` belongs to the scan, whose images have the same names.
 FOLDER = Path("demo") / "masks"
 
 
 def demo_mask_files(capture: Recording, camera: DemoCamera) -> list[Path]:
-    """`demo/masks/<camera>/*.png`, one a frame in the order of names; none when nobody made any."""
+    """List `demo/masks/<camera>/*.png`, one for each frame in the order of names; empty without any."""
     return sorted((capture.folder / FOLDER / camera.name).glob("*.png"))
 
 

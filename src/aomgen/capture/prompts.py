@@ -1,4 +1,4 @@
-"""The prompts of a capture: boxes and points that a person drew on scan images."""
+"""The prompts of a capture: boxes and points that a person draws on scan images."""
 
 from pathlib import Path
 
@@ -9,9 +9,9 @@ from aomgen.core.recording import Prompt
 from aomgen.errors import InputError, MissingFileError, UnitsError
 
 PARTS = ("robot", "static", "moving")
-# Nobody draws a smaller box; boxes in shares of the image are smaller, [px].
+# Least size of a drawn box; boxes in shares of the image are smaller, [px].
 MIN_BOX_PX = 4.0
-# A click on a part may miss its box by this share of the box, as hands shake.
+# A click on a part may miss its box by this share of the box.
 POINT_SLACK = 0.1
 
 

@@ -14,7 +14,6 @@ from aomgen.capture.capture_schema import (
 from aomgen.capture.joint_log import REST_S, read_joint_log
 from aomgen.capture.prompts import read_prompts
 from aomgen.capture.scan_images import common_size, find_images
-from aomgen.core.lens import Lens
 from aomgen.core.recording import DemoCamera, Intrinsics, JointLog, Recording, RobotChoice, frame_name
 from aomgen.core.values import Array
 from aomgen.errors import (
@@ -114,26 +113,12 @@ def check_intrinsics(intrinsics: Intrinsics, size: tuple[int, int], where: str) 
             f"focal lengths ({intrinsics.fx:g}, {intrinsics.fy:g}) do not fit {width} x {height} images",
             "scale the intrinsics to the image size",
         )
-    if intrinsics.distortion is not None:
-        k1, k2, p1, p2 = intrinsics.distortion
-        lens = Lens(
-            fx=intrinsics.fx,
-            fy=intrinsics.fy,
-            cx=intrinsics.cx,
-            cy=intrinsics.cy,
-            width=width,
-            height=height,
-            k1=k1,
-            k2=k2,
-            p1=p1,
-            p2=p2,
+    if not intrinsics.lens(width, height).valid:
+        raise CalibrationError(
+            where,
+            f"distortion {list(intrinsics.distortion or ())} folds the image's border back",
+            "want k1, k2, p1, p2 of OpenCV's model",
         )
-        if not lens.valid:
-            raise CalibrationError(
-                where,
-                f"distortion {list(intrinsics.distortion)} folds the image's border back",
-                "want k1, k2, p1, p2 of OpenCV's model",
-            )
 
 
 def _video_frames(scan: Path) -> tuple[tuple[int, int], set[str]]:

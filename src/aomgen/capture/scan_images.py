@@ -14,7 +14,7 @@ from aomgen.io.images import exif_orientation, image_size, open_image, to_eight_
 from aomgen.io.video import decode_frames, probe_video
 
 IMAGE_SUFFIXES = (".jpg", ".jpeg", ".png")
-# What phones and cameras write otherwise. One of these without a readable copy is an image left out.
+# Other formats of phones and cameras. One of these without a readable copy is an image left out.
 FOREIGN_SUFFIXES = (
     ".heic", ".heif", ".avif", ".webp", ".dng", ".cr2", ".cr3", ".nef", ".arw", ".orf", ".raf", ".rw2",
     ".tif", ".tiff", ".bmp", ".jxl", ".exr",
@@ -23,7 +23,7 @@ FOREIGN_SUFFIXES = (
 MIN_SCAN_IMAGES = 12
 # Images are compared at this width, [px]: a blur there is one that the reconstruction sees too.
 WIDTH: Final = 320
-# The low pass averages so many neighbours, [px].
+# Number of neighbours that the low pass averages, [px].
 TAPS: Final = 5
 # Rows, columns and both diagonals: an image blurred along one is sharp across it.
 DIRECTIONS: Final = ((0, 1), (1, 0), (1, 1), (1, -1))
@@ -38,7 +38,7 @@ HOPELESS: Final = 0.80
 MIN_DETAIL: Final = 2.5
 # With a larger share of hopeless images than this, too few others are left anywhere.
 MAX_HOPELESS_SHARE = 0.8
-# A scan video is hand-held: its frames are looked at so many times, and only sharp ones are used later.
+# Number of frames of a scan video that are checked: it is hand-held, and only sharp frames are used later.
 VIDEO_LOOKS = 60
 # A sensor's 12 bits stored in 16 without scaling stay below this, and so does no image that shows anything.
 LEAST_16_BITS: Final = 4096
@@ -50,7 +50,7 @@ def find_images(scan: Path) -> tuple[Path, ...]:
     """JPEG and PNG files of a folder in the order of their names; hidden ones are passed over.
 
     Raises:
-        MalformedFileError: An image of another format, without a JPEG or PNG of its name beside it.
+        MalformedFileError: An image of another format, without a JPEG or PNG of its name.
         IncompleteCaptureError: Fewer than are needed.
     """
     files = sorted(item for item in scan.iterdir() if not item.name.startswith("."))

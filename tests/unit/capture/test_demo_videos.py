@@ -31,5 +31,6 @@ def test_a_moving_arm_is_no_push():
 def test_a_push_is_found_with_its_time_and_size(pushed_px):
     push = find_push(film(pushed_px))
     assert push is not None
-    assert push.time_s == pytest.approx(2.1, abs=0.3)
-    assert push.share == pytest.approx(abs(pushed_px) / 320, abs=0.002)
+    time_s, share = push
+    assert time_s == pytest.approx(2.1, abs=0.3)
+    assert share == pytest.approx(abs(pushed_px) / 320, abs=0.002)
