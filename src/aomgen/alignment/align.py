@@ -69,13 +69,13 @@ class AlignmentParams:
     """Effort and limits.
 
     Attributes:
-        guesses: Poses scored first by the search, tried in turn until a hypothesis is confirmed.
+        start_poses: Poses scored first by the search, tried in turn until a hypothesis is confirmed.
         search_views, search_width: Number of the images for the search, and their width, [px].
         views: Scan images used, spread over the walk.
         contour_points: Outline points a view.
     """
 
-    guesses: tuple[int, ...] = (2400, 7200)
+    start_poses: tuple[int, ...] = (2400, 7200)
     search_views: int = 8
     search_width: int = 80
     views: int = 24
@@ -158,7 +158,7 @@ def _likeliest(
         AlignmentError: The images confirm no hypothesis.
     """
     best: list[tuple[Confirmation, Array]] = []
-    for number, guesses in enumerate(params.guesses):
+    for number, guesses in enumerate(params.start_poses):
         found = search_poses(
             scan,
             drawing.configuration,
@@ -167,7 +167,7 @@ def _likeliest(
             view_count=params.search_views,
             width=params.search_width,
         ).at_least(FINALIST_SHARE)
-        now = part(progress, number / len(params.guesses), (number + 1) / len(params.guesses))
+        now = part(progress, number / len(params.start_poses), (number + 1) / len(params.start_poses))
         now(0.5, "searched for likely poses")
         ranked = _refine_starts(found.Ss_world_recon, scan.views, drawing, part(now, 0.5, 1.0))
         best = max(best, ranked, key=lambda poses: poses[0][0].lift if poses else -1.0)

@@ -23,7 +23,7 @@ from aomgen.robots.silhouette import SilhouetteRenderer
 
 JOINTS = np.array([3.5, -2.2, 2.4, 0.25, 1.35, 0.0])
 S_WORLD_RECON = similarity(0.37, matrix_from_rotvec([1.1, -0.7, 2.0]), [0.4, -0.2, 0.9])
-PARAMS = AlignmentParams(views=6, contour_points=250, guesses=(600,), search_views=5, search_width=64)
+PARAMS = AlignmentParams(views=6, contour_points=250, start_poses=(600,), search_views=5, search_width=64)
 
 
 @pytest.fixture(scope="module")
