@@ -5,7 +5,6 @@ from typing import Annotated
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.spatial import cKDTree
 
 from aomgen.core.sh import rotate_sh
 from aomgen.core.transforms import apply, quat_from_matrix, quat_multiply, similarity_parts
@@ -142,6 +141,9 @@ def neighbour_distances(points: Array) -> Array:
     Points that coincide get a thousandth of the median, lonely ones at most the 99th percentile,
     so that no Gaussian starts without size and none covers the scene.
     """
+    # Drawing Gaussians needs numpy alone, without scipy.
+    from scipy.spatial import cKDTree
+
     if not len(points) >= 2 or not np.isfinite(points).all():
         raise ValueError(f"{len(points)} points, want at least two with finite coordinates")
     count = min(3, len(points) - 1)
