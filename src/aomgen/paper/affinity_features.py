@@ -167,7 +167,7 @@ def train_affinity(
     scene, smoothing = parameters_of(gaussians, 0).values, _neighbor_mean(gaussians)
     values = rng.normal(0, 1 / np.sqrt(params.channels), (len(gaussians), params.channels))
     features = torch.tensor(values, dtype=torch.float32, requires_grad=True)
-    # Half of the channels start out for small things, half for large ones.
+    # Half of the channels start out for small masks, half for large ones.
     gates = torch.linspace(-2, 2, params.channels)
     slopes, offsets = (4 * gates).requires_grad_(), (-2 * gates + 1).requires_grad_()
     optimizer = torch.optim.Adam(
@@ -177,7 +177,7 @@ def train_affinity(
     draw = CpuRasterizer()
     for step in range(params.iterations):
         view = views[int(rng.integers(len(views)))]
-        # A size of the view's own masks: other sizes have little to tell apart there.
+        # A size of the view's own masks: at other sizes the view separates few pixels.
         size = float(rng.choice(view.sizes_m))
         gate = torch.sigmoid(slopes * float(relative_sizes(np.array([size]), sizes)[0]) + offsets)
         pixels = _sample_pixels(view, size, params.pixels, rng)
@@ -210,13 +210,13 @@ def _neighbor_mean(gaussians: Gaussians) -> Tensor:
     _, nearest = cKDTree(gaussians.means).query(gaussians.means, k=k)
     rows, columns = torch.arange(0, k * count + 1, k), torch.from_numpy(np.asarray(nearest).reshape(-1))
     with warnings.catch_warnings():
-        # torch tells every process once that sparse tensors are young and unchecked.
+        # torch warns once in every process that sparse tensors are a beta feature and unchecked.
         warnings.simplefilter("ignore", UserWarning)
         return torch.sparse_csr_tensor(rows, columns, torch.full((k * count,), 1 / k), size=(count, count))
 
 
 def _sample_pixels(view: SizedMasks, size_m: float, count: int, rng: np.random.Generator) -> NDArray:
-    """Indices of masked pixels; half of them evenly over the masks of about the size, so that small things count."""
+    """Indices of masked pixels; half of them are spread evenly over the masks of about the size, so that small masks count."""
     flat = view.masks.reshape(len(view.masks), -1)
     near = np.flatnonzero(_about(view.sizes_m, size_m))
     share = max(1, count // (2 * len(near)))
@@ -231,7 +231,7 @@ def _about(sizes_m: Array, size_m: float) -> Mask:
 
 
 def pair_evidence(masks: Mask, sizes_m: Array, size_m: float) -> tuple[Mask, Mask, Mask]:
-    """Which pairs of pixels the masks of a view join or separate at a size.
+    """Decide which pairs of pixels the masks of a view join or separate at a size.
 
     Args:
         masks: (M, P), whether each pixel lies in each mask.

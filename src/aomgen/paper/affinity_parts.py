@@ -2,11 +2,10 @@
 
 The prompt's mask in its own view says how large the part is and what its features look like; the similarity
 above which a Gaussian belongs to it is the one that paints the prompt's mask best.
-Source: SAGA (Cen et al., AAAI 2025), sec. 3.4; there the size and the threshold are set by hand.
+Source: SAGA (Cen et al., AAAI 2025), sec. 3.4; there the user sets size and threshold.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,21 +37,6 @@ SOFTNESS = 0.05
 PLATEAU = 0.97
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class QueryAnswer:
-    """How well every Gaussian fits a part.
-
-    Attributes:
-        similarities: (N,) cosine with the part, or with the way from the rest to it, -1..1.
-        threshold: Similarity from which on a Gaussian belongs to the part.
-        iou: Agreement with the prompts' masks of what the Gaussians above it paint there.
-    """
-
-    similarities: NDArray[np.float32]
-    threshold: float
-    iou: float
-
-
 def affinity_evidence(
     gaussians: Gaussians,
     views: Sequence[ScanView],
@@ -72,7 +56,7 @@ def affinity_evidence(
     """
     chosen = [view for view in views if view.name in found]
     centers = np.array([view.camera.center for view in chosen])
-    # Masks larger than the ring of cameras show the room, not a thing in it.
+    # Masks larger than the ring of cameras show the room, not an object in it.
     largest_m = 2 * float(np.linalg.norm(centers.std(axis=0)))
     sized = []
     for view in chosen:
@@ -81,9 +65,8 @@ def affinity_evidence(
         sized.append(SizedMasks(camera=item.camera, masks=item.masks[kept], sizes_m=item.sizes_m[kept]))
     affinity = train_affinity(gaussians, sized, part(progress, 0.0, 0.95), params, rng)
     static, moving = ([item for item in prompted if item.part == value] for value in (STATIC, MOVING))
-    whole = answer_query(gaussians, affinity, static, params.width)
-    within = whole.similarities > whole.threshold
-    moves = _vote(answer_query(gaussians, affinity, moving, params.width, within))
+    whole, _ = query_part(gaussians, affinity, static, params.width)
+    moves = _vote(query_part(gaussians, affinity, moving, params.width, whole > 0)[0])
     # A prompt of the static part shows the whole object, the moving part lies on it.
     stands = _vote(whole) * (1 - moves)
     progress(1.0, "parts queried")
@@ -91,24 +74,28 @@ def affinity_evidence(
     return PartEvidence(log_likelihoods=np.log(np.maximum(votes, LEAST_VOTE)), method="saga")
 
 
-def answer_query(
+def query_part(
     gaussians: Gaussians,
     affinity: Affinity,
     prompted: Sequence[PromptedImage],
     width: int,
     within: NDArray[np.bool_] | None = None,
-) -> QueryAnswer:
-    """Similarity of all Gaussians to a prompted part, and where to cut.
+) -> tuple[Array, float]:
+    """Similarity of all Gaussians to a prompted part beyond the threshold for belonging to it.
 
-    A part of a known thing may be told from the rest of that thing instead: views of the thing's other sides
+    A part may be separated from the rest of its object instead: views of the object's other sides
     train what belongs to it, but hardly how far they are from the part. What paints the prompt's mask better
     is taken.
 
     Args:
         gaussians: N Gaussians, world frame.
         width: Width at which features are drawn, [px].
-        within: (N,), the Gaussians of a larger thing that this one is a part of; None when it
+        within: (N,), the Gaussians of a larger object that contains the part; None when it
             stands alone.
+
+    Returns:
+        Cosine similarity (N,) minus the threshold, positive for Gaussians of the part, and the IoU with the
+        prompts' masks of what these paint there.
 
     Raises:
         ReconstructionError: No prompt shows anything.
@@ -135,13 +122,13 @@ def answer_query(
         painted, rest = painted * within, rest * within
         inside, outside = (unit(np.asarray(weights @ features, np.float32)) for weights in (painted, rest))
         directions.append(unit(inside - outside))
-    answers = []
+    found = []
     for direction in directions:
         fit = features @ direction
         similarities = fit if within is None else np.where(within, fit, -1).astype(np.float32)
         threshold, iou = best_threshold(similarities, painted, rest)
-        answers.append(QueryAnswer(similarities=similarities, threshold=threshold, iou=iou))
-    return max(answers, key=lambda answer: answer.iou)
+        found.append((similarities.astype(np.float64) - threshold, iou))
+    return max(found, key=lambda item: item[1])
 
 
 def best_threshold(similarities: NDArray[np.float32], inside: Array, outside: Array) -> tuple[float, float]:
@@ -161,7 +148,6 @@ def best_threshold(similarities: NDArray[np.float32], inside: Array, outside: Ar
     return float(cut), float(ious.max())
 
 
-def _vote(answer: QueryAnswer) -> Array:
+def _vote(margins: Array) -> Array:
     """Probability (N,) of belonging to the part."""
-    margin = (answer.similarities.astype(np.float64) - answer.threshold) / SOFTNESS
-    return 1 / (1 + np.exp(-np.clip(margin, -50, 50)))
+    return 1 / (1 + np.exp(-np.clip(margins / SOFTNESS, -50, 50)))

@@ -1,6 +1,6 @@
 """Masks of everything in some views of a scan, from a grid of points. [paper 4.1]
 
-Every grid point asks the segmenter what lies under it; answers that are doubtful, tiny, nearly the
+Every grid point prompts the segmenter; resulting masks that are uncertain, tiny, nearly the
 whole image or a repetition of a better one are dropped (as in Segment Anything, Kirillov et al., 2023,
 sec. 4). A view's masks are stored as soon as they are found, so that a killed run goes on where it was.
 """
@@ -24,8 +24,8 @@ from aomgen.segmentation.interface import PointMasks, Segmenter
 from aomgen.splatting.surfaces import compute_surface_points
 
 MASKS_FOLDER = "automatic_masks"
-# Least IoU that the segmenter expects of its answer, and between its tighter and looser cut; IoU above which
-# two masks are the same thing: the default of SAM 2's mask generator.
+# Least IoU that the segmenter predicts for its mask, and between its tighter and looser cut; IoU above which
+# two masks are duplicates: the default of SAM 2's mask generator.
 GOOD_IOU = 0.8
 # Shares of the image that a mask covers: below a speck, above the image itself.
 SHARES = (0.0005, 0.9)
@@ -45,14 +45,14 @@ def segment_views(
     """Segment a few views wholly; those found earlier are read back from the folder.
 
     Args:
-        gaussians: The scene, world frame; tells where the prompted object lies in other views.
+        gaussians: The scene, world frame; locates the prompted object in other views.
         views: Scan views, world frame, held-out ones left out.
         count: Views that are segmented, the prompted ones among them.
         folder: Holds one file a view; None keeps nothing. It must belong to these views and this
             segmenter: nothing here compares them.
 
     Returns:
-        Masks (M, H, W) by view name: answers to the prompts first, then what the grid found, best first.
+        Masks (M, H, W) by view name: those of the prompts first, then those of the grid, best first.
 
     Raises:
         MalformedFileError: A stored file is damaged.
@@ -85,7 +85,7 @@ def segment_views(
 
 
 def spread_views(views: Sequence[ScanView], first: Sequence[str], count: int) -> list[ScanView]:
-    """Named views, then those farthest from all chosen so far, until there are enough."""
+    """Named views, then repeatedly the view farthest from all chosen ones, until there are enough."""
     chosen = [view for view in views if view.name in first] or list(views[:1])
     rest = [view for view in views if view.name not in {item.name for item in chosen}]
     while rest and len(chosen) < count:
@@ -117,12 +117,12 @@ def _object_grid(view: ScanView, points_world: Array) -> Array:
 
 
 def best_masks(answers: PointMasks, known: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """The good ones (M, H, W) among many answers without what is `known`, best first, none of them twice."""
+    """The good ones (M, H, W) among many masks without what is `known`, best first, without duplicates."""
     masks = answers.masks & ~known
     shares = masks.mean((1, 2))
     good = (np.minimum(answers.quality, answers.stability) >= GOOD_IOU) & (shares >= SHARES[0])
     good &= shares <= SHARES[1]
-    # Every fourth row and column tells overlaps well enough, and sixteen times faster.
+    # Every fourth row and column estimates overlaps well enough, and sixteen times faster.
     small = masks[:, 1::4, 1::4].astype(np.float32)
     shared, areas = np.tensordot(small, small, ((1, 2), (1, 2))), small.sum((1, 2))
     overlaps = shared / np.maximum(areas[:, None] + areas - shared, 1)

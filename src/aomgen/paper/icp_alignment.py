@@ -1,12 +1,10 @@
 """The paper's alignment: robot points of the scan moved onto points of the posed model by rigid ICP.
 
-Kept beside the outlines of `alignment` to compare with. The paper takes the robot's points as
+It is kept to compare with the outlines of `alignment`. The paper takes the robot's points as
 segmented and the scan in metres; here they are what lies in all prompted boxes above the support,
 and heading and size come from the places that `align` starts from: a rigid motion cannot correct
 the size later.
 """
-
-from dataclasses import dataclass
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -20,7 +18,7 @@ from aomgen.core.boxes import fit_plane
 from aomgen.core.gaussians import Gaussians
 from aomgen.core.mesh import face_normals_areas
 from aomgen.core.transforms import apply, rotvec_from_matrix, transform
-from aomgen.core.values import Array, Matrix4, freeze_arrays
+from aomgen.core.values import Array
 from aomgen.errors import AlignmentError
 from aomgen.robots.robot import RobotConfiguration
 
@@ -85,8 +83,9 @@ def align_as_paper(
     spacing_m = float(np.sqrt(area / _MODEL_POINTS))
     fits = []
     for S in _starts(scan, configuration, rng):
-        fit = rigid_icp(apply(S, points), model, np.eye(4), spacing_m)
-        fits.append((fit.matched, fit.rms_m, fit.T_target_source @ S))
+        source = apply(S, points)
+        T = rigid_icp(source, model, spacing_m)
+        fits.append((*measure_match(apply(T, source), model, spacing_m), T @ S))
     fits.sort(key=lambda item: -item[0])
     matched, rms_m, S = fits[0]
     if not matched >= min_matched:
@@ -166,29 +165,12 @@ def _starts(scan: Scan, configuration: RobotConfiguration, rng: np.random.Genera
     return search_poses(scan, configuration, rng).at_least(_START_SHARE).Ss_world_recon
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class RigidFit:
-    """Where the source lies on the target.
-
-    Attributes:
-        matched: Share of the source within the kernel of the target.
-        rms_m: Of the distances of that share, [m]; infinite when nothing matched.
-    """
-
-    T_target_source: Matrix4
-    matched: float
-    rms_m: float
-
-    __post_init__ = freeze_arrays
-
-
-def rigid_icp(source: Array, target: Array, T_start: Array, kernel_m: float) -> RigidFit:
-    """Move the source onto the target, each point towards the nearest one, without changing its size.
+def rigid_icp(source: Array, target: Array, kernel_m: float) -> Array:
+    """Rigid motion (4, 4) of the source onto the target, each point towards the nearest one.
 
     Args:
         source: Points (N, 3), [m].
         target: Points (M, 3), [m], denser than `kernel_m`.
-        T_start: First guess T_target_source (4, 4).
         kernel_m: Distances well beyond this do not count in the end.
 
     Source: Zhang, Yao and Deng, "Fast and Robust Iterative Closest Point", PAMI 2021 (Welsch's
@@ -196,8 +178,7 @@ def rigid_icp(source: Array, target: Array, T_start: Array, kernel_m: float) -> 
     the start leads to the right of several places.
     """
     tree = cKDTree(target)
-    T = np.asarray(T_start, np.float64)
-    distances = tree.query(apply(T, source))[0]
+    T, distances = np.eye(4), tree.query(source)[0]
     width = max(3 * float(np.median(distances)), kernel_m)
     while True:
         for _ in range(_STEPS):
@@ -212,10 +193,14 @@ def rigid_icp(source: Array, target: Array, T_start: Array, kernel_m: float) -> 
         if width <= kernel_m:
             break
         width = max(width / 2, kernel_m)
-    distances = tree.query(apply(T, source))[0]
+    return T
+
+
+def measure_match(points: Array, target: Array, kernel_m: float) -> tuple[float, float]:
+    """Share of points (N, 3) within the kernel of the target, and their RMS distance, [m]; infinite for none."""
+    distances = cKDTree(target).query(points)[0]
     near = distances < 2 * kernel_m
-    rms = float(np.sqrt(np.mean(distances[near] ** 2))) if near.any() else float("inf")
-    return RigidFit(T_target_source=T, matched=float(near.mean()), rms_m=rms)
+    return float(near.mean()), float(np.sqrt(np.mean(distances[near] ** 2))) if near.any() else float("inf")
 
 
 def fit_weighted_rigid(source: Array, target: Array, weights: Array) -> Array:

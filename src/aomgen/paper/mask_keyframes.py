@@ -1,7 +1,7 @@
 """The moving part's masks over the video, the paper's motion score of them, and the frames that its threshold flags.
 
 The paper follows the part with SAM 2. Without label images a pixel counts as the part's when it lies on the
-part's scanned place and still looks as it did, or beside it, joined to it, and looks different.
+part's scanned location and still looks as it did, or next to it, joined to it, and looks different.
 Rougher than SAM 2: what the part uncovered beside itself counts too, a part in the color of what it
 covers is taken for its shadow, and where it moved along its own place its texture decides.
 """
@@ -34,9 +34,9 @@ SMOOTH_FRAMES, SMOOTH_ORDER = 11, 3
 BASELINE_PERCENT = 20.0
 # Sigmas above B at which a frame is flagged, as printed.
 NOISE_UNITS = 3.0
-# The first picture is the median of so much video, so that its own noise does not count, [s].
+# The first image is the median of this duration of video, so that its own noise does not count, [s].
 REFERENCE_S = 0.25
-# A change is this many deviations of the still picture's noise, and no less than compression makes, 8 bit.
+# A change is this many standard deviations of the static image's noise, and no less than compression noise, 8 bit.
 CHANGE_SD, MIN_CHANGE = 6.0, 12.0
 # A shadow leaves at least this share of the light.
 DARKEST_SHADE = 0.4
@@ -48,7 +48,7 @@ WIDTH = 320
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PartMasks:
-    """What a video segmenter gives: one mask of each in every frame of the demonstration.
+    """Masks of a video segmenter: one of each object in every frame of the demonstration.
 
     Attributes:
         moving: Visible pixels of the moving part (T, H, W).
@@ -61,30 +61,19 @@ class PartMasks:
     __post_init__ = freeze_arrays
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Scores:
-    """The motion score of a video and the level that a moving frame exceeds.
-
-    Attributes:
-        scores: Motion score (T,); the last frame has no successor and repeats the one before.
-        smoothed: The same, smoothed (T,).
-    """
-
-    scores: Annotated[Array, "T"]
-    smoothed: Annotated[Array, "T"]
-    threshold: float
-
-    __post_init__ = freeze_arrays
-
-
 def motion_scores(masks: PartMasks) -> Array:
     """Share (T - 1,) of the part's pixels that the next frame's mask lost, 0..1.
 
-    From either mask the other frame's robot is taken away first. Where nothing is left of the first
+    From either mask the other frame's robot is subtracted first. Where nothing is left of the first
     mask the score is 0.
+
+    Raises:
+        InputError: Fewer than two frames.
 
     Source: AOMGen, sec. 4.2, "Keyframe Extraction". As there, a mask that only grows scores 0.
     """
+    if not len(masks.moving) >= 2:
+        raise InputError("masks of the demonstration", f"{len(masks.moving)} frames, need 2", "give them all")
     before = masks.moving[:-1] & ~masks.robot[1:]
     after = masks.moving[1:] & ~masks.robot[:-1]
     sizes = before.sum((1, 2))
@@ -102,7 +91,7 @@ def score_threshold(scores: Array, smoothed: Array, variant: Variant) -> float:
     """The level B + 3 sigma that a moving frame exceeds.
 
     B is the 20th percentile of the scores (T,). Printed: sigma is the standard deviation of the scores
-    themselves, so that a motion raises its own threshold: two levels are told apart only when the
+    themselves, so that a motion raises its own threshold: two levels are separated only when the
     higher one lasts less than an eighth of the video, or more than seven. Repaired: sigma is the
     robust spread of the scores about their smooth course (T,).
 
@@ -115,25 +104,8 @@ def score_threshold(scores: Array, smoothed: Array, variant: Variant) -> float:
     return base + NOISE_UNITS * robust_sd(rough - np.median(rough))
 
 
-def score_frames(masks: PartMasks, variant: Variant = "printed") -> Scores:
-    """Score of every frame of a video, and the threshold that follows from them.
-
-    Raises:
-        InputError: Fewer than two frames.
-    """
-    if not len(masks.moving) >= 2:
-        raise InputError("masks of the demonstration", f"{len(masks.moving)} frames, need 2", "give them all")
-    scores = motion_scores(masks)
-    smoothed = smooth_scores(scores)
-    return Scores(
-        scores=np.append(scores, scores[-1]),
-        smoothed=np.append(smoothed, smoothed[-1]),
-        threshold=score_threshold(scores, smoothed, variant),
-    )
-
-
-def flag_frames(scored: Scores) -> tuple[int, int]:
-    """First and last frame whose smoothed score exceeds the threshold.
+def flag_frames(smoothed: Array, threshold: float) -> tuple[int, int]:
+    """First and last frame whose smoothed score (T,) exceeds the threshold.
 
     Raises:
         NoMotionError: No frame does.
@@ -141,12 +113,12 @@ def flag_frames(scored: Scores) -> tuple[int, int]:
     Source: AOMGen, sec. 4.2, "Keyframe Extraction". As there, one flagged frame sets an end of the
     interval, however far from the others it is.
     """
-    flagged = np.flatnonzero(scored.smoothed > scored.threshold)
+    flagged = np.flatnonzero(smoothed > threshold)
     if not len(flagged):
         raise NoMotionError(
             "demonstration video",
             "no frame's motion score passes the paper's threshold: the highest is "
-            f"{scored.smoothed.max():.4f}, the threshold {scored.threshold:.4f}",
+            f"{smoothed.max():.4f}, the threshold {threshold:.4f}",
             "use motion_method = 'aomotion'; this threshold grows with the share of moving frames",
         )
     return int(flagged[0]), int(flagged[-1])

@@ -73,7 +73,7 @@ def bodies_in_boxes(points_world: ArrayLike, configuration: RobotConfiguration) 
     Boxes are those of the meshes along the axes of their body. Of several boxes the one counts in
     whose middle the point lies most.
 
-    Source: AOMGen, sec. 4.2, "Robot". Not checked: whatever else stands in a box is taken as robot.
+    Source: AOMGen, sec. 4.2, "Robot". Not checked: any other surface within a box counts as robot.
     """
     points = np.asarray(points_world, np.float64)
     poses = configuration.robot.link_poses(configuration.joints[None], configuration.gripper)[0]
@@ -118,7 +118,7 @@ def run_motion(results: Results, folder: Path, progress: Progress) -> dict[str, 
     """The paper's AOMotion, formulas as printed.
 
     The paper takes the joint's type as known; here it is the one that our own estimator finds, so both
-    have to answer.
+    must succeed.
     """
 
     def estimate(results: Results, progress: Progress, on_curve: OnCurve) -> MotionEstimate:

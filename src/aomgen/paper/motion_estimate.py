@@ -1,7 +1,7 @@
-"""The paper's AOMotion from end to end, with an answer that is scored like ours."""
+"""The paper's AOMotion from end to end, with a result that is scored like ours."""
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -17,31 +17,37 @@ from aomgen.errors import InputError
 from aomgen.motion.inputs import MotionInput, read_gripper_signals
 from aomgen.motion.motion_detection import MIN_ODDS
 from aomgen.motion.part_shape import infer_direction
-from aomgen.paper.edge_joint import PairWeights, box_joint
-from aomgen.paper.mask_keyframes import PartMasks, Scores, Variant, flag_frames, score_frames
+from aomgen.paper.edge_joint import box_joint
+from aomgen.paper.mask_keyframes import (
+    PartMasks,
+    Variant,
+    flag_frames,
+    motion_scores,
+    score_threshold,
+    smooth_scores,
+)
 from aomgen.robots.robot import RobotModel
 
 # As dense as the Gaussians of a scanned robot, and denser than those of the part, [m].
 SPACING_M = 0.003
-# A plane that slides within itself by more than this share of a motion tells nothing of it.
+# A plane that slides within itself by more than this share of a motion does not determine the motion.
 _MIN_ACROSS = 1e-3
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PaperMotionParams:
-    """What the paper takes as given, and which of its formulas are repaired.
+    """Inputs that the paper assumes, and which of its formulas are repaired.
 
     Attributes:
         joint_type: Known beforehand; the paper does not find it.
         threshold: Noise in the keyframes' threshold, see `keyframes.score_threshold`.
         signs: Signs of the edge cost, see `joint.pair_costs`; repaired also means that `v_ee` of a
-            prismatic joint is the hand's displacement, where printed takes its approach.
+            prismatic joint is the end effector's displacement, where printed takes its approach.
     """
 
     joint_type: JointType
     threshold: Variant = "printed"
     signs: Variant = "printed"
-    weights: PairWeights = field(default_factory=PairWeights)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -68,8 +74,8 @@ class NearestPair:
         return float(np.linalg.norm(self.on_part - self.on_robot))
 
 
-def _unheard(curve: MotionCurve) -> None:
-    """Nobody listens."""
+def _ignore_curve(curve: MotionCurve) -> None:
+    """Default callback; does nothing."""
 
 
 def estimate_motion_paper(
@@ -77,24 +83,24 @@ def estimate_motion_paper(
     masks: PartMasks,
     params: PaperMotionParams,
     progress: Progress = silent,
-    on_curve: Callable[[MotionCurve], None] = _unheard,
+    on_curve: Callable[[MotionCurve], None] = _ignore_curve,
 ) -> MotionEstimate:
     """Recover the part's motion as the paper does.
 
     What the paper does not know is filled in as follows: standard deviations, intervals, slip, pivot,
-    type margin and turn ratio are 0; the odds of the prompted part are those that
-    nobody doubts; the axis points so that the motion ends at a positive value.
+    type margin and turn ratio are 0; the likelihood ratio of the prompted part is the one of a part
+    without doubt; the axis points so that the motion ends at a positive value.
 
     Args:
         masks: Moving part and robot in every frame of its video, at any size.
-        on_curve: Hears the motion score before it is refused.
+        on_curve: Receives the motion score before the demonstration is refused.
 
     Raises:
         InputError: Masks of another number of frames; a part with hardly any points.
         NoMotionError: The threshold never fires.
 
     Source: AOMGen, sec. 4.2, AOMotion. Not checked: prompts, contact, and whether the motion is long
-    enough; the paper always answers.
+    enough; the paper always returns an estimate.
     """
     demo, frames = demonstration, demonstration.video.times_s
     if not len(masks.moving) == len(frames):
@@ -104,10 +110,9 @@ def estimate_motion_paper(
             "give one mask a frame",
         )
     progress(0.0, "keyframes")
-    scored = score_frames(masks, params.threshold)
-    curve = _curve(demo, scored)
+    curve = _measure_curve(demo, masks, params.threshold)
     on_curve(curve)
-    interval = flag_frames(scored)
+    interval = flag_frames(curve.smoothed, curve.threshold)
     held = frames[interval[0] : interval[1] + 1]
     progress(0.3, "contact")
     pair = nearest_pair(demo.robot, demo.log, demo.points_moving, float(held[0]), np.random.default_rng(0))
@@ -119,15 +124,13 @@ def estimate_motion_paper(
         step = path[-1] - path[0]
         direction = step / max(float(np.linalg.norm(step)), 1e-9)
     points = (demo.points_static, demo.points_moving)
-    found = box_joint(points, pair.on_part, direction, params.joint_type, params.signs, params.weights)
-    joint = Joint(type=params.joint_type, axis=found.axis, origin=found.origin, lower=0.0, upper=0.0)
+    joint, face_normal = box_joint(points, pair.on_part, direction, params.joint_type, params.signs)
     progress(0.9, "joint values")
-    thetas = recover_thetas(joint, pair.on_part, found.face_normal, path)
+    thetas = recover_thetas(joint, pair.on_part, face_normal, path)
     sense = -1.0 if thetas[-1] < 0 else 1.0
-    joint = Joint(
-        type=joint.type,
+    joint = replace(
+        joint,
         axis=sense * joint.axis,
-        origin=joint.origin,
         lower=min(0.0, float((sense * thetas).min())),
         upper=max(0.0, float((sense * thetas).max())),
     )
@@ -173,13 +176,16 @@ def _assemble(
     )
 
 
-def _curve(demo: MotionInput, scored: Scores) -> MotionCurve:
+def _measure_curve(demo: MotionInput, masks: PartMasks, threshold: Variant) -> MotionCurve:
+    """The paper's motion score; the last frame has no successor and repeats the one before."""
     signals = read_gripper_signals(demo, demo.video.times_s)
+    scores = motion_scores(masks)
+    smoothed = smooth_scores(scores)
     return MotionCurve(
         times_s=demo.video.times_s,
-        scores=scored.scores,
-        smoothed=scored.smoothed,
-        threshold=scored.threshold,
+        scores=np.append(scores, scores[-1]),
+        smoothed=np.append(smoothed, smoothed[-1]),
+        threshold=score_threshold(scores, smoothed, threshold),
         distances_m=signals.distances_m,
         speeds_m_s=signals.speeds_m_s,
         gripper=signals.gripper,
@@ -212,7 +218,7 @@ def nearest_pair(
     Raises:
         InputError: The robot has no meshes.
 
-    Source: AOMGen, sec. 4.2, "Contact Point Detection". Not checked: that the two touch; `gap_m` tells.
+    Source: AOMGen, sec. 4.2, "Contact Point Detection". Not checked: contact; `gap_m` states the distance.
     """
     poses = robot.link_poses(*log.at([start_log_s]))[0]
     tree = cKDTree(points_moving)
@@ -237,7 +243,7 @@ def nearest_pair(
 
 
 def contact_path(pair: NearestPair, robot: RobotModel, log: JointLog, log_times_s: Array) -> Array:
-    """Where the robot carries its contact point (T, 3), world frame, [m]; the paper's trajectory."""
+    """Path of the robot's contact point (T, 3), world frame, [m]; the paper's trajectory."""
     return apply(robot.link_poses(*log.at(log_times_s))[:, pair.body], pair.point_body)
 
 

@@ -21,7 +21,7 @@ from aomgen.paper.affinity_features import (
     relative_sizes,
     train_affinity,
 )
-from aomgen.paper.affinity_parts import affinity_evidence, answer_query, best_threshold
+from aomgen.paper.affinity_parts import affinity_evidence, best_threshold, query_part
 from aomgen.paper.automatic_masks import (
     best_masks,
     grid_points,
@@ -277,13 +277,12 @@ def test_a_part_is_told_from_the_rest_of_its_thing():
     lid, box = true_masks(gaussians, labels, view.camera)[1], np.array([0.0, 0, 128, 96])
     image = TrueSegmenter(gaussians, labels, [view]).prepare(view.name, view.image_srgb)
     prompt = PromptedImage(view=view, prepared=image, part=MOVING, box=box, masks=(lid,))
-    alone = answer_query(gaussians, affinity, [prompt], 96)
-    within = answer_query(gaussians, affinity, [prompt], 96, labels >= 1)
-    found = within.similarities > within.threshold
-    assert alone.iou < 0.8
-    assert within.iou > 0.9
-    assert np.mean(found == (labels == 2)) > 0.98
-    assert np.all(within.similarities[labels == 0] == -1)
+    _, iou_alone = query_part(gaussians, affinity, [prompt], 96)
+    margins, iou = query_part(gaussians, affinity, [prompt], 96, labels >= 1)
+    assert iou_alone < 0.8
+    assert iou > 0.9
+    assert np.mean((margins > 0) == (labels == 2)) > 0.98
+    assert np.ptp(margins[labels == 0]) == 0
 
 
 def test_similarity_does_not_depend_on_the_length_of_features():

@@ -9,7 +9,7 @@ from aomgen.core.boxes import OrientedBox
 from aomgen.core.joint import JointType
 from aomgen.core.transforms import angle_between
 from aomgen.errors import InputError
-from aomgen.paper.edge_joint import PairWeights, box_joint, measure_edge_pairs, pair_costs
+from aomgen.paper.edge_joint import box_joint, pair_costs, score_edge_pairs
 from aomgen.paper.mask_keyframes import Variant
 
 # Two unit boxes side by side along y: the moving one in front, its handle at x = 0.4.
@@ -21,16 +21,14 @@ HANDLE = np.array([0.4, -1.5, 0.0])
 APPROACH = np.array([0.0, 1.0, 0.0])
 
 
-def chosen(joint_type, signs, direction=APPROACH, weights=None):
-    terms = measure_edge_pairs(STATIC, MOVING, HANDLE, direction)
-    costs = pair_costs(terms, joint_type, signs, weights)
+def chosen(joint_type, signs, direction=APPROACH):
+    costs = pair_costs((STATIC, MOVING), HANDLE, direction, joint_type, signs)
     pair = np.unravel_index(int(np.argmin(costs)), costs.shape)
     return STATIC.edges()[pair[0]], MOVING.edges()[pair[1]]
 
 
 def test_a_cost_is_what_the_formula_says():
     """Vertical edges on top of each other at x = 0.5, y = -0.5; diagonal sqrt(3); contact off by (0.1, 1)."""
-    terms = measure_edge_pairs(STATIC, MOVING, HANDLE, APPROACH)
     vertical = [
         (i, j)
         for i, j in product(range(12), range(12))
@@ -40,26 +38,24 @@ def test_a_cost_is_what_the_formula_says():
     ]
     assert len(vertical) == 1
     reach = np.hypot(0.1, 1.0) / np.sqrt(3)
-    weights = PairWeights(shape=2.0, direction=3.0, contact=5.0)
     cases: list[tuple[JointType, Variant, float]] = [
-        ("revolute", "printed", 5 * reach),
-        ("revolute", "repaired", -5 * reach),
-        ("prismatic", "printed", -5 * reach),
+        ("revolute", "printed", reach),
+        ("revolute", "repaired", -reach),
+        ("prismatic", "printed", -reach),
         ("prismatic", "repaired", 0.0),
     ]
     for joint_type, signs, expected in cases:
-        assert pair_costs(terms, joint_type, signs, weights)[vertical[0]] == pytest.approx(expected)
-    tilted = measure_edge_pairs(STATIC, MOVING, HANDLE, np.array([0.0, 0.6, 0.8]))
-    assert pair_costs(tilted, "revolute", "printed", weights)[vertical[0]] == pytest.approx(
-        3 * 0.8 + 5 * reach
-    )
+        costs = pair_costs((STATIC, MOVING), HANDLE, APPROACH, joint_type, signs)
+        assert costs[vertical[0]] == pytest.approx(expected)
+    tilted = pair_costs((STATIC, MOVING), HANDLE, np.array([0.0, 0.6, 0.8]), "revolute", "printed")
+    assert tilted[vertical[0]] == pytest.approx(0.8 + reach)
 
 
 def test_edges_apart_and_across_cost_what_they_should():
     """An x edge of one against a y edge of the other: not parallel, 0.8 at least."""
-    terms = measure_edge_pairs(STATIC, MOVING, HANDLE, APPROACH)
-    assert terms.score.min() == pytest.approx(0.0)
-    assert terms.score[0, 4] >= 0.8
+    scores = score_edge_pairs(STATIC, MOVING)
+    assert scores.min() == pytest.approx(0.0)
+    assert scores[0, 4] >= 0.8
 
 
 def test_printed_signs_choose_the_handle_side_and_repaired_ones_the_hinge_side():
@@ -95,11 +91,11 @@ PULL = np.array([0.18, -0.2, 0.13])
 
 
 def test_the_joint_lies_at_the_chosen_edge():
-    found = box_joint((BODY, DOOR), PULL, APPROACH, "revolute", "repaired")
+    found, face_normal = box_joint((BODY, DOOR), PULL, APPROACH, "revolute", "repaired")
     assert np.degrees(min(angle_between(found.axis, [0, 0, s]) for s in (1, -1))) < 1
     assert np.linalg.norm((found.origin - [-0.22, -0.1425, 0])[:2]) < 0.03
-    assert np.degrees(angle_between(found.face_normal, [0, -1, 0])) < 2
-    printed = box_joint((BODY, DOOR), PULL, APPROACH, "revolute", "printed")
+    assert np.degrees(angle_between(face_normal, [0, -1, 0])) < 2
+    printed, _ = box_joint((BODY, DOOR), PULL, APPROACH, "revolute", "printed")
     assert printed.origin[0] > 0.15
 
 
