@@ -21,9 +21,8 @@ from aomgen.core.transforms import apply
 from aomgen.core.values import Array
 from aomgen.replacement.asset_pictures import AssetRenderer
 from aomgen.replacement.asset_surfels import asset_surfels
-from aomgen.replacement.light_estimation import SceneLight
+from aomgen.replacement.light_estimation import SceneLight, ToneCurve
 from aomgen.replacement.reflection import show_in_light
-from aomgen.replacement.tone_curve import ToneCurve
 from aomgen.splatting.metrics import psnr
 from aomgen.splatting.rasterizer import render
 from aomgen.splatting.surfels import Surfels

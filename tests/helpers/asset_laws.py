@@ -92,7 +92,7 @@ def is_found_again(asset: ArticulatedAsset) -> None:
     """The scale and place of a recorded asset are recovered from the recording of its motion."""
     demo, recorded = recording(asset, noise_m=0.001)
     contact = describe_contact(demo, recorded, "opening")
-    assert np.rad2deg(abs(contact.front.yaw - YAW)) < 2.0
+    assert np.rad2deg(abs(contact.yaw - YAW)) < 2.0
     result = fit_asset(asset, contact, demo.joint.type, "object", FitParams())
     assert isinstance(result, FittedAsset)
     assert not result.mirrored

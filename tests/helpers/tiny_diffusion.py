@@ -24,7 +24,7 @@ SIDE = 64
 
 
 def save_light_pipeline(folder: Path) -> None:
-    """As `replacement.diffusion_light` loads one."""
+    """A pipeline as `replacement.diffusion.estimate_environment` loads one."""
     import diffusers
     from transformers import CLIPTextModelWithProjection
 
@@ -39,7 +39,7 @@ def save_light_pipeline(folder: Path) -> None:
 
 
 def save_inpainting_pipeline(folder: Path) -> None:
-    """As `replacement.diffusion_inpainting` loads one."""
+    """A pipeline as `replacement.diffusion.inpaint_table` loads one."""
     import diffusers
 
     _, _, shared = _networks(diffusers.DDIMScheduler)

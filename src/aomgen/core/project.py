@@ -22,10 +22,10 @@ class Project(BaseModel):
         poses: Requested number of verified episodes for each asset.
         adapt: Method that fits asset and motion to each other; see `replacement.fitting`.
         light: Light on new objects: "scan", the light found in the scene; the path of an HDRI; or
-            "diffusion:FOLDER", see `replacement.diffusion_light`.
+            "diffusion:FOLDER", see `replacement.diffusion`.
         light_yaw_deg: Turn of an HDRI about the vertical, counterclockwise as seen from above.
         inpainter: Folder of a diffusion pipeline that inpaints unobserved regions of the table, see
-            `replacement.diffusion_inpainting`; empty for patches of observed regions.
+            `replacement.diffusion`; empty for patches of observed regions.
         image_size: Size of the episodes' images, [px].
         iterations: Training steps.
         gaussians: Cap on the number of Gaussians in the scene.

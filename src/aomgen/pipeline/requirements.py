@@ -1,4 +1,4 @@
-"""Whether this machine has what stages ask for."""
+"""Check whether this machine has what the stages require."""
 
 import importlib.util
 import os
@@ -9,13 +9,13 @@ from collections.abc import Callable, Collection
 from pathlib import Path
 
 from aomgen.errors import AomgenError, BackendError, StorageError
-from aomgen.replacement.diffusion_pipeline import EXTRA as DIFFUSION_REMEDY
+from aomgen.replacement.diffusion import EXTRA as DIFFUSION_REMEDY
 from aomgen.robots.silhouette import REMEDY as GL_REMEDY
 from aomgen.segmentation.sam2_weights import find_sam2
 from aomgen.segmentation.weights import find_weights
 from aomgen.splatting.native import library
 
-# What a stage imports: modules, and what to install for them.
+# Modules that a stage imports, and the command that installs them.
 MODULES = {
     "structure": (("pycolmap",), "pip install 'aomgen[reconstruct]'"),
     "gaussians": (("torch",), "pip install 'aomgen[reconstruct]'"),

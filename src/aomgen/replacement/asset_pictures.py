@@ -1,4 +1,4 @@
-"""Pictures of an asset's meshes in their own colors, without light: what its Gaussians are fitted to."""
+"""Images of an asset's meshes in their own colors, without light: the targets of the fit of its Gaussians."""
 
 from dataclasses import replace
 from typing import Final
@@ -17,7 +17,7 @@ from aomgen.robots.silhouette import ModelRenderer, depth_of
 FLAT: Final = 0.99
 # Samples along each side of a pixel: what a camera shows there is a mean.
 SAMPLES: Final = 2
-# A white sphere, [m], tells how much shows through; it is drawn only then, as a group of its own.
+# Rendering before a white sphere, [m], measures transparency; it is drawn only then, as a separate group.
 BACKDROP_M, BACKDROP_GROUP = 15.0, 4
 
 
@@ -25,7 +25,7 @@ class AssetRenderer(ModelRenderer):
     """Draws one asset with MuJoCo's rasterizer; holds an OpenGL context until closed. Not thread safe."""
 
     def __init__(self, asset: ArticulatedAsset, size: int) -> None:
-        """Create a context for pictures of up to size x size, [px].
+        """Create a context for images of up to size x size, [px].
 
         Raises:
             BackendError: No OpenGL driver works.

@@ -1,6 +1,6 @@
-"""An asset's meshes as lit Gaussians, fitted to pictures of the meshes.
+"""An asset's meshes as lit Gaussians, fitted to images of the meshes.
 
-Discs on a surface overhang its edges and smear its prints. Fitted to pictures, by the same engine that draws them
+Discs on a surface overhang its edges and smear its prints. Fitted to images, by the same engine that draws them
 later, they end where the surface ends, and there are more of them where there is more to see.
 """
 
@@ -43,36 +43,36 @@ from aomgen.twin.twin import move_bodies
 POINTS: Final = 100_000
 # Discs before the fit, half on each link, and the most there are after it.
 DISCS, MAX_GAUSSIANS = 30_000, 58_000
-# Fitted to so many pictures of this size, [px], each used at full and at half size in turns.
+# Number of images, and their size, [px]; each is used at full and at half size in turns.
 PICTURES, PICTURE_PX = 40, 512
-# So often over all pictures: twice as often gains 0.7 dB.
+# Passes over all images: twice as many gain 0.7 dB.
 ROUNDS: Final = 8
-# Gaussians are added after these rounds, where the error of so many pictures is.
+# Gaussians are added after these passes, where the error of this number of images is largest.
 GROW_AFTER, ERROR_PICTURES = (0, 1, 2), 12
-# A Gaussian that paints so much of every other picture, [px] of half their size, takes the normal that they show there, if its
+# A Gaussian that contributes this area to every other image, [px] of half their size, takes the normal that they show there, if its
 # parts point the same way by so much.
 SEEN_PX, ONE_SIDE = 0.5, 0.7
 # Opaque enough to hide what is behind, with a gradient left.
 START_OPACITY: Final = 0.7
 # Squared error that a surface may cost which is opaque: what shines through it would be lit as what lies behind.
 OPAQUE: Final = 0.003
-# Weight of the error of normals, every so many steps: a Gaussian that lies over an edge would be lit as the wrong face.
+# Weight of the error of normals, and its interval in steps: a Gaussian that lies over an edge would be lit as the wrong face.
 NORMAL, NORMAL_EVERY = 0.05, 4
 # Fainter ones are used elsewhere.
 MIN_OPACITY: Final = 0.02
-# Gaussians move this much in a step at the start, [px] of a picture.
+# Gaussians move this much in a step at the start, [px] of an image.
 STEP_PX: Final = 0.12
-# What is left of all learning rates at the end.
+# Learning rates at the end, as a share of those at the start.
 DECAY: Final = 0.1
-# Cameras look from around, down by these angles, [rad]; the asset's sphere fills their pictures about so much.
+# Cameras look from around, down by these angles, [rad]; the asset's sphere fills these shares of their images.
 ELEVATIONS, FILLED = (-0.2, 1.2), (0.8, 1.1)
-# Focal length over the width of a picture: that of a usual camera.
+# Focal length over the width of an image: that of a usual camera.
 FOCAL: Final = 1.2
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Picture:
-    """Of the meshes; colors and cover (4, H, W), and normals (3, H, W), zero where there is no one face."""
+    """Image of the meshes; colors and cover (4, H, W), and normals (3, H, W), zero where a pixel shows several faces."""
 
     camera: Camera
     theta: float
@@ -82,7 +82,7 @@ class _Picture:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Surface:
-    """Where Gaussians (N) come from: their links, unit normals, and whether nothing shines through."""
+    """Origin of Gaussians (N): their links, unit normals, and whether the surface is opaque."""
 
     links: NDArray[np.int64]
     normals: NDArray[np.float32]
@@ -124,7 +124,7 @@ def asset_surfels(asset: ArticulatedAsset, rng: np.random.Generator) -> tuple[Su
         mine = np.flatnonzero(links[sources] == link)
         of_cover = sources[mine] - count * link
         normals = seen[mine]
-        # What a normal map adds is in the surface that it was made for.
+        # Normal maps are stored relative to the surface that they were made for.
         same = (normals * cover.normals[of_cover]).sum(-1, keepdims=True) > ONE_SIDE
         bends = cover.bends[of_cover] * same
         transfer = occlusion.at(gaussians.means[mine], normals)
@@ -204,7 +204,7 @@ def _fit(
             parameters.step(gradients, parameter_rates(RATES, step_m * decay, decay, 0), compute)
             parameters.values["sh"].clamp_(-0.5 / SH_C0, 0.5 / SH_C0)
         if turn in GROW_AFTER:
-            # What no picture shows has had no gradient.
+            # Gaussians that no image shows have had no gradient.
             unseen = (parameters.squares["sh"].amax((1, 2)) == 0).numpy()
             shares = _shares(asset, parameters, surface.links[sources], small, rng)
             count = MAX_GAUSSIANS - added * (GROW_AFTER[-1] - turn) // len(GROW_AFTER)
@@ -228,7 +228,7 @@ def _gradients(
     picture: _Picture,
     with_normals: bool,
 ) -> dict[str, Tensor]:
-    """Gradients of the squared error of a picture's colors and cover, and of its normals if asked for, by name."""
+    """Gradients of the squared error of an image's colors and cover, and optionally of its normals, by name."""
     leaves, poses = parameters.leaves(), _link_poses(asset, picture.theta)
     parts = PartTensors(
         indices=torch.tensor(surface.links, dtype=torch.int32),
@@ -267,7 +267,7 @@ def _shares(
     pictures: list[_Picture],
     rng: np.random.Generator,
 ) -> Array:
-    """How much of the error of some pictures each Gaussian paints."""
+    """Contribution of each Gaussian to the error of some images."""
     gaussians, shares = gaussians_of(parameters), np.zeros(len(links))
     for index in rng.choice(len(pictures), ERROR_PICTURES, replace=False):
         picture = pictures[index]
@@ -279,7 +279,7 @@ def _shares(
 def _seen_normals(
     asset: ArticulatedAsset, gaussians: Gaussians, surface: _Surface, pictures: list[_Picture]
 ) -> NDArray[np.float32]:
-    """Unit normals (N, 3), link frames, of what pictures show where Gaussians are seen: some have come over an edge, or
+    """Unit normals (N, 3), link frames, that images show where Gaussians are visible: some have moved over an edge, or
     through a wall. Those that are not seen, or from both sides, keep theirs.
     """
     sums, weights = np.zeros((len(gaussians), 3)), np.zeros(len(gaussians))

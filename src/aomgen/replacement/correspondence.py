@@ -1,4 +1,4 @@
-"""What of an asset answers to what of the recorded object: its front, its held point and that point's path.
+"""Correspondence of an asset and the recorded object: front, held point and the path of that point.
 
 Source: AOMGen, sec. 4.3, "Physical Interaction Adaptation" (the NOCS-like contact map). The paper
 normalises both parts in axis-aligned unit cubes; here the cubes are aligned with the objects' own
@@ -39,27 +39,6 @@ TOUCH_M: Final = 0.002
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Frontal:
-    """The upright frame of an object that looks at its user.
-
-    Attributes:
-        R_world_front: Columns: right of the front, into the object, up. An asset's own
-            frame is of this kind, as its front looks along -y.
-        opens_left: Seen from the front, the part swings about its left side or slides to the left.
-    """
-
-    R_world_front: Annotated[Array, "3 3"]
-    opens_left: bool
-
-    __post_init__ = freeze_arrays
-
-    @property
-    def yaw(self) -> float:
-        """Turn about the vertical that takes an asset's axes to this front, [rad]."""
-        return float(np.arctan2(self.R_world_front[1, 0], self.R_world_front[0, 0]))
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
 class RecordedContact:
     """The recorded motion as the fit needs it: from closed to open, a closing one backwards in time.
 
@@ -68,7 +47,9 @@ class RecordedContact:
         path_world: Held point while the part moves, [m].
         shares: Time share 0..1 of each point.
         thetas: Recovered joint value, first 0, never falling, [rad] or [m].
-        front: The recorded object's front.
+        R_world_front: Upright frame of the recorded object's front, columns right, into the object, up. An asset's
+            own frame is of this kind, as its front looks along -y.
+        opens_left: Seen from the front, the part swings about its left side or slides to the left.
         held_share: Held point in the normalised cube of the moving part, along right, inward, up.
         size: Extent of the moving part along these, [m].
         support_z: Height of the support, [m].
@@ -78,12 +59,18 @@ class RecordedContact:
     path_world: Annotated[Array, "K 3"]
     shares: Annotated[Array, "K"]
     thetas: Annotated[Array, "K"]
-    front: Frontal
+    R_world_front: Annotated[Array, "3 3"]
+    opens_left: bool
     held_share: Vector3
     size: Vector3
     support_z: float
 
     __post_init__ = freeze_arrays
+
+    @property
+    def yaw(self) -> float:
+        """Turn about the vertical that takes an asset's axes to the front, [rad]."""
+        return float(np.arctan2(self.R_world_front[1, 0], self.R_world_front[0, 0]))
 
 
 def describe_contact(demo: Demonstration, recorded: RecordedObject, direction: Direction) -> RecordedContact:
@@ -92,7 +79,7 @@ def describe_contact(demo: Demonstration, recorded: RecordedObject, direction: D
     An opening begins at the closed object, a closing ends there.
 
     Raises:
-        EstimationError: The part's front is ambiguous (see `frontal`).
+        EstimationError: The part's front is ambiguous (see `find_front`).
     """
     frames = demo.contact_frames
     joint, moving, thetas, times = demo.joint, recorded.moving_points_world, demo.thetas, demo.times_s
@@ -104,10 +91,9 @@ def describe_contact(demo: Demonstration, recorded: RecordedObject, direction: D
     Ts_world_ee, grasp = demo.Ts_world_ee[frames], demo.grasp_ee
     # Both parts together are a box more often than a door with its handle is.
     held = apply(Ts_world_ee[0], grasp)
-    front = frontal(joint, held, np.concatenate([moving, recorded.static_points_world]))
-    low, high = np.quantile(moving @ front.R_world_front, QUANTILES, axis=0)
-    R_front_ee = front.R_world_front.T @ Ts_world_ee[0, :3, :3]
-    beyond = way_to_rim(held @ front.R_world_front, R_front_ee, low, high)
+    R = find_front(joint, held, np.concatenate([moving, recorded.static_points_world]))
+    low, high = np.quantile(moving @ R, QUANTILES, axis=0)
+    beyond = measure_rim_distance(held @ R, R.T @ Ts_world_ee[0, :3, :3], low, high)
     path = apply(Ts_world_ee, (grasp + [0.0, 0.0, beyond])[None])
     size, since = high - low, times[frames] - times[frames[0]]
     return RecordedContact(
@@ -115,22 +101,23 @@ def describe_contact(demo: Demonstration, recorded: RecordedObject, direction: D
         path_world=path,
         shares=since / max(since[-1], 1e-9),
         thetas=smooth_rise(thetas[frames]),
-        front=front,
-        held_share=(path[0] @ front.R_world_front - low) / np.maximum(size, 1e-6),
+        R_world_front=R,
+        opens_left=opens_left(joint, held, R[:, 0]),
+        held_share=(path[0] @ R - low) / np.maximum(size, 1e-6),
         size=size,
         support_z=recorded.support.height,
     )
 
 
-def way_to_rim(held: Array, R_front_ee: Array, low: Array, high: Array) -> float:
-    """How far beyond a recorded held point (3,) the rim of a thin part begins, along the pads, [m]; 0 where no rim is held.
+def measure_rim_distance(held: Array, R_front_ee: Array, low: Array, high: Array) -> float:
+    """Distance from a recorded held point (3,) to the rim of a thin part, along the pads, [m]; 0 where no rim is held.
 
     A rim lies between the pads, but where along them is the least known: the point is put on the part. Where the
     part is thicker than fingers open, a handle is held that may lie off the part's box.
 
     Args:
         held: Recorded held point, upright front frame.
-        R_front_ee: The hand's orientation (3, 3) in that frame: z out of the palm, fingers close along y.
+        R_front_ee: Orientation of the end effector (3, 3) in that frame: z along its approach, fingers close along y.
         low, high: Corners of the part's box (3,), the same frame.
     """
     closing, approach = (np.where(np.abs(d) < 1e-9, 1e-9, d) for d in (R_front_ee[:, 1], R_front_ee[:, 2]))
@@ -166,8 +153,8 @@ def opening_direction(joint: Joint, held_point: Array) -> Array:
     return np.asarray(direction / length, np.float64)
 
 
-def frontal(joint: Joint, held: Array, points: Array) -> Frontal:
-    """Find the front of an object from the way it opens, refined by the box of its points (N, 3).
+def find_front(joint: Joint, held: Array, points: Array) -> Array:
+    """Find the upright frame (3, 3) of an object's front, see `RecordedContact`, from the way it opens, refined by the box of its points (N, 3).
 
     A part on an upright hinge starts to move out of its front; a handle stands off its door, so
     that motion leans a few degrees, and the side of the smallest upright box nearest to it is
@@ -192,11 +179,11 @@ def frontal(joint: Joint, held: Array, points: Array) -> Frontal:
         front = _nearest_box_side(front, points)
     inward = -front
     right = np.asarray(np.cross(inward, UP), np.float64)
-    return Frontal(R_world_front=np.stack([right, inward, UP], 1), opens_left=opens_left(joint, held, right))
+    return np.stack([right, inward, UP], 1)
 
 
 def opens_left(joint: Joint, held_point: Array, right: Array) -> bool:
-    """Whether a part seen from the front swings about its left side, or slides to the left; `right` is unit (3,).
+    """Return whether a part seen from the front swings about its left side, or slides to the left; `right` is unit (3,).
 
     What a mirror leaves as it is (a drawer, a lid, a flap) counts as not.
     """
@@ -215,7 +202,7 @@ def face_sides(joint: Joint, held_point: Array) -> list[int]:
 
 
 def held_point_of(asset: ArticulatedAsset, recorded_share: Array) -> Array:
-    """Point of an asset's moving part (3,), asset frame, part closed, that answers to the recorded held point.
+    """Point of an asset's moving part (3,), asset frame, part closed, that corresponds to the recorded held point.
 
     That lies at a share 0..1 (3,) of the recorded part's cube along right, inward, up. The height along the handle's
     axis is kept as far as handle and pads allow.
@@ -228,7 +215,7 @@ def held_point_of(asset: ArticulatedAsset, recorded_share: Array) -> Array:
 
 
 def slide_along_handle(asset: ArticulatedAsset, along_m: float) -> Array:
-    """The place (3,) on the handle so far from `handle_point` along its axis as pads allow, asset frame.
+    """Point (3,) on the handle at a distance from `handle_point` along its axis, limited by the pads' room, asset frame.
 
     Beyond the collider that holds `handle_point` the colliders of a bent handle are followed.
     """
@@ -242,7 +229,7 @@ def slide_along_handle(asset: ArticulatedAsset, along_m: float) -> Array:
 
 
 def bar_reach(asset: ArticulatedAsset) -> float:
-    """How far from `handle_point` along the handle a hand may hold, [m]."""
+    """Largest distance from `handle_point` along the handle at which a gripper may hold it, [m]."""
     _, spans = _handle_spans(asset)
     low, high = spans[0]
     for _ in spans:
@@ -303,7 +290,7 @@ def _upright(joint: Joint) -> bool:
 
 
 def _standing_out(way: Array, held: Array, points: Array) -> Array:
-    """Of the directions along and across a level way (3,), the one in which `held` is outermost."""
+    """Choose from the directions along and across a level direction (3,) the one in which `held` is outermost."""
     across = np.cross(way, UP)
     sides = [way, across, -across, -way]
     beyond = [float(held @ side - np.percentile(points @ side, 98)) for side in sides]

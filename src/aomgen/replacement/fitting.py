@@ -6,11 +6,11 @@ works, else the second.
 Source: AOMGen, sec. 4.3, "Physical Interaction Adaptation".
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
-from numpy.typing import ArrayLike
 from scipy.optimize import least_squares
 
 from aomgen.core.asset import ArticulatedAsset
@@ -41,7 +41,7 @@ MAX_RESIDUAL_M = 0.03
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FitParams:
-    """How far and how firmly an asset is fitted: standard deviations of the recorded path, [m], and of the recovered
+    """Tolerances of the fit of an asset: standard deviations of the recorded path, [m], and of the recovered
     joint values, [rad] or [m], and whether mode "object" may mirror the asset when the hinge is on the other side.
     """
 
@@ -78,9 +78,7 @@ def fit_asset(
     if mode == "trajectory":
         fitted = _keep_size(asset, contact, params)
     else:
-        turned = (
-            opens_left(asset.joint, asset.handle_point, np.array([1.0, 0.0, 0.0])) != contact.front.opens_left
-        )
+        turned = opens_left(asset.joint, asset.handle_point, np.array([1.0, 0.0, 0.0])) != contact.opens_left
         if turned and not params.allow_mirror:
             return Rejection(reason="hinge_side", detail="it opens to the other side and mirroring is off")
         fitted = _fit_scale(mirror_asset(asset) if turned else asset, contact, turned, params)
@@ -92,10 +90,10 @@ def fit_asset(
 def _keep_size(asset: ArticulatedAsset, contact: RecordedContact, params: FitParams) -> FittedAsset:
     """Mode "trajectory": true size, upright on the support, held point where the recorded one was (seen from above).
 
-    The hinge may be on the other side: the path is made anew along the asset's own joint.
+    The hinge may be on the other side: the path is recomputed along the asset's own joint.
     """
     held = held_point_of(asset, contact.held_share)
-    R = matrix_from_rotvec(np.array([0.0, 0.0, contact.front.yaw]))
+    R = matrix_from_rotvec(np.array([0.0, 0.0, contact.yaw]))
     offset = contact.path_world[0] - R @ held
     T = transform(R, np.array([offset[0], offset[1], contact.support_z]))
     target = min(float(contact.thetas[-1]), LIMIT_SHARE * asset.joint.upper)
@@ -127,9 +125,15 @@ def _fit_scale(
     low, high = asset.moving.bounds
     sides = face_sides(asset.joint, held)
     ratio = float(np.exp(np.mean(np.log(contact.size[sides] / (high - low)[sides]))))
-    R = matrix_from_rotvec(np.array([0.0, 0.0, contact.front.yaw]))
+    R = matrix_from_rotvec(np.array([0.0, 0.0, contact.yaw]))
     first = contact.path_world[0] - R @ held * ratio
-    noise = _NoiseAlong(bar=R @ asset.handle_axis, bar_m=ratio * bar_reach(asset), params=params)
+    # A gripper may hold a bar anywhere.
+    bar, bar_m = R @ asset.handle_axis, ratio * bar_reach(asset)
+
+    def noise_along(direction: Array, noise_m: float) -> float:
+        return float(np.hypot(noise_m, bar_m * (direction @ bar)))
+
+    world_noise = np.array([noise_along(axis, params.noise_m) for axis in np.eye(3)])
 
     def pose(g: Array) -> Array:
         return similarity(g[0], R, np.array([g[-2], g[-1], contact.support_z]))
@@ -140,14 +144,14 @@ def _fit_scale(
     def stage_one(g: Array) -> Array:
         moved = apply(asset.joint.motion(g[1] * contact.shares), held[None])
         distance = apply(pose(g), moved) - contact.path_world
-        return np.append((distance / noise.world_axes()).ravel(), prior(g))
+        return np.append((distance / world_noise).ravel(), prior(g))
 
     def stage_two(g: Array) -> Array:
         S = pose(g)
         joint, point = asset.joint.move(S), apply(S, held)
         thetas = face_thetas(joint, point, contact.path_world)
         moved = apply(joint.motion(thetas), point[None])
-        away = _slide_weighted(joint, point, moved, contact.path_world, noise)
+        away = _weigh_slide(joint, point, moved, contact.path_world, noise_along, params)
         turn = (thetas - contact.thetas) / params.theta_sd
         return np.concatenate([away.ravel(), turn, prior(g)])
 
@@ -202,28 +206,6 @@ def _scale(
     )
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _NoiseAlong:
-    """How much the recorded path may deviate along a direction: a hand may hold a bar anywhere.
-
-    Attributes:
-        bar: Direction of the placed handle's bar (3,), world frame.
-        bar_m: How far along it a hand may hold, [m].
-    """
-
-    bar: Array
-    bar_m: float
-    params: FitParams
-
-    def along(self, direction: ArrayLike, noise_m: float) -> float:
-        """Standard deviation along a unit direction (3,), [m]."""
-        return float(np.hypot(noise_m, self.bar_m * (np.asarray(direction, np.float64) @ self.bar)))
-
-    def world_axes(self) -> Array:
-        """Standard deviations along the world's axes (3,), [m]."""
-        return np.array([self.along(axis, self.params.noise_m) for axis in np.eye(3)])
-
-
 def _shift_along_bar(
     asset: ArticulatedAsset, T_world_asset: Array, held: Array, motions: Array, path: Array
 ) -> Array:
@@ -238,7 +220,7 @@ def _shift_along_bar(
 def face_thetas(joint: Joint, held_point: Array, path: Array) -> Array:
     """Joint values (K,) at which the part's face passes through the points of a path (K, 3).
 
-    Prismatic: the way along the axis. Revolute: the angle at which the half plane of the axis and the point held at
+    Prismatic: the distance along the axis. Revolute: the angle at which the half plane of the axis and the point held at
     joint value 0 passes, whatever slides along it; exact where sliding is not.
     """
     if joint.type == "prismatic":
@@ -251,22 +233,32 @@ def face_thetas(joint: Joint, held_point: Array, path: Array) -> Array:
     return np.unwrap(np.arctan2(relative @ outward, relative @ along)).astype(np.float64)
 
 
-def _slide_weighted(joint: Joint, point: Array, moved: Array, path: Array, noise: _NoiseAlong) -> Array:
-    """Distances (K, 2) over their noise: across the motion, and along the face, where a hand slides."""
+def _weigh_slide(
+    joint: Joint,
+    point: Array,
+    moved: Array,
+    path: Array,
+    noise_along: Callable[[Array, float], float],
+    params: FitParams,
+) -> Array:
+    """Distances (K, 2) over their noise: across the motion, and along the face, where a gripper slides.
+
+    `noise_along` gives the standard deviation along a unit direction (3,) from that of the path, [m].
+    """
     outward = joint.axis if joint.type == "prismatic" else np.cross(joint.axis, point - joint.origin)
     outward = outward / np.linalg.norm(outward)
     if joint.type == "prismatic":
         first = np.cross(outward, np.array([0.0, 0.0, 1.0]))
         first = first / max(float(np.linalg.norm(first)), 1e-9)
         second = np.cross(outward, first)
-        sds = [noise.along(d, noise.params.noise_m) for d in (first, second)]
+        sds = [noise_along(d, params.noise_m) for d in (first, second)]
         difference = moved - path
         return np.stack([difference @ first / sds[0], difference @ second / sds[1]], 1)
     along = np.cross(outward, joint.axis)
     lift = (moved - path) @ joint.axis
     radius = [np.linalg.norm(np.cross(p - joint.origin, joint.axis), axis=1) for p in (moved, path)]
-    lift_sd = noise.along(joint.axis, noise.params.noise_m)
-    slide_sd = noise.along(along, SLIDE_SD_M)
+    lift_sd = noise_along(joint.axis, params.noise_m)
+    slide_sd = noise_along(along, SLIDE_SD_M)
     return np.stack([lift / lift_sd, (radius[0] - radius[1]) / slide_sd], 1)
 
 

@@ -1,4 +1,4 @@
-"""What nobody saw of a surface: smooth color from its border and texture from patches."""
+"""Completion of unobserved regions of a surface: smooth color from their border and texture from patches."""
 
 from typing import Final
 

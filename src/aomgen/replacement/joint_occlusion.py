@@ -1,4 +1,4 @@
-"""How much of the light the links of an asset keep from each other and from themselves, over the joint's range."""
+"""Light that the links of an asset block from each other and from themselves, over the joint's range."""
 
 from collections.abc import Sequence
 from typing import Annotated, Final, NamedTuple
@@ -15,10 +15,10 @@ from aomgen.splatting.surfels import Surfels
 
 # Joint values, as shares of the range.
 STATES: Final = (0.0, 0.5, 1.0)
-# Occlusion is found at every so many discs, and is a mean over so many of these, among which another direction
-# counts as so much distance, [m].
+# Occlusion is computed at every THINNED-th disc, and is a mean over NEAR of these, among which another direction
+# counts as this distance, [m].
 THINNED, NEAR, ALIKE_M = 2, 8, 0.2
-# What is open to less than this share of the sky in every state is not seen: faces of a gap, insides of bodies.
+# Surfaces open to less than this share of the sky in every state are hidden: faces of a gap, insides of bodies.
 CLOSED: Final = 0.02
 
 

@@ -1,6 +1,6 @@
-"""The light where a new object is put: what the scan shows around that place, and what the robot tells of the rest.
+"""The light at the location of a new object: radiance that the scan shows around it, and radiance inferred from the robot.
 
-Walls, table and things are seen, and so is what they send to the object. Lamps and windows mostly are not: a scan looks
+Walls, table and clutter are scanned, and so is the light that they send to the object. Light sources mostly are not: a scan looks
 down. The robot is a surface whose shape and colors are known; what it receives beyond what is seen from it comes from
 there. Where too little of the robot was seen, the light falls from above with the brightness of the scene.
 """
@@ -24,18 +24,17 @@ from aomgen.core.sh import sh_basis
 from aomgen.core.transforms import apply
 from aomgen.core.values import Array, freeze_arrays
 from aomgen.replacement.probe import Probe, probe_light
-from aomgen.replacement.tone_curve import ToneCurve
 from aomgen.robots.robot import RobotModel
 from aomgen.splatting.surfaces import DIRECTIONS, estimate_transfer, sphere_directions
 from aomgen.twin.twin import TwinModel, body_poses, pose_twin
 
-# Fewer Gaussians on the robot do not constrain the light; more than the second number tell no more.
+# Fewer Gaussians on the robot do not constrain the light; more than the second number add no information.
 MIN_SAMPLES, MAX_SAMPLES = 200, 3000
 # A Gaussian farther than this from the posed meshes is not on their surface, [m].
 MAX_DISTANCE: Final = 0.008
 # Points drawn on each body of the robot.
 POINTS_PER_BODY: Final = 3000
-# A surface is seen by eyes above this sine of its plane; so many of all eyes must see it, and it so much of the sky.
+# Least sine of the angle between a surface and a view, least share of views above it, and least share of the sky above the surface.
 FACING, MIN_EYES, MIN_OPEN = 0.2, 0.15, 0.25
 # Share of the light that paint and plastic reflect beside their own color: normal incidence, refractive index 1.5.
 REFLECTED: Final = 0.04
@@ -46,18 +45,49 @@ OUTLIER: Final = 0.05
 BAND_SD, TONE_SD, PRIOR_COLORS = (0.6, 0.4), 0.3, 1e-4
 # Shoulder and loss of color are at most these.
 MAX_TONE: Final = (2.0, 0.95)
-# A cell of the table weighs as much as so many colors of the robot: that it is grained differs from cell to cell.
+# A cell of the table weighs as much as this number of colors of the robot: its grain differs from cell to cell.
 TABLE: Final = 4.0
 # Nearly black surfaces show reflections rather than light; below the second number they show both, linear.
 MIN_ALBEDO, BRIGHT = 0.05, 0.1
-# Mean albedo of things, to judge the brightness of light when the robot cannot.
+# Mean albedo of a scene, to judge the brightness of light when the robot cannot.
 MEAN_ALBEDO: Final = 0.4
+# Light is recovered from images up to this share of the brightest value that a tone curve shows at all.
+BRIGHTEST: Final = 0.95
 # Brightness of a white, level surface stays within these limits, linear, 1 = image white.
 LIMITS: Final = (0.3, 1.6)
 
 
+class ToneCurve(NamedTuple):
+    """From light to image colors, both linear, dark light as it is.
+
+    Attributes:
+        shoulder: How much brightness is compressed, 0 or more: light of 1 is shown as 1 / (1 + shoulder).
+        color_loss: Share of its distance from grey that a color as bright as white loses, below 1; darker ones lose less
+            in proportion.
+    """
+
+    shoulder: float = 0.0
+    color_loss: float = 0.0
+
+    def show(self, light: Array) -> Array:
+        """Colors (..., 3) of images of light."""
+        positive = np.maximum(light, 0)
+        bent = positive / (1 + self.shoulder * positive)
+        grey = bent.mean(-1, keepdims=True)
+        return np.asarray(grey + self._kept(grey) * (bent - grey), np.float64)
+
+    def undo(self, shown: Array) -> Array:
+        """Light (..., 3) of which images show colors."""
+        grey = shown.mean(-1, keepdims=True)
+        bent = np.maximum(grey + (shown - grey) / self._kept(grey), 0)
+        return np.asarray(bent / (1 - np.minimum(self.shoulder * bent, BRIGHTEST)), np.float64)
+
+    def _kept(self, grey: Array) -> Array:
+        return 1 - self.color_loss * np.minimum(grey, 1)
+
+
 class SceneLight(NamedTuple):
-    """What a new object is lit by, and how the scene's pictures show it.
+    """Light on a new object, and the tone curve with which the scene's images show it.
 
     Attributes:
         arriving: Where the object stands.
@@ -71,7 +101,7 @@ class SceneLight(NamedTuple):
 
     @property
     def shown(self) -> Light:
-        """The light in the colors in which pictures show white surfaces."""
+        """The light in the colors in which images show white surfaces."""
         answer = cosine_answer(sphere_directions(DIRECTIONS))
         white = self.tone.show(answer @ self.arriving.radiance_sh)
         return Light(radiance_sh=np.asarray(np.linalg.lstsq(answer, white)[0], np.float64))
@@ -107,12 +137,12 @@ def estimate_light(
         twin: Recorded scene.
         robot: Its robot.
         around: What stands still about the object, in its shadow too, world frame.
-        place: Where the light is wanted (3,), world frame.
+        place: Location at which the light is estimated (3,), world frame.
         table: Of the table about the object, whose shadow falls on it.
         views: The scan's cameras.
         rng: Chooses points on the robot.
 
-    Not checked: the real robot may be painted otherwise than its model; a uniform difference
+    Not checked: the real robot's paint may differ from its model; a uniform difference
     enters the light's brightness, which is limited to `LIMITS`.
     """
     world = pose_twin(twin, robot, twin.scan_state)
@@ -142,14 +172,14 @@ def scene_light(world: Gaussians, labels: NDArray[np.uint8]) -> Light:
 
 
 def fit_unseen(samples: LitSamples, around: Probe, table: LitSamples, here: Probe) -> tuple[Array, ToneCurve]:
-    """What comes from where the scan shows nothing, as harmonics (9, 3), and the camera's tone curve.
+    """Radiance from directions in which the scan shows nothing, as harmonics (9, 3), and the camera's tone curve.
 
-    Dark beside bright parts of the robot tell the curve. But they show reflections too, so that bright ones tell the light.
+    Dark and bright parts of the robot together determine the curve. They show reflections too, so bright ones determine the light.
 
     Args:
         samples: On the robot.
         around: What is seen from its middle.
-        table: In the shadow of the recorded object and beside it.
+        table: In the shadow of the recorded object and outside it.
         here: What is seen from the object's place.
     """
     _, tone = _explain(samples, around, table.select(slice(0)), here, None)
@@ -206,7 +236,7 @@ def _with_level(light: SceneLight, level: float) -> SceneLight:
 
 
 def _up(light: SceneLight) -> float:
-    """What a level white surface sends back, linear, mean of the channels."""
+    """Radiance that a level white surface reflects, linear, mean of the channels."""
     return float(light.arriving.irradiance(np.array([[0, 0, 1.0]])).mean())
 
 
@@ -230,7 +260,7 @@ def _robot_samples(
     facing = np.einsum("nki,ni->nk", ways, normals[nearest]) > FACING
     often = facing.mean(1) > MIN_EYES
     mine, nearest = mine[often], nearest[often]
-    # Links stand in each other's light, and in their own. What is closed in is not the surface that is seen.
+    # Links shade each other and themselves. Enclosed points are not on the visible surface.
     transfer, open_ = estimate_transfer(points[nearest], normals[nearest], points)
     outer = open_ > MIN_OPEN
     mine, nearest = mine[outer], nearest[outer]

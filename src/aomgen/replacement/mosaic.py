@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Annotated, Final
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,19 +12,19 @@ from aomgen.core.camera import Camera
 from aomgen.core.gaussians import Gaussians
 from aomgen.core.robust import compute_masked_median
 from aomgen.core.transforms import apply, invert
-from aomgen.core.values import Array, freeze_arrays
+from aomgen.core.values import Array
 from aomgen.splatting.rasterizer import render
 
-# What a view sees within this height of the plane is the plane, [m]: trained surfaces are as thick.
+# Surfaces within this height of the plane belong to it, [m]: trained surfaces are as thick.
 ON_PLANE: Final = 0.012
-# A pixel is of the surface alone where things before it take less than this share.
+# A pixel shows the surface alone where objects before it take less than this share.
 BEFORE: Final = 0.05
 # Sine of the angle below which a view looks along the surface and smears it.
 GRAZING: Final = 0.2
-# One photograph may show a reflection or a hand.
+# One photograph may show a reflection or a moving obstacle.
 MIN_VIEWS: Final = 2
-# Where views differ so many times more than elsewhere, and by more than noise, they show a mirror image or an outline;
-# strips between such cells that are narrower than twice so many cells do too.
+# Cells are rejected where views differ by this multiple of the usual difference, and by more than noise: they show a mirror
+# image or an outline. Strips between such cells that are narrower than twice OPENED cells are rejected too.
 UNSURE, NOISE, OPENED = 3.0, 0.02, 3
 
 
@@ -36,24 +36,9 @@ class Photograph:
     image_srgb: NDArray[np.uint8]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Mosaic:
-    """A surface as it was photographed.
-
-    Attributes:
-        colors_srgb: Median over the views, 0..1; 0 where it is not seen.
-        seen: Whether two views or more see a cell, and agree.
-    """
-
-    colors_srgb: Annotated[Array, "H W 3"]
-    seen: Annotated[NDArray[np.bool_], "H W"]
-
-    __post_init__ = freeze_arrays
-
-
 def photograph_surface(
     world: Gaussians, scene: NDArray[np.bool_], views: Sequence[Photograph], T_world_plane: Array, xy: Array
-) -> Mosaic:
+) -> tuple[Array, NDArray[np.bool_]]:
     """Colors of cells of a plane, from every view that sees them.
 
     Args:
@@ -62,6 +47,10 @@ def photograph_surface(
         views: Photographs of it.
         T_world_plane: The plane, z = 0 on it.
         xy: Middles of the cells (H, W, 2), plane frame.
+
+    Returns:
+        Median colors over the views (H, W, 3), sRGB, 0..1, 0 where the surface is not seen; and whether two views or
+        more see a cell, and agree (H, W).
     """
     points = apply(T_world_plane, np.concatenate([xy, np.zeros_like(xy[..., :1])], -1))
     colors = np.zeros((len(views), *points.shape), np.float32)
@@ -87,6 +76,6 @@ def photograph_surface(
     seen = visible.sum(0) >= MIN_VIEWS
     usual = float(np.median(spread[seen])) if seen.any() else 0.0
     seen &= spread <= max(UNSURE * usual, NOISE)
-    # An opening in which the picture goes on beyond its end.
+    # An opening in which the image continues beyond its end.
     seen &= binary_dilation(binary_erosion(seen, iterations=OPENED, border_value=1), iterations=OPENED)
-    return Mosaic(colors_srgb=np.where(seen[..., None], median, 0.0).astype(np.float64), seen=seen)
+    return np.where(seen[..., None], median, 0.0).astype(np.float64), seen

@@ -1,24 +1,29 @@
-"""What stands within the robot's reach besides the object, as upright boxes that the arm avoids.
+"""Obstacles within the robot's reach besides the object, as upright boxes, and the free rectangle of the table.
 
 Solid Gaussians fill cells of a grid on the table; what is connected and stands on the table, or goes on below it,
 becomes boxes. Hanging specks, and what lies flat, do not.
 """
 
 from collections.abc import Iterator
+from itertools import product
 from typing import Final
 
 import numpy as np
-from scipy.ndimage import label
+from numpy.typing import ArrayLike, NDArray
+from scipy.ndimage import binary_closing, label
 from scipy.spatial import cKDTree
 
 from aomgen.core.boxes import OrientedBox, find_upright_axes
+from aomgen.core.demonstration import SupportPlane
 from aomgen.core.gaussians import Gaussians
-from aomgen.core.transforms import matrix_from_quat, transform
+from aomgen.core.transforms import apply, matrix_from_quat, transform
 from aomgen.core.values import Array
+from aomgen.replacement.removal import Cleared
 from aomgen.robots.robot import Reach, RobotConfiguration
+from aomgen.twin.plan_view import PlanView
 from aomgen.twin.support import Support
 
-# Lower things do not hinder a hand and drown in the surface's own noise, [m].
+# Lower objects do not hinder a gripper and vanish in the surface's own noise, [m].
 LOWEST_M: Final = 0.015
 # Side of a grid cell: gaps of the size are closed, [m].
 CELL_M: Final = 0.02
@@ -30,22 +35,32 @@ BEHIND_M: Final = 0.3
 LARGEST_M: Final = 0.1
 # Samples of a solid cell.
 SOLID_SAMPLES: Final = 8
-# A thing begins at most this high above the table, [m]; what is hidden at its foot is seldom higher.
+# An obstacle begins at most this high above the table, [m]; the hidden part of its foot is seldom higher.
 FOOT_M: Final = 0.06
 # Fewer cells, seen from above, are a speck: a computer mouse covers some fifteen.
 LEAST_CELLS: Final = 8
-# Gaussians so near to the scanned robot are its own, or its shadow's, [m].
+# Gaussians within this distance of the scanned robot belong to it or to its shadow, [m].
 ROBOT_M: Final = 0.04
-# A box ends so far before the robot, which was not hindered there, [m]: it may be larger than its visible surface.
+# Boxes keep this distance from the robot, which was not hindered there, [m]: a box may be larger than its visible surface.
 CLEAR_M: Final = 0.01
 # Points on its surface: one every 1.5 cm.
 ROBOT_SAMPLES: Final = 5000
-# And so near to where the object stood, its own, [m].
+# Gaussians within this distance of the object's location belong to the object, [m].
 OBJECT_M: Final = 0.03
 # A box is cut in two where that saves this share of its volume.
 SAVED_SHARE: Final = 0.15
-# Of samples beyond a side of a box, outliers.
+# Share of the samples beyond a side of a box that count as outliers.
 BEYOND: Final = 0.01
+# Distance around the object within which the table is searched and free table grows, [m].
+TABLE_REACH_M = 1.0
+# Cell of the image in which the table is found, and of the grid on which free table grows, [m]: finer than its
+# outline has to be known.
+TABLE_CELL_M, FREE_CELL_M = 0.01, 0.02
+# A cell with less accumulated alpha than this was not seen.
+SURFACE_ALPHA = 0.15
+# Holes of this many cells between Gaussians are closed, and a strip of cells counts as free table when no run of
+# hidden ones in it is longer.
+GAP_CELLS = 3
 
 
 def find_obstacles(
@@ -54,7 +69,7 @@ def find_obstacles(
     reach: Reach,
     configuration: RobotConfiguration,
 ) -> tuple[OrientedBox, ...]:
-    """Cover what stands within reach by boxes, from the table up; tall things are cut where the reach ends.
+    """Cover obstacles within reach by boxes, from the table up; tall obstacles are cut where the reach ends.
 
     Args:
         surroundings: All that never moves and is not the object, world frame.
@@ -90,7 +105,7 @@ def _samples(gaussians: Gaussians, rng: np.random.Generator) -> Array:
 
 
 def _standing(plane: Array) -> Iterator[Array]:
-    """Samples (N, 3) of each connected thing that stands on the table, plane frame."""
+    """Samples (N, 3) of each connected obstacle that stands on the table, plane frame."""
     if not len(plane):
         return
     low = np.append(plane[:, :2].min(0), LOWEST_M)
@@ -108,7 +123,7 @@ def _standing(plane: Array) -> Iterator[Array]:
 
 
 def _parts(thing: Array) -> list[Array]:
-    """Samples (N, 3) of the parts of a thing: cut where two boxes are clearly smaller than one."""
+    """Samples (N, 3) of the parts of an obstacle: cut where two boxes are clearly smaller than one."""
     R = find_upright_axes(thing)
     turned = thing @ R
     cells = np.floor((turned[:, :2] - turned[:, :2].min(0)) / CELL_M).astype(int)
@@ -166,3 +181,61 @@ def _beside(box: OrientedBox, robot_world: Array) -> OrientedBox | None:
         return None
     T = box.T_world_box @ transform(np.eye(3), ends.mean(0))
     return OrientedBox(T_world_box=T, half_extents=np.ptp(ends, 0) / 2)
+
+
+def support_plane(cleared: Cleared) -> SupportPlane:
+    """Height of the cleared scene's table, and the rectangle about the old object that is there and free."""
+    support = cleared.support
+    low, high = support.low - TABLE_REACH_M, support.high + TABLE_REACH_M
+    plan = PlanView(support=support, low=low, high=high, cell=TABLE_CELL_M)
+    world = cleared.twin.gaussians.select(cleared.twin.bodies == 0)
+    xy = plan.xy[binary_closing(plan.cover(world) > SURFACE_ALPHA, iterations=GAP_CELLS)]
+    xy_corners = [
+        [x, y] for x in (support.low[0], support.high[0]) for y in (support.low[1], support.high[1])
+    ]
+
+    def in_world(plane_xy: Array) -> Array:
+        return apply(support.T_world_plane, np.column_stack([plane_xy, np.zeros(len(plane_xy))]))[:, :2]
+
+    footprint = in_world(np.array(xy_corners))
+    free_low, free_high = free_rectangle(in_world(xy), footprint.min(0), footprint.max(0))
+    return SupportPlane(height=float(support.T_world_plane[2, 3]), low_xy=free_low, high_xy=free_high)
+
+
+def free_rectangle(surface_xy: ArrayLike, low: ArrayLike, high: ArrayLike) -> tuple[Array, Array]:
+    """Grow a rectangle over the surface around an object, until it meets an edge or another object.
+
+    What stands on the surface hides it, so its cells are empty and stop the growth: the rectangle
+    is table that is there and has nothing else on it.
+
+    Args:
+        surface_xy: Points of the surface (N, 2), seen from above, [m].
+        low, high: Corners (2,) of the object's own footprint, taken as free.
+    """
+    xy = np.asarray(surface_xy, np.float64)
+    low, high = np.asarray(low, np.float64), np.asarray(high, np.float64)
+    origin = low - TABLE_REACH_M
+    shape = np.ceil((high + TABLE_REACH_M - origin) / FREE_CELL_M).astype(int)
+    cells = np.floor((xy - origin) / FREE_CELL_M).astype(int)
+    inside = np.all((cells >= 0) & (cells < shape), axis=1)
+    free = np.zeros(shape, bool)
+    free[tuple(cells[inside].T)] = True
+    start = np.floor((low - origin) / FREE_CELL_M).astype(int)
+    end = np.ceil((high - origin) / FREE_CELL_M).astype(int)
+    free[start[0] : end[0], start[1] : end[1]] = True
+    growing = True
+    while growing:
+        growing = False
+        for axis, (ends, step) in product((0, 1), ((start, -1), (end, 1))):
+            strip = ends[axis] - 1 if step < 0 else ends[axis]
+            across = slice(start[1 - axis], end[1 - axis])
+            if 0 <= strip < shape[axis] and _longest_gap(free.take(strip, axis)[across]) <= GAP_CELLS:
+                ends[axis] += step
+                growing = True
+    return origin + start * FREE_CELL_M, origin + end * FREE_CELL_M
+
+
+def _longest_gap(free: NDArray[np.bool_]) -> int:
+    """Length of the longest run of cells that are not free."""
+    edges = np.flatnonzero(np.concatenate([[True], free, [True]]))
+    return int(np.diff(edges).max()) - 1

@@ -27,9 +27,9 @@ from aomgen.twin.twin import OBJECT, PART, TwinModel
 
 # A door or flap is taken to be this thick: through its window the scan shows what is behind it, [m].
 DOOR_M: Final = 0.03
-# Gaussians so far behind it are no part of it, [m].
+# Gaussians farther behind it than this are no part of it, [m].
 BEHIND_M: Final = 0.01
-# A handle is looked for so far around the held point across its bar, and so far along it, [m].
+# A handle is searched within these distances of the held point, across its bar and along it, [m].
 AROUND_M, ALONG_M = 0.03, 0.15
 # It ends this far before the face that it stands on, [m].
 FACE_M: Final = 0.005
@@ -57,7 +57,7 @@ def fit_original(
     """
     if contact.direction == "closing":
         raise EstimationError("original", "was scanned open", "record its opening, or name other assets")
-    R = contact.front.R_world_front
+    R = contact.R_world_front
     low, high = np.quantile(recorded.static_points_world @ R, QUANTILES, axis=0)
     T_world_asset = transform(R, R @ np.append((low + high)[:2] / 2, contact.support_z))
     asset = _as_boxes(demo, contact, recorded, T_world_asset, category)
@@ -91,7 +91,7 @@ def _as_boxes(
     held = apply(to_asset, contact.path_world[0])
     joint = demo.joint.move(to_asset)
     joint = replace(joint, lower=0.0, upper=BEYOND * float(contact.thetas[-1]) / LIMIT_SHARE)
-    # A held bar lies along x of the hand, and upright or level on its face.
+    # A held bar lies along x of the end effector, and upright or level on its face.
     hand_x = to_asset[:3, :3] @ demo.Ts_world_ee[demo.contact_frames[0], :3, 0]
     bar, across = (0, 2) if abs(hand_x[0]) > abs(hand_x[2]) else (2, 0)
     panel, handle = _part_boxes(moving, held, bar, across)

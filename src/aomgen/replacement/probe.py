@@ -1,4 +1,4 @@
-"""What arrives at a place from all around: the twin drawn outward, and how much of the sphere it shows."""
+"""Radiance that arrives at a point from all directions: the twin rendered outward, and the share of the sphere it shows."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -18,7 +18,7 @@ from aomgen.splatting.surfaces import compute_rendered_points
 
 # Pixels along the side of a face of the cube.
 FACE_PX: Final = 24
-# Where less of the light comes from Gaussians, nothing was scanned.
+# Directions with less accumulated alpha than this were not scanned.
 MIN_ALPHA: Final = 0.05
 # Camera axes (columns x, y, z) of the faces: along each axis of the world.
 FACES: Final = tuple(
@@ -34,7 +34,7 @@ class Probe:
         directions: Unit, to where the light comes from, world frame.
         solid_angles: Of each, [sr]; 4 pi together.
         seen: Share of each that the scan shows, 0..1.
-        radiance_linear: Of that share, as pictures show it.
+        radiance_linear: Of that share, as images show it.
     """
 
     directions: Annotated[Array, "D 3"]
@@ -52,7 +52,7 @@ class Probe:
 def probe_light(world: Gaussians, place: Array, views: Sequence[Camera]) -> Probe:
     """Draw Gaussians, world frame, outward from a place (3,).
 
-    What no view of the scan has in its frame is not known: Gaussians far out there explain other things.
+    Directions that no view of the scan has in its frame count as unknown: Gaussians far out there explain other surfaces.
     """
     found = []
     half = FACE_PX / 2

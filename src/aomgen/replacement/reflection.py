@@ -1,4 +1,4 @@
-"""What a new object's surfaces show of a scene's light: colors as its camera shows them, and reflections.
+"""Appearance of a new object's surfaces in a scene's light: colors as its camera shows them, and reflections.
 
 A reflection is a function of where a surface is seen from. Mirrored at the surface, the harmonics of the light are those
 of what is seen in it, blurred by roughness; the flatter the look, the more is reflected, the less so the rougher. Gaussians
@@ -27,7 +27,7 @@ from aomgen.splatting.surfels import Surfels
 BANDS: Final = np.repeat([0, 1, 2], [1, 3, 5])
 # Views of a surface with the normal z, along which it is looked at: half of them show it.
 VIEWS: Final = sphere_directions(128)
-# What the other half would show counts so much; without it harmonics would be anything there.
+# Weight of the views from behind the surface; without it harmonics would be arbitrary there.
 BACK: Final = 0.02
 # Nothing is lit less than this, linear: dividing by it would make small differences large.
 BLACK: Final = 0.002

@@ -6,15 +6,22 @@ from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import binary_dilation, binary_opening, gaussian_filter, label
+from scipy.ndimage import (
+    binary_dilation,
+    binary_opening,
+    distance_transform_edt,
+    gaussian_filter,
+    label,
+)
 from scipy.spatial import ConvexHull
 
 from aomgen.conventions import BACKGROUND, MOVING, STATIC
-from aomgen.core.gaussians import Gaussians
+from aomgen.core.gaussians import SH_C0, Gaussians, gaussians_of
+from aomgen.core.transforms import apply, quat_from_matrix
 from aomgen.core.values import Array
+from aomgen.replacement.inpainting import continue_smoothly
 from aomgen.replacement.light_estimation import LitSamples
 from aomgen.replacement.mosaic import Photograph, photograph_surface
-from aomgen.replacement.new_surface import renew_surface
 from aomgen.replacement.old_shadow import ShadowedTable, select_lit_cells, shadow_gain
 from aomgen.robots.robot import RobotModel
 from aomgen.splatting.rasterizer import contribution_weights
@@ -24,20 +31,28 @@ from aomgen.twin.twin import TwinModel, pose_twin
 
 # Remains of the object are looked for this far around it, [m].
 HALO: Final = 0.025
-# What the object hid more than all but this share of is not known.
+# Gaussians of which the object hid more than all but this share are unknown.
 SEEN_SHARE: Final = 0.2
-# The surface is made new this far beyond the object's footprint, [m].
+# The surface is replaced this far beyond the object's footprint, [m].
 MARGIN: Final = 0.045
-# So near to the footprint photographs show the object's foot, [m].
+# Photographs show the object's foot within this distance of the footprint, [m].
 FOOT: Final = 0.02
-# Where a shadow is so deep that colors would be lifted by more, they are invented, sRGB.
+# Colors in deeper shadows, which would be brightened by more than this factor, are inpainted, sRGB.
 MAX_LIFT: Final = 1.35
 # Texture and shadow are judged on a ring this wide, [m].
 RING: Final = 0.28
-# Cell of the picture from above, [m].
+# Cell of the image from above, [m].
 CELL: Final = 0.004
-# Difference of chromaticity from most of the surface that is certainly another thing.
+# Difference of chromaticity from most of the surface that certainly belongs to another object.
 MIN_TINT: Final = 0.07
+# Width over which one surface fades into the other, [m].
+FADE: Final = 0.05
+# New surface lies this far below the old one, so that the old covers it where it is sound, [m].
+BELOW: Final = 0.0015
+# Standard deviation and thickness of a cell's Gaussian, in cells, and its opacity.
+SPREAD, THICKNESS, OPACITY = 0.8, 0.1, 0.98
+# The old surface has no gaps where it covers at least this share.
+SOUND: Final = 0.6
 
 Inpaint = Callable[[Array, NDArray[np.bool_]], Array]
 
@@ -47,10 +62,10 @@ class Cleared(NamedTuple):
 
     Attributes:
         twin: All labels are background or robot; no Gaussian belongs to "object" or "part".
-        shadowed: What never moves as it was scanned: the object's shadow on it, nothing made new; world frame.
+        shadowed: All that never moves, as it was scanned: with the object's shadow on it, without new surface; world frame.
         support: The plane the object stood on.
         table: Places on it as they were scanned, in the object's shadow too.
-        removed: Gaussians taken away beyond those labelled as the object.
+        removed: Number of Gaussians removed beyond those labelled as the object.
         filled: Gaussians of new surface.
     """
 
@@ -76,7 +91,7 @@ def clear_object(
         twin: Bound scan.
         robot: Its robot.
         views: Photographs of the scan: what they saw of the surface is put back, the rest is invented.
-        inpaint: Completes a picture (H, W, 3), 0..1, of the surface from straight above where it is not known (H, W).
+        inpaint: Completes an image (H, W, 3), 0..1, of the surface from straight above where it is not known (H, W).
 
     Raises:
         ReconstructionError: No supporting plane was scanned.
@@ -91,12 +106,11 @@ def clear_object(
     remaining = twin.select(~of_object & ~leftover)
     plan = PlanView(support=support, low=support.low - RING, high=support.high + RING, cell=CELL)
     outside = support.outside(plan.xy)
-    photographed = photograph_surface(world, scene, views, support.T_world_plane, plan.xy)
-    picture = photographed.colors_srgb
-    covered = photographed.seen & (outside > FOOT)
+    picture, seen = photograph_surface(world, scene, views, support.T_world_plane, plan.xy)
+    covered = seen & (outside > FOOT)
     known = _same_material(picture, covered)
     near, other = outside < MARGIN, covered & ~known
-    # What lies close to the footprint and is not the table is the object's: its foot, its mirror image.
+    # Surfaces close to the footprint that are not the table belong to the object: its foot, its mirror image.
     of_foot = plan.lookup(other & near, remaining.gaussians, False)
     rest = of_foot & remaining.of_scene & on_surface(remaining.gaussians, support)
     remaining = remaining.select(~rest)
@@ -111,7 +125,7 @@ def clear_object(
     factors = np.where(level[:, None], plan.lookup(gain, remaining.gaussians, 1.0), 1.0)
     lightened = remaining.gaussians.brighten(factors)
     texture = inpaint(np.clip(picture * gain, 0, 1), known)
-    # Where nothing was scanned before either, the table ends; gaps within it are closed too.
+    # The table ends where nothing was scanned before either; gaps within it are closed too.
     area = (outside <= 0) | (_hull(plan.cover(world.select(scene)) > 0.5) & (near | ~binary_dilation(other)))
     new, closed = area & (near | deep), outside <= 0.7 * RING
     fill, kept = renew_surface(lightened, level, plan, texture, known, new, closed, area)
@@ -122,7 +136,7 @@ def clear_object(
 
 
 def _leftover(world: Gaussians, support: Support) -> NDArray[np.bool_]:
-    """What of the object was not labelled so: its halo, and the unseen surface beneath it."""
+    """Remains of the object that were not labelled so: its halo, and the unseen surface beneath it."""
     places = support.coordinates(world.means)
     outside, beyond = support.outside(places[:, :2]), support.beyond_reach(places[:, :2])
     above = (places[:, 2] > SURFACE) & (places[:, 2] < support.top + HALO) & (beyond < HALO)
@@ -135,8 +149,8 @@ def _leftover(world: Gaussians, support: Support) -> NDArray[np.bool_]:
 def _hardly_seen(
     world: Gaussians, of_object: NDArray[np.bool_], views: Sequence[Photograph]
 ) -> NDArray[np.bool_]:
-    """Which Gaussians (N,) the object hid from nearly all that would see them without it: no photograph shows that they
-    are so.
+    """Select Gaussians (N,) that the object hid from nearly all views that would see them without it: no photograph confirms
+    them.
     """
     others = world.select(~of_object)
     shown, bare = np.zeros(len(world)), np.zeros(len(others))
@@ -163,7 +177,7 @@ def _hull(cells: NDArray[np.bool_]) -> NDArray[np.bool_]:
 
 
 def _same_material(picture: Array, known: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Known cells (H, W) that look like most of the surface, lit or in shadow, not like things on it."""
+    """Known cells (H, W) that look like most of the surface, lit or in shadow, not like objects on it."""
     if not known.sum() > 200:
         return known
     smooth = gaussian_filter(picture, (1, 1, 0))
@@ -174,3 +188,57 @@ def _same_material(picture: Array, known: NDArray[np.bool_]) -> NDArray[np.bool_
     other = (tint > max(4 * float(np.median(tint[known])), MIN_TINT)) | (level < -1.2)
     other |= level > max(4 * float(np.median(np.abs(level[known]))), 0.3)
     return known & ~binary_dilation(other & known, iterations=2)
+
+
+def renew_surface(
+    old: Gaussians,
+    table: NDArray[np.bool_],
+    plan: PlanView,
+    texture: Array,
+    known: NDArray[np.bool_],
+    new: NDArray[np.bool_],
+    closed: NDArray[np.bool_],
+    area: NDArray[np.bool_],
+) -> tuple[Gaussians, NDArray[np.float32]]:
+    """Flat Gaussians, one a cell, and the share (N,) of their opacity that the old ones keep.
+
+    An image from above has no gloss, and trained surfaces look different from every side. Their difference from
+    the image is continued smoothly; then both surfaces fade into each other.
+
+    Args:
+        old: All that is there, world frame.
+        table: Which of it (N,) is the surface.
+        plan: The surface from above.
+        texture: Its image, 0..1.
+        known: Where that was photographed.
+        new: Where nothing of the old surface shall stay.
+        closed: Where gaps in it are closed too.
+        area: Where it is, and no flat object lies on it.
+    """
+    sh = old.sh[table].reshape(int(table.sum()), -1)
+    around, cover = plan.mean(old.select(table), sh)
+    sound = cover >= SOUND
+    # Harmonics that the trained surface has in addition to its image.
+    around[..., :3] -= (texture - 0.5) / SH_C0
+    looks = continue_smoothly(around, known & sound).reshape(*plan.shape, -1, 3)
+    filled = area & (new | (closed & ~sound))
+    beyond = np.asarray(distance_transform_edt(~filled)) * plan.cell
+    fill = _flat(plan, texture, looks, np.clip(2 - 2 * beyond / FADE, 0, 1) * area)
+    # Feet of objects on the surface, which are neither known nor new, stay.
+    kept = np.where(known | new, np.clip(2 * beyond / FADE, 0, 1), 1.0)
+    return fill, np.where(table, plan.lookup(kept, old, 1.0), 1.0).astype(np.float32)
+
+
+def _flat(plan: PlanView, texture: Array, looks: Array, opacity: Array) -> Gaussians:
+    where = opacity > 0
+    count, T = int(where.sum()), plan.support.T_world_plane
+    sh = looks[where]
+    sh[:, 0] += (texture[where] - 0.5) / SH_C0
+    side = SPREAD * plan.cell
+    return gaussians_of(
+        means=apply(T, np.column_stack([plan.xy[where], np.full(count, -BELOW)])),
+        quats=np.broadcast_to(quat_from_matrix(T[:3, :3]), (count, 4)),
+        scales=np.broadcast_to([side, side, THICKNESS * plan.cell], (count, 3)),
+        opacities=OPACITY * opacity[where],
+        sh=sh,
+    )

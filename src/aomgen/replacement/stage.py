@@ -25,14 +25,12 @@ from aomgen.io.hdr_image import read_environment
 from aomgen.io.images import read_image
 from aomgen.replacement.asset_surfels import asset_surfels
 from aomgen.replacement.correspondence import describe_contact
-from aomgen.replacement.diffusion_inpainting import paint_unknown
-from aomgen.replacement.diffusion_light import central_photograph, environment_of_photograph
+from aomgen.replacement.diffusion import choose_photograph, estimate_environment, inpaint_table
 from aomgen.replacement.fitting import FitParams, fit_asset
-from aomgen.replacement.free_table import support_plane
 from aomgen.replacement.inpainting import inpaint
 from aomgen.replacement.light_estimation import SceneLight, estimate_light, light_of_map
 from aomgen.replacement.mosaic import Photograph
-from aomgen.replacement.obstacles import find_obstacles
+from aomgen.replacement.obstacles import find_obstacles, support_plane
 from aomgen.replacement.old_shadow import MAX_GAIN
 from aomgen.replacement.original import fit_original, original_twin
 from aomgen.replacement.reflection import show_in_light
@@ -61,7 +59,7 @@ def run(results: Results, folder: Path, progress: Progress) -> dict[str, Any]:
     support = support_plane(cleared)
     scan_light = _light_at_object(results, cleared)
     background = _things_in_light(results, cleared, scan_light)
-    light = light_of_assets(results, scan_light, central_photograph(views, _middle(cleared)))
+    light = light_of_assets(results, scan_light, choose_photograph(views, _middle(cleared)))
     (folder / BACKGROUND_FOLDER).mkdir()
     save_artifact(folder / BACKGROUND_FOLDER, "twin", background)
     obstacles = find_obstacles(
@@ -102,9 +100,9 @@ def run(results: Results, folder: Path, progress: Progress) -> dict[str, Any]:
 
 
 def inpainter_of(project: Project) -> Inpaint:
-    """What a project chooses to complete the picture of the table."""
+    """Return the project's function that completes the image of the table."""
     if project.inpainter:
-        return partial(paint_unknown, Path(project.inpainter), seed=project.seed)
+        return partial(inpaint_table, Path(project.inpainter), seed=project.seed)
     return partial(inpaint, rng=np.random.default_rng(project.seed))
 
 
@@ -135,14 +133,14 @@ def light_of_assets(results: Results, scan_light: SceneLight, view: Photograph) 
         return scan_light
     if head == DIFFUSION_LIGHT:
         world = pose_twin(results.twin, results.robot, results.twin.scan_state)
-        around = environment_of_photograph(Path(path), view, world, project.seed)
+        around = estimate_environment(Path(path), view, world, project.seed)
         return light_of_map(around, scan_light, "diffusion")
     around = read_environment(Path(path)).turn(np.radians(project.light_yaw_deg))
     return light_of_map(around, scan_light, "file")
 
 
 def _things_in_light(results: Results, cleared: Cleared, light: SceneLight) -> TwinModel:
-    """The cleared scene without the recorded object's shadow on walls and things."""
+    """The cleared scene without the recorded object's shadow on walls and clutter."""
     twin, recorded, T_world_plane = cleared.twin, results.twin, cleared.support.T_world_plane
     body = pose_twin(recorded, results.robot, recorded.scan_state).select(
         np.isin(recorded.labels, (STATIC, MOVING))
@@ -157,14 +155,14 @@ def _things_in_light(results: Results, cleared: Cleared, light: SceneLight) -> T
 
 
 def _middle(cleared: Cleared) -> Array:
-    """Where the middle of the recorded object was (3,), world frame."""
+    """Middle of the recorded object (3,), world frame."""
     support = cleared.support
     middle = np.append((support.low + support.high) / 2, support.top / 2)
     return apply(support.T_world_plane, middle)
 
 
 def _eyes(results: Results) -> Array:
-    """Where the scan's cameras were (K, 3)."""
+    """Centers of the scan's cameras (K, 3)."""
     return np.stack([camera.center for camera in results.scan_cameras.values()])
 
 

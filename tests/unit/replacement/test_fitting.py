@@ -14,11 +14,11 @@ from aomgen.errors import EstimationError
 from aomgen.replacement.correspondence import (
     bar_reach,
     describe_contact,
-    frontal,
+    find_front,
     held_point_of,
+    measure_rim_distance,
     mirror_asset,
     smooth_rise,
-    way_to_rim,
 )
 from aomgen.replacement.fitting import FitParams, face_thetas, fit_asset
 from asset_laws import is_found_again
@@ -34,7 +34,7 @@ def fitted(asset: ArticulatedAsset, mode: str, **changes: float) -> FittedAsset 
 @pytest.mark.parametrize("category", ["microwave", "drawer"])
 def test_front_of_a_turned_asset_is_found(category: str) -> None:
     demo, recorded = recording(make_asset(category, 1))
-    yaw = describe_contact(demo, recorded, "opening").front.yaw
+    yaw = describe_contact(demo, recorded, "opening").yaw
     assert np.rad2deg(abs(yaw - YAW)) < 2.0
 
 
@@ -75,7 +75,7 @@ def test_a_panel_that_slides_the_other_way_is_mirrored() -> None:
     right = make_asset("cabinet", 2)
     demo, recorded = recording(right)
     contact = describe_contact(demo, recorded, "opening")
-    assert not contact.front.opens_left
+    assert not contact.opens_left
     result = fit_asset(mirror_asset(right), contact, "prismatic", "object", FitParams())
     assert isinstance(result, FittedAsset)
     assert result.mirrored
@@ -221,7 +221,7 @@ def test_smooth_rise_never_falls_and_keeps_the_travel() -> None:
 def test_a_part_that_moves_straight_up_has_no_front() -> None:
     joint = Joint(type="prismatic", axis=[0, 0, 1], origin=[0, 0, 0], lower=0, upper=1)
     with pytest.raises(EstimationError, match="no front"):
-        frontal(joint, np.zeros(3), np.zeros((0, 3)))
+        find_front(joint, np.zeros(3), np.zeros((0, 3)))
 
 
 def test_a_lid_held_at_its_rim_is_scaled_by_width_and_depth_and_not_by_its_blurred_thickness() -> None:
@@ -242,10 +242,10 @@ def test_the_held_point_of_a_thin_part_is_put_on_its_rim_and_that_of_a_bar_is_le
     # The fingers close upwards; the palm looks into the part.
     R = np.stack([[-1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, 1.0, 0.0]], 1)
     before = np.array([0.0, -0.012, 0.025])
-    assert way_to_rim(before, R, low, high) == pytest.approx(0.012)
-    assert way_to_rim(before + [0, 0.02, 0], R, low, high) == 0.0
-    assert way_to_rim(before - [0, 0.02, 0], R, low, high) == 0.0
-    assert way_to_rim(before, R, low, high + [0, 0, 0.1]) == 0.0
+    assert measure_rim_distance(before, R, low, high) == pytest.approx(0.012)
+    assert measure_rim_distance(before + [0, 0.02, 0], R, low, high) == 0.0
+    assert measure_rim_distance(before - [0, 0.02, 0], R, low, high) == 0.0
+    assert measure_rim_distance(before, R, low, high + [0, 0, 0.1]) == 0.0
 
 
 def test_a_bent_handle_is_followed_along_its_colliders() -> None:

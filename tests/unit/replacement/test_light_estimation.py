@@ -18,13 +18,13 @@ from aomgen.replacement.light_estimation import (
     REFLECTED,
     LitSamples,
     SceneLight,
+    ToneCurve,
     estimate_light,
     fit_unseen,
     light_of_map,
     radiance_around,
 )
 from aomgen.replacement.probe import Probe, probe_light
-from aomgen.replacement.tone_curve import ToneCurve
 from aomgen.splatting.surfaces import sphere_directions, transfer_past
 from aomgen.twin.twin import pose_twin
 

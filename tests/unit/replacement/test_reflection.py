@@ -9,9 +9,8 @@ from aomgen.core.gaussians import SH_C0
 from aomgen.core.light import Light, hemisphere_light, open_transfer
 from aomgen.core.sh import sh_basis
 from aomgen.core.transforms import matrix_from_rotvec
-from aomgen.replacement.light_estimation import REFLECTED, SceneLight
+from aomgen.replacement.light_estimation import REFLECTED, SceneLight, ToneCurve
 from aomgen.replacement.reflection import show_in_light
-from aomgen.replacement.tone_curve import ToneCurve
 from aomgen.splatting.surfels import surfels_of
 
 UPRIGHT = np.eye(3)

@@ -10,9 +10,8 @@ import pytest
 from aomgen.core.environment_map import map_directions
 from aomgen.core.light import hemisphere_light
 from aomgen.errors import EstimationError
-from aomgen.replacement.light_estimation import SceneLight
+from aomgen.replacement.light_estimation import SceneLight, ToneCurve
 from aomgen.replacement.stage import fit_assets, light_of_assets
-from aomgen.replacement.tone_curve import ToneCurve
 from recordings import gripped_recording
 
 
