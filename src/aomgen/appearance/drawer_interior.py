@@ -1,6 +1,6 @@
 """Interior of a drawer: walls and bottom behind its front, which only the demonstration shows.
 
-A scan sees a closed drawer, so that a twin's open front would stand in the air. Walls and bottom move
+A scan sees a closed drawer, so that a twin's open front would hang in the air. Walls and bottom move
 with the front; those that predict the video best from its other frames are kept, or none.
 """
 
@@ -176,7 +176,7 @@ def _discs(front: _Front, inset: float, height: float, spacing_m: float) -> Gaus
 
 
 def _ids(discs: Gaussians, shot: _Shot) -> NDArray[np.int64]:
-    """Which disc each pixel (H, W) of a shot shows, -1 for none."""
+    """Index of the disc that each pixel (H, W) of a shot shows, -1 for none."""
     drawn = render(discs.transform(shot.T_world_part), shot.camera, with_ids=True)
     shown = (drawn.alpha > 0.5) & (np.asarray(drawn.median_depth) < shot.drawn_depth)
     return np.where(shown, np.asarray(drawn.max_id), -1).astype(np.int64)

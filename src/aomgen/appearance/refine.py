@@ -34,7 +34,7 @@ STEP_PX: Final = 0.1
 # Shadows are drawn a pixel or two beside where they are: nothing is learned where the share of light
 # that is taken changes by EDGE_STEP within EDGE_PX, on pixels more than half of which are the surface.
 EDGE_PX, EDGE_STEP = 5, 0.1
-# What is left of all learning rates at the end, so that the last steps only average.
+# Learning rates at the end, as a share of those at the start, so that the last steps only average.
 DECAY: Final = 0.1
 # Passes over all images.
 ROUNDS: Final = 2
@@ -95,7 +95,7 @@ def refine_twin(
 
 
 def _scan_orientations(twin: TwinModel, robot: RobotModel) -> dict[int, int]:
-    """Which remembered orientation of every body is nearest to the scan's."""
+    """Index of the remembered orientation of every body that is nearest to the scan's."""
     Ts = body_poses(twin, robot, twin.scan_state)
     return {
         item.body: int(np.argmax(np.einsum("kij,ij->k", item.Rs_world_body, Ts[item.body, :3, :3])))

@@ -1,6 +1,6 @@
 """Colors of the robot's surface that turn with its links, fitted to all that images show of it.
 
-A disc's color is its material's answer to its direction (nine harmonics, so that the light stays
+A disc's color is its material's response to its direction (nine harmonics, so that the light stays
 where it is while links turn), times what distinguishes the disc from others of its material, plus
 what was seen of it near this orientation of its link, plus specular term: a function of where it is seen from.
 """
@@ -18,7 +18,7 @@ from aomgen.core.gaussians import Gaussians
 from aomgen.core.light import Light, open_transfer
 from aomgen.core.sh import sh_basis
 from aomgen.core.values import Array, freeze_arrays
-from aomgen.twin.relighting import NEGLIGIBLE, ResidualAppearance, orientation_weights
+from aomgen.twin.relighting import NEGLIGIBLE, Relit, ResidualAppearance, orientation_weights
 
 # Turn over which a seen color fades. A link's specular term moves twice as fast as the link; halves and
 # doubles of this were worse or no better on images between those that were fitted.
@@ -42,23 +42,6 @@ SPECULAR_PULL: Final = 0.3
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class RobotColors:
-    """What M discs look like.
-
-    Attributes:
-        albedo: Color of each relative to its material (M, 3).
-        lights: The answer of each material, by material.
-        remembered: Seen colors of every body that was seen.
-        specular_sh: Harmonics of bands 1 and 2 (M, 8, 3) that add to the color, body frames.
-    """
-
-    albedo: Array
-    specular_sh: Array
-    lights: tuple[Light, ...]
-    remembered: tuple[ResidualAppearance, ...]
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
 class RobotDiscs:
     """M discs on the robot's surface, body frames.
 
@@ -75,8 +58,13 @@ class RobotDiscs:
     __post_init__ = freeze_arrays
 
 
-def fit_robot_colors(observations: SurfelObservations, discs: RobotDiscs) -> RobotColors:
-    """Fit colors of discs to observations."""
+def fit_robot_colors(observations: SurfelObservations, discs: RobotDiscs) -> tuple[Relit, Array]:
+    """Fit colors of M discs to observations.
+
+    Returns:
+        The discs' diffuse appearance, one light a material, with indices 0..M-1; and harmonics of bands 1 and 2
+        (M, 8, 3) that add the specular term to the color, body frames.
+    """
     R = observations.Ts_world_body[observations.image_index, discs.bodies[observations.disc], :3, :3]
     answers = open_transfer(np.einsum("nij,nj->ni", R, discs.normals[observations.disc])).astype(np.float64)
     seen = np.asarray(linear_from_srgb(observations.color_srgb), np.float64)
@@ -92,12 +80,15 @@ def fit_robot_colors(observations: SurfelObservations, discs: RobotDiscs) -> Rob
         left = difference - _predict_residual_colors(observations, discs, remembered)
         specular = _fit_specular(observations, views, left, len(discs.bodies))
     seen_discs = np.bincount(observations.disc, minlength=len(discs.bodies)) > 0
-    return RobotColors(
-        albedo=_spread(ratio, seen_discs, discs),
+    relit = Relit(
+        indices=np.arange(len(discs.bodies)),
+        albedo_linear=_spread(ratio, seen_discs, discs).astype(np.float32),
+        transfer=open_transfer(discs.normals),
+        light_of=discs.materials,
         lights=tuple(Light(radiance_sh=item) for item in radiance),
-        remembered=remembered,
-        specular_sh=specular,
+        residuals=remembered,
     )
+    return relit, specular
 
 
 def _fit_specular(observations: SurfelObservations, views: Array, left: Array, count: int) -> Array:
@@ -115,7 +106,7 @@ def _fit_specular(observations: SurfelObservations, views: Array, left: Array, c
 def _predict_residual_colors(
     observations: SurfelObservations, discs: RobotDiscs, memories: tuple[ResidualAppearance, ...]
 ) -> Array:
-    """What memories add to the color of every observation (N, 3)."""
+    """Color (N, 3) that memories add to every observation."""
     result = np.zeros((len(observations.disc), 3))
     owners = discs.bodies[observations.disc]
     for memory in memories:
@@ -176,7 +167,7 @@ def _radiance(answers: Array, ratio: Array, seen: Array, weights: Array, near: A
 def _fit_residual_colors(
     observations: SurfelObservations, discs: RobotDiscs, difference: Array
 ) -> tuple[ResidualAppearance, ...]:
-    """What remains of every body's observations, averaged near a few of its orientations."""
+    """Remaining differences of every body's observations, averaged near a few of its orientations."""
     memories = []
     owners = discs.bodies[observations.disc]
     for body in np.unique(discs.bodies):

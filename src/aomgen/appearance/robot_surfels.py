@@ -30,7 +30,7 @@ SPACING_PX: Final = 2.0
 COUNTS: Final = (12_000, 40_000)
 # Least number of discs a body and material, so that small parts stay closed surfaces.
 MIN_PER_BODY: Final = 120
-# Scanned Gaussians this far outside the model that hide more than they let through are things it does not have,
+# Scanned Gaussians this far outside the model that hide more than they let through are objects it does not have,
 # like cables. Nearer ones are the scan's own blur of the same surface.
 ATTACHED_M: Final = 0.012
 # Bodies of which the scan and the video show less are left as scanned.
@@ -54,18 +54,11 @@ def replace_robot_gaussians(
     if not len(observations.disc) >= MIN_OBSERVATIONS:
         return twin
     cover = _orient_normals(cover, observations)
-    colors = fit_robot_colors(observations, cover)
+    relit, specular_sh = fit_robot_colors(observations, cover)
     count = len(bare.gaussians) - len(cover.bodies)
     sh = np.array(bare.gaussians.with_sh_degree(max(bare.gaussians.sh_degree, 2)).sh)
-    sh[count:, 1:9] = colors.specular_sh
-    relit = Relit(
-        indices=count + np.arange(len(cover.bodies)),
-        albedo_linear=colors.albedo.astype(np.float32),
-        transfer=open_transfer(cover.normals),
-        light_of=cover.materials,
-        lights=colors.lights,
-        residuals=colors.remembered,
-    )
+    sh[count:, 1:9] = specular_sh
+    relit = replace(relit, indices=count + relit.indices)
     return replace(bare, gaussians=bare.gaussians.with_sh(sh), relit=relit)
 
 

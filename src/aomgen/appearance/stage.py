@@ -29,7 +29,7 @@ from aomgen.twin.shadow import DirectionalLight
 from aomgen.twin.support import find_support
 from aomgen.twin.twin import TwinModel, TwinState, pose_twin, render_state
 
-# More images tell little more, and take as long again.
+# More images add little information, and take as long again.
 MAX_SCAN_IMAGES = 80
 # Frames of the video for each image of the scan: more from one place make all other views worse.
 DEMO_SHARE = 0.5
@@ -81,7 +81,7 @@ def pose_scan_images(results: Results, twin: TwinModel) -> list[PosedImages]:
 
 
 def select_training_frames(images: int, frames: int) -> NDArray[np.int64]:
-    """Which of the first fixed camera's frames the twin is fitted to, beside so many images of the scan."""
+    """Indices of the first fixed camera's frames that the twin is fitted to, for a number of images of the scan."""
     count = max(int(DEMO_SHARE * min(images, MAX_SCAN_IMAGES)), MIN_DEMO_FRAMES)
     return np.unique(np.linspace(0, frames - 1, count).astype(np.int64))
 
@@ -102,7 +102,7 @@ def pose_demo_video(results: Results, twin: TwinModel) -> PosedImages:
 def refine_appearance(
     twin: TwinModel, robot: RobotModel, views: Sequence[PosedImages], progress: Progress
 ) -> TwinModel:
-    """The twin as all pictures show it, those of the scan, and last of a fixed camera.
+    """The twin as all images show it, those of the scan, and last of a fixed camera.
 
     The robot's Gaussians are replaced by surfels of its model, the moving shadow is separated from the
     surface it falls on, then everything is fitted.
@@ -118,7 +118,7 @@ def refine_appearance(
 
 
 def _lamp(twin: TwinModel, robot: RobotModel, view: PosedImages) -> DirectionalLight | None:
-    """The lamp that throws shadows on what the object stands on; None when there is none or it stands on nothing."""
+    """The directional light that casts shadows on the object's support; None when there is none or it has no support."""
     world = pose_twin(twin, robot, twin.scan_state)
     of_object = np.isin(twin.labels, (STATIC, MOVING))
     scene = twin.of_scene

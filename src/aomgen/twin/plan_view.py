@@ -1,4 +1,4 @@
-"""Pictures of the plane that an object stands on, from straight above."""
+"""Images of the plane that an object stands on, from straight above."""
 
 from dataclasses import dataclass
 from typing import Annotated, TypeVar
@@ -56,7 +56,7 @@ class PlanView:
         return distant_camera(R, center, self.cell, (columns, rows))
 
     def cover(self, gaussians: Gaussians) -> Array:
-        """How much of what lies on the plane covers each cell (H, W), 0..1."""
+        """Coverage of each cell (H, W) by Gaussians on the plane, 0..1."""
         return self.mean(gaussians, np.zeros((len(gaussians), 1), np.float32))[1]
 
     def mean(self, gaussians: Gaussians, values: NDArray[np.float32]) -> tuple[Array, Array]:

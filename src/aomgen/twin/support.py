@@ -15,7 +15,7 @@ from aomgen.errors import ReconstructionError
 SURFACE: Final = 0.012
 # Trained surfaces have a tail of Gaussians below, down to here, which show through the upper ones, [m].
 TAIL: Final = 0.035
-# Fewer Gaussians do not tell a plane from its outliers.
+# Fewer Gaussians do not separate a plane from its outliers.
 MIN_SUPPORT: Final = 40
 # This share of the object's height stands on the surface, without handles that reach out.
 LOWER_SHARE: Final = 0.2
@@ -55,7 +55,7 @@ class Support:
 
 
 def _distance(xy: Array, low: Array, high: Array) -> Array:
-    """Of points (..., 2) from a rectangle, 0 inside."""
+    """Distance of points (..., 2) from a rectangle, 0 inside."""
     return np.linalg.norm(np.maximum(np.maximum(low - xy, xy - high), 0), axis=-1)
 
 
@@ -125,6 +125,6 @@ def find_support(
 
 
 def on_surface(gaussians: Gaussians, support: Support) -> NDArray[np.bool_]:
-    """Which Gaussians (N,) lie on the plane."""
+    """Select the Gaussians (N,) on the plane."""
     heights = support.coordinates(gaussians.means)[:, 2]
     return (heights > -TAIL) & (heights < SURFACE)

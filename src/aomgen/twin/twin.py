@@ -91,7 +91,7 @@ class TwinModel:
 
     @property
     def moves(self) -> NDArray[np.bool_]:
-        """Which Gaussians (N,) are not fixed to the world."""
+        """Mask (N,) of the Gaussians that are not fixed to the world."""
         return self.bodies != 0
 
     def extend(
@@ -109,7 +109,7 @@ class TwinModel:
 
     @property
     def of_scene(self) -> NDArray[np.bool_]:
-        """Which Gaussians (N,) are neither of the robot nor of the object and never move."""
+        """Mask (N,) of the Gaussians that belong neither to the robot nor to the object and never move."""
         return (self.labels == BACKGROUND) & (self.bodies == 0)
 
     @property
@@ -191,7 +191,7 @@ def render_state(
 
 
 def standing_bodies(twin: TwinModel, robot: RobotModel) -> NDArray[np.bool_]:
-    """Which bodies (B,) no joint moves: the world, the robot's base and the object's static part."""
+    """Mask (B,) of the bodies that no joint moves: the world, the robot's base and the object's static part."""
     rest = twin.scan_state
     turned = replace(rest, joints=rest.joints + 1.0)
     near = np.isclose(body_poses(twin, robot, rest), body_poses(twin, robot, turned))
@@ -199,7 +199,7 @@ def standing_bodies(twin: TwinModel, robot: RobotModel) -> NDArray[np.bool_]:
 
 
 def shadow_roles(twin: TwinModel, robot: RobotModel) -> NDArray[np.uint8]:
-    """What each Gaussian (N,) does for shadows, see `twin.shadow`.
+    """Role of each Gaussian (N,) in shadows, see `twin.shadow`.
 
     The object's static part and the robot's base stand where they were scanned, with their shadows.
     """
@@ -215,7 +215,7 @@ def body_list(robot: RobotModel) -> tuple[str, ...]:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StaticLayer:
-    """What a camera sees without anything that moves.
+    """View of a camera without anything that moves.
 
     Attributes:
         session: Draws the moving Gaussians into it.

@@ -190,11 +190,11 @@ def test_light_is_told_from_paint_by_turning(toy_scene):
         sh=np.zeros((400, 1, 3)),
     )
     discs = RobotDiscs(gaussians=gaussians, normals=normals, bodies=ones, materials=0 * ones)
-    colors = fit_robot_colors(observations, discs)
+    relit, _ = fit_robot_colors(observations, discs)
     # Orientations between those seen, without their memories.
     R = matrix_from_rotvec(np.array([0, 0, 0.4]))
     want = shaded_srgb(np.tile(albedo, (400, 1)), open_transfer(normals), toy_scene.light.view_from(R))
-    got = shaded_srgb(colors.albedo, open_transfer(normals), colors.lights[0].view_from(R))
+    got = shaded_srgb(relit.albedo_linear, open_transfer(normals), relit.lights[0].view_from(R))
     seen = normals @ R.T @ [0, -1.0, 0.3] > 0.3
     assert np.abs(got - want)[seen].mean() < 0.02
 
