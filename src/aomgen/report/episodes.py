@@ -1,17 +1,22 @@
-"""The report's sections on the generated episodes, and on poses that gave none: videos, verdicts, reasons."""
+"""The report's sections on the episodes: videos and verdicts, all draws against their ranges, and rejections."""
 
 from collections import Counter
 from collections.abc import Mapping
-from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from aomgen.assets.mjcf import GRAVITY
-from aomgen.core.episode import Episode
+from aomgen.core.plan import Variation
+from aomgen.episodes.distributions import Distribution, distributions
+from aomgen.episodes.factory import GenerationParams
 from aomgen.episodes.generate import LOST
 from aomgen.episodes.joint_limits import IkLimits
 from aomgen.episodes.ledger import DRAWS_FILE, read_draws
+from aomgen.episodes.map_drawing import OUTCOMES, Shape, draw_map, front_line, scene_shapes
+from aomgen.episodes.reach_map import REACH_MAP, ReachMap
+from aomgen.io.artifact import load_artifact
 from aomgen.io.episode_folder import CommittedEpisode, list_committed, read_episode
 from aomgen.io.video import read_frames
 from aomgen.pipeline.figures import read_figure
@@ -22,6 +27,8 @@ from aomgen.simulation.judge import PassRule
 
 # Episodes shown with videos; each adds two posters of some 15 kB to the page.
 SHOWN = 24
+# Size of one histogram, [px].
+WIDTH, HEIGHT = 230, 92
 # Rejects listed for each reason.
 LISTED = 20
 # Figures of a verdict, and which of its settings is the worst.
@@ -37,34 +44,9 @@ WORST = {
 }
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Made:
-    """An episode and where the page finds it.
-
-    Attributes:
-        name: Of its folder, for example "000007".
-        link: Its folder, relative to the page.
-        stored: As committed.
-    """
-
-    name: str
-    link: str
-    stored: CommittedEpisode
-
-    @property
-    def episode(self) -> Episode:
-        """Its content."""
-        return self.stored.episode
-
-    @property
-    def place(self) -> str:
-        """Where the object stands against the recorded one, in words."""
-        return place_words(self.episode.verdict["variation"])
-
-
 def episodes_section(results: Results) -> list[str]:
     """Cards with videos of the first episodes, a table of all, and what its figures are held against."""
-    made = list_episodes(results)
+    made = [read_episode(folder) for folder in list_committed(results.folders["episodes"])]
     rule = PassRule()
     count = len({run["name"] for item in made for run in item.episode.verdict["dynamic"]})
     cards = "".join(_card(item) for item in made[:SHOWN])
@@ -83,24 +65,15 @@ def episodes_section(results: Results) -> list[str]:
     ]
 
 
-def list_episodes(results: Results) -> list[Made]:
-    """All committed episodes of a run."""
-    root = results.folders["episodes"]
-    return [
-        Made(name=folder.name, link=f"{root.name}/{folder.name}", stored=read_episode(folder))
-        for folder in list_committed(root)
-    ]
-
-
 def place_words(variation: Mapping[str, Any]) -> str:
-    """Where an object stands against the recorded one, from a stored `Variation`."""
+    """Displacement of an object from the recorded one, from a stored `Variation`."""
     place = (100 * variation["x"], 100 * variation["y"], np.degrees(variation["yaw"]))
     x, y, yaw = (round(float(value)) for value in place)
     return f"{x:+d} cm, {y:+d} cm, {yaw:+d} deg"
 
 
-def force_limits(results: Results, made: list[Made]) -> str:
-    """What the forces of the verdicts are held against, and that nothing is where nothing is."""
+def force_limits(results: Results, made: list[CommittedEpisode]) -> str:
+    """Sentences on the limits of the forces of the verdicts, and on forces without a limit."""
     words = "The grip force has no limit of its own: how deep it presses handle and pads into each other has."
     if not all(item.episode.verdict["bolted"] for item in made):
         slide_mm = PassRule().drift_mm
@@ -116,26 +89,31 @@ def force_limits(results: Results, made: list[Made]) -> str:
     )
 
 
-def _card(item: Made) -> str:
+def _card(item: CommittedEpisode) -> str:
     episode = item.episode
     widest = int(np.argmax(episode.thetas))
     players = "".join(
-        video(f"{item.link}/{path.name}", read_frames(path, [widest])[0], f"{item.name}, camera {name}")
-        for name, path in item.stored.videos.items()
+        video(_link(item, path), read_frames(path, [widest])[0], f"{item.folder.name}, camera {name}")
+        for name, path in item.videos.items()
     )
     reached = float(episode.thetas[widest])
     opened = (
         f"{np.degrees(reached):.0f} deg" if episode.joint.type == "revolute" else f"{1000 * reached:.0f} mm"
     )
     return (
-        f'<figure class="card"><div class="views">{players}</div><figcaption><b>{item.name}</b> '
-        f'{text(episode.asset)}, opened {opened} <span class="dim">moved {text(item.place)}; '
-        f"{text(' and '.join(item.stored.videos))}, {len(episode.thetas) / episode.fps:.1f} s</span>"
+        f'<figure class="card"><div class="views">{players}</div><figcaption><b>{item.folder.name}</b> '
+        f'{text(episode.asset)}, opened {opened} <span class="dim">moved {text(place_words(episode.verdict["variation"]))}; '
+        f"{text(' and '.join(item.videos))}, {len(episode.thetas) / episode.fps:.1f} s</span>"
         "</figcaption></figure>"
     )
 
 
-def _verdicts(made: list[Made]) -> str:
+def _link(item: CommittedEpisode, path: Path) -> str:
+    """Path of an episode's file, relative to the page."""
+    return f"{item.folder.parent.name}/{item.folder.name}/{path.name}"
+
+
+def _verdicts(made: list[CommittedEpisode]) -> str:
     rows: list[list[object]] = []
     for item in made:
         runs = item.episode.verdict["dynamic"]
@@ -143,12 +121,12 @@ def _verdicts(made: list[Made]) -> str:
             read_figure("verdict", name, worst(run[name] for run in runs)).number
             for name, worst in WORST.items()
         ]
-        videos = " ".join(link(f"{item.link}/{path.name}", name) for name, path in item.stored.videos.items())
+        videos = " ".join(link(_link(item, path), name) for name, path in item.videos.items())
         rows.append(
             [
-                Markup(html=f'<span class="whole">{item.name} {videos}</span>'),
+                Markup(html=f'<span class="whole">{item.folder.name} {videos}</span>'),
                 whole(item.episode.asset),
-                whole(item.place),
+                whole(place_words(item.episode.verdict["variation"])),
                 *figures,
             ]
         )
@@ -181,7 +159,7 @@ def rejects_section(results: Results) -> list[str]:
 
 
 def reasons() -> dict[str, str]:
-    """What each reason of a rejection means, with its limit."""
+    """Meaning of each reason of a rejection, with its limit."""
     ik, contact, rule = IkLimits(), KinematicLimits(), PassRule()
     return {
         "outside_area": "the place lies beside the area asked for",
@@ -220,3 +198,65 @@ def reasons() -> dict[str, str]:
 
 def _row(item: dict[str, Any]) -> list[object]:
     return [item["name"], whole(place_words(item["variation"])), item["detail"]]
+
+
+def draws_section(results: Results) -> list[str]:
+    """Histograms of everything that differs, and a map of the places."""
+    draws = read_draws(results.folders["episodes"])
+    if not draws:
+        return []
+    params = results.params("episodes", GenerationParams())
+    found = distributions(draws, params.ranges, params.free_cameras)
+    charts = "".join(draw_histogram(item) for item in found)
+    return [
+        paragraph(
+            "Grey: all draws, spread evenly over the range asked for. Blue: those that were planned. Green: those that "
+            "became episodes."
+        ),
+        f'<div class="head">{charts}</div>',
+        paragraph(
+            "The places from above, the robot at the cross; a line points where the object's front looks. Green: an "
+            "episode. Red: planned in vain. Grey: not worth planning; the reasons follow below. Pale green below: where "
+            "the arm can hold the handle, the stronger, the more turns of the object. Brown: the free table; dark "
+            "boxes: what else stands there."
+        ),
+        _map(results, draws),
+    ]
+
+
+def draw_histogram(item: Distribution) -> str:
+    """One small chart."""
+    count, tallest = len(item.drawn), max(int(item.drawn.max()), 1)
+    wide = WIDTH / count
+    bars = "".join(
+        f'<rect x="{k * wide + 1:.1f}" y="{14 + 56 * (1 - number / tallest):.1f}" width="{wide - 2:.1f}" '
+        f'height="{56 * number / tallest:.1f}" fill="{color}"/>'
+        for numbers, color in (
+            (item.drawn, "#dde2e9"),
+            (item.tried, "#9fc3d0"),
+            (item.delivered, OUTCOMES["committed"]),
+        )
+        for k, number in enumerate(numbers.tolist())
+    )
+    name = f"{item.name} [{item.unit}]" if item.unit else item.name
+    return (
+        f'<svg viewBox="0 0 {WIDTH} {HEIGHT}" style="width:{WIDTH}px">{bars}'
+        f'<text x="2" y="11">{text(name)}: {item.delivered.sum()} of {item.drawn.sum()}</text>'
+        f'<text x="2" y="{HEIGHT - 6}">{item.edges[0]:g}</text>'
+        f'<text x="{WIDTH - 2}" y="{HEIGHT - 6}" text-anchor="end">{item.edges[-1]:g}</text></svg>'
+    )
+
+
+def _map(results: Results, draws: list[dict[str, Any]]) -> str:
+    """Map of the objects of all draws, on the scene and the reach of the arm."""
+    folder, count = results.folders["episodes"], len(results.fitted_assets)
+    maps = [load_artifact(folder, REACH_MAP.format(number), ReachMap) for number in range(count)]
+    ordered = sorted(draws, key=lambda draw: list(OUTCOMES)[::-1].index(draw["outcome"]))
+    lines = [_line(results, draw) for draw in ordered]
+    return draw_map([*scene_shapes(results.episode_scene, maps), *lines])
+
+
+def _line(results: Results, draw: Mapping[str, Any]) -> Shape:
+    stored = draw["variation"]
+    place = {name: stored[name] for name in ("seed", "index", "x", "y", "yaw", "frame")}
+    return front_line(results.fitted_assets[draw["asset"]], Variation(**place), draw["outcome"])

@@ -1,9 +1,9 @@
-"""Pieces of the report's HTML, charts included; one file without script or network, videos lie beside it."""
+"""Pieces of the report's HTML, charts included; one file without script or network; videos are separate files."""
 
 import base64
 import html
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,7 +34,8 @@ summary{color:#1f6f8b;cursor:pointer}
 """
 
 
-# Of a chart, and the room around its curves, [px].
+X_LABEL = "video time [s]"
+# Size of a chart, and the margins of its curves, [px].
 WIDTH, HEIGHT = 760, 220
 LEFT, RIGHT, TOP, BOTTOM = 54, 12, 14, 34
 COLORS = ("#1f6f8b", "#d1495b", "#66a182", "#8d6a9f")
@@ -77,7 +78,7 @@ def paragraph(words: str) -> str:
 
 
 def fold(title: str, content: str, *, opened: bool) -> str:
-    """What a reader can fold away, or opens when it is wanted."""
+    """Content that a reader can fold away or open."""
     return f"<details{' open' if opened else ''}><summary>{text(title)}</summary>{content}</details>"
 
 
@@ -110,7 +111,7 @@ def video(link: str, poster_srgb: NDArray[np.uint8], label: str) -> str:
 
 
 def link(target: str, words: str) -> str:
-    """A link to a file beside the page."""
+    """A link to a file next to the page."""
     return f'<a href="{text(target)}">{text(words)}</a>'
 
 
@@ -160,30 +161,27 @@ def _is_number(value: object) -> bool:
     return isinstance(value, int) and not isinstance(value, bool)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Chart:
-    """Curves (name, x, y) over a common x axis; labels have units.
+def draw_chart(
+    y_label: str,
+    curves: Sequence[tuple[str, Array, Array]],
+    *,
+    level: tuple[str, float] | None = None,
+    span: tuple[float, float] | None = None,
+    band: tuple[Array, Array, Array] | None = None,
+) -> str:
+    """Draw curves over video time as SVG.
 
-    Attributes:
-        level: (name, y) of a horizontal line.
-        span: Shaded interval of x.
-        band: (x, low, high) of a shaded uncertainty band.
+    Args:
+        y_label: With its unit.
+        curves: Name, times [s] and values of each.
+        level: Name and value of a horizontal line.
+        span: Shaded interval of time, [s].
+        band: Times, lower and upper bounds of a shaded uncertainty band.
     """
-
-    x_label: str
-    y_label: str
-    curves: list[tuple[str, Array, Array]]
-    level: tuple[str, float] | None = None
-    span: tuple[float, float] | None = None
-    band: tuple[Array, Array, Array] | None = field(default=None)
-
-
-def draw_chart(chart: Chart) -> str:
-    """SVG text of a chart."""
-    xs = np.concatenate([x for _, x, _ in chart.curves])
-    shown = [y for _, _, y in chart.curves]
-    shown += [np.array([chart.level[1]])] if chart.level else []
-    shown += chart.band[1:] if chart.band else []
+    xs = np.concatenate([x for _, x, _ in curves])
+    shown = [y for _, _, y in curves]
+    shown += [np.array([level[1]])] if level else []
+    shown += band[1:] if band else []
     ys = np.concatenate(shown)
     x_range, y_range = (xs.min(), xs.max()), (min(0.0, ys.min()), ys.max() * 1.08 or 1.0)
 
@@ -195,16 +193,14 @@ def draw_chart(chart: Chart) -> str:
         share = (np.asarray(y) - y_range[0]) / max(y_range[1] - y_range[0], 1e-12)
         return HEIGHT - BOTTOM - share * (HEIGHT - TOP - BOTTOM)
 
-    parts = [
-        f'<svg viewBox="0 0 {WIDTH} {HEIGHT}" role="img" aria-label="{chart.y_label} over {chart.x_label}">'
-    ]
-    if chart.span:
-        left, right = px(chart.span[0]), px(chart.span[1])
+    parts = [f'<svg viewBox="0 0 {WIDTH} {HEIGHT}" role="img" aria-label="{y_label} over {X_LABEL}">']
+    if span:
+        left, right = px(span[0]), px(span[1])
         parts.append(
             f'<rect x="{left:.1f}" y="{TOP}" width="{right - left:.1f}" height="{HEIGHT - TOP - BOTTOM}" class="span"/>'
         )
-    if chart.band:
-        x, low, high = chart.band
+    if band:
+        x, low, high = band
         outline = [*zip(px(x), py(low), strict=True), *zip(px(x)[::-1], py(high)[::-1], strict=True)]
         parts.append(f'<polygon points="{_points(outline)}" class="band"/>')
     for value, y in ((tick, float(py(tick))) for tick in _ticks(*y_range)):
@@ -212,20 +208,18 @@ def draw_chart(chart: Chart) -> str:
         parts.append(f'<text x="{LEFT - 6}" y="{y + 4:.1f}" text-anchor="end">{value:.3g}</text>')
     for value, x in ((tick, float(px(tick))) for tick in _ticks(*x_range)):
         parts.append(f'<text x="{x:.1f}" y="{HEIGHT - BOTTOM + 14}" text-anchor="middle">{value:g}</text>')
-    if chart.level:
-        y = float(py(chart.level[1]))
+    if level:
+        y = float(py(level[1]))
         parts.append(f'<line x1="{LEFT}" x2="{WIDTH - RIGHT}" y1="{y:.1f}" y2="{y:.1f}" class="level"/>')
-        parts.append(f'<text x="{WIDTH - RIGHT}" y="{y - 4:.1f}" text-anchor="end">{chart.level[0]}</text>')
-    for index, (name, x, y) in enumerate(chart.curves):
+        parts.append(f'<text x="{WIDTH - RIGHT}" y="{y - 4:.1f}" text-anchor="end">{level[0]}</text>')
+    for index, (name, x, y) in enumerate(curves):
         color = COLORS[index % len(COLORS)]
         points = _points(list(zip(px(x), py(y), strict=True)))
         parts.append(f'<polyline points="{points}" fill="none" stroke="{color}" stroke-width="1.6"/>')
         parts.append(f'<text x="{LEFT + 8 + 150 * index}" y="{TOP + 8}" style="fill:{color}">{name}</text>')
+    parts.append(f'<text x="{(LEFT + WIDTH) / 2}" y="{HEIGHT - 4}" text-anchor="middle">{X_LABEL}</text>')
     parts.append(
-        f'<text x="{(LEFT + WIDTH) / 2}" y="{HEIGHT - 4}" text-anchor="middle">{chart.x_label}</text>'
-    )
-    parts.append(
-        f'<text transform="translate(12 {HEIGHT / 2}) rotate(-90)" text-anchor="middle">{chart.y_label}</text></svg>'
+        f'<text transform="translate(12 {HEIGHT / 2}) rotate(-90)" text-anchor="middle">{y_label}</text></svg>'
     )
     return "".join(parts)
 

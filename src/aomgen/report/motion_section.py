@@ -1,4 +1,4 @@
-"""What the report says of the motion: when, how far, about which axis, and how surely.
+"""The report's section on the motion: interval, travel, axis, and their uncertainty.
 
 A demonstration from which no motion could be recovered gets its own page, `refused.html`.
 """
@@ -18,9 +18,16 @@ from aomgen.io.atomic import write_text
 from aomgen.io.images import resize
 from aomgen.motion.estimates_file import REFUSED_FILE, REFUSED_MOTION
 from aomgen.pipeline.rendering import render_twin
-from aomgen.report.drawing import OUTLINE, Image8, axis_space, overlay_motion, overlay_outline, sheet
-from aomgen.report.html import Chart, draw_chart, page, paragraph, picture, section
-from aomgen.report.recording_images import estimate_recorded_states
+from aomgen.report.html import draw_chart, page, paragraph, picture, section
+from aomgen.report.images import (
+    OUTLINE,
+    Image8,
+    axis_space,
+    estimate_recorded_states,
+    overlay_motion,
+    overlay_outline,
+    sheet,
+)
 from aomgen.results import Results
 
 # Half a 95 % interval in standard deviations.
@@ -73,14 +80,12 @@ def _cut(
     """Left, top, width and height, [px], of what shows the part's pixels (H, W), the axis and the path."""
     joint = motion.joint
     path = apply(joint.motion(np.linspace(joint.lower, joint.upper, 9)), held_world)
-    pixels, depths = camera.project(
-        np.concatenate([path, axis_space(motion, held_world).circles().reshape(-1, 3)])
-    )
+    pixels, depths = camera.project(np.concatenate([path, axis_space(motion, held_world)[1].reshape(-1, 3)]))
     rows, columns = np.nonzero(part)
     shown = np.concatenate([pixels[depths > 0], np.stack([columns, rows], 1)])
     limits = np.array([camera.width, camera.height])
     low, high = np.clip([shown.min(0), shown.max(0)], 0, limits)
-    # As wide as high keeps three of them side by side readable; a margin shows the hand.
+    # A square image keeps three of them in a row readable; a margin shows the gripper.
     side = min(1.3 * float((high - low).max()), float(limits.min()))
     corner = np.clip((low + high) / 2 - side / 2, 0, limits - side)
     left, top = (int(value) for value in corner)
@@ -92,17 +97,15 @@ def motion_charts(motion: MotionEstimate) -> list[str]:
     span = (motion.start_s, motion.end_s)
     factor, unit = (180 / np.pi, "deg") if motion.joint.type == "revolute" else (1e3, "mm")
     values, half = factor * motion.thetas, NORMAL_95 * factor * motion.theta_sd
-    theta = Chart(
-        x_label="video time [s]",
-        y_label=f"joint value [{unit}]",
-        curves=[("recovered", motion.times_s, values)],
+    theta = draw_chart(
+        f"joint value [{unit}]",
+        [("recovered", motion.times_s, values)],
         span=span,
         band=(motion.times_s, values - half, values + half),
     )
-    grip = Chart(
-        x_label="video time [s]",
-        y_label="hand against part",
-        curves=[
+    grip = draw_chart(
+        "end effector against part",
+        [
             ("slip [mm]", motion.times_s, 1e3 * motion.slip_m),
             ("pivot [deg]", motion.times_s, np.degrees(motion.pivot_rad)),
         ],
@@ -111,24 +114,24 @@ def motion_charts(motion: MotionEstimate) -> list[str]:
     return [
         *_draw_score(motion.curve, "threshold", span),
         paragraph("The joint value with its 95 % band."),
-        draw_chart(theta),
-        paragraph("How far the hand slid along the part and turned against it."),
-        draw_chart(grip),
+        theta,
+        paragraph("How far the end effector slid along the part and turned against it."),
+        grip,
     ]
 
 
 def motion_sentence(motion: MotionEstimate) -> str:
-    """What moved, when and how surely, in words."""
+    """Sentence on the moved part, the interval and the uncertainty."""
     return (
         f"The part moves from {motion.start_s:.2f} s to {motion.end_s:.2f} s, {motion.direction}. It is a "
-        f"{motion.joint.type} joint{_certainty(motion)}. The hand turned {motion.ee_turn_ratio:.2f} times as far "
+        f"{motion.joint.type} joint{_certainty(motion)}. The end effector turned {motion.ee_turn_ratio:.2f} times as far "
         f"as the part, slid up to {1e3 * motion.slip_m.max():.0f} mm along it and turned up to "
         f"{np.degrees(motion.pivot_rad.max()):.0f} deg against it."
     )
 
 
 def _certainty(motion: MotionEstimate) -> str:
-    """How surely the axis is known; nothing where the method does not say, as the paper's."""
+    """Sentence on the uncertainty of the axis; empty where the method does not estimate it, as the paper's."""
     if not motion.axis_ci95_rad > 0:
         return ""
     place = f", its place to {1e3 * motion.origin_ci95_m:.0f} mm" if motion.joint.type == "revolute" else ""
@@ -160,23 +163,21 @@ def write_refusal(out: Path, reason: str) -> Path | None:
 
 def _draw_score(curve: MotionCurve, threshold: str, span: tuple[float, float] | None) -> list[str]:
     """The motion score over time, with what its threshold is called."""
-    chart = Chart(
-        x_label="video time [s]",
-        y_label="motion score",
-        curves=[("score", curve.times_s, curve.scores), ("smoothed", curve.times_s, curve.smoothed)],
+    chart = draw_chart(
+        "motion score",
+        [("score", curve.times_s, curve.scores), ("smoothed", curve.times_s, curve.smoothed)],
         level=(threshold, curve.threshold),
         span=span,
     )
-    words = "The share of the part's picture that shows neither its first nor its last place."
-    return [paragraph(words), draw_chart(chart)]
+    words = "The share of the part's image that shows neither its first nor its last position."
+    return [paragraph(words), chart]
 
 
 def _draw_evidence(curve: MotionCurve) -> list[str]:
     """Score and gripper of a refused demonstration."""
-    hand = Chart(
-        x_label="video time [s]",
-        y_label="hand, shares of the largest",
-        curves=[
+    gripper = draw_chart(
+        "gripper, shares of the largest",
+        [
             (name, curve.times_s, values / max(float(np.max(values)), 1e-9))
             for name, values in (
                 (f"distance, largest {100 * float(curve.distances_m.max()):.0f} cm", curve.distances_m),
@@ -187,6 +188,8 @@ def _draw_evidence(curve: MotionCurve) -> list[str]:
     )
     return [
         *_draw_score(curve, "stillness", None),
-        paragraph("Fingers to part, speed of the hand, and how far the gripper is closed."),
-        draw_chart(hand),
+        paragraph(
+            "Distance of the fingers from the part, speed of the end effector, and how far the gripper is closed."
+        ),
+        gripper,
     ]

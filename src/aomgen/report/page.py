@@ -15,10 +15,8 @@ from aomgen.pipeline.manifest import Manifest, load_record, read_manifest
 from aomgen.pipeline.project_file import read_project
 from aomgen.pipeline.runner import TIMINGS, results_of
 from aomgen.pipeline.stages import PROJECT_FILE, REPORT_FILE, STAGES
-from aomgen.report import recording_images
-from aomgen.report.drawing import sheet
-from aomgen.report.draws_section import draws_section
-from aomgen.report.episodes import episodes_section, rejects_section
+from aomgen.report import images
+from aomgen.report.episodes import draws_section, episodes_section, rejects_section
 from aomgen.report.html import (
     Markup,
     bar,
@@ -33,6 +31,7 @@ from aomgen.report.html import (
     table,
     text,
 )
+from aomgen.report.images import sheet
 from aomgen.report.motion_section import motion_section
 from aomgen.results import Results
 from aomgen.version import __version__
@@ -67,7 +66,7 @@ def write_report(out: Path) -> Path:
         "Warnings": _warnings(results),
         "Episodes": [
             picture(
-                sheet(recording_images.demo_strip(results, SHEET_FRAMES), SHEET_FRAMES),
+                sheet(images.demo_strip(results, SHEET_FRAMES), SHEET_FRAMES),
                 "The recorded demonstration.",
             ),
             *episodes_section(results),
@@ -91,25 +90,25 @@ def write_report(out: Path) -> Path:
 
 
 def _render_estimate_sections(results: Results) -> dict[str, list[str]]:
-    """What the recording became, from the scan to the replay of the video."""
+    """Sections on the reconstruction, from the scan to the replay of the video."""
     return {
         "Scene": [
             paragraph("Held-out scan images (above) and the twin drawn from the same places (below)."),
-            picture(recording_images.heldout_sheet(results), "held-out views"),
+            picture(images.heldout_sheet(results), "held-out views"),
             paragraph("Part labels: robot blue, static part orange, moving part pink."),
-            picture(recording_images.parts_sheet(results), "parts"),
+            picture(images.parts_sheet(results), "parts"),
         ],
         "Coverage": [
             paragraph(
                 "Where the scan looked: sides of object, robot and table from above, with the scan's cameras. Green: "
                 "enough views from different directions. Yellow: too few. Red: none; what is there is guessed."
             ),
-            picture(recording_images.coverage_map(results), "coverage"),
+            picture(images.coverage_map(results), "coverage"),
             _coverage(results),
         ],
         "Alignment": [
             paragraph("The robot model's outline over the video, at the estimated camera and clock offset."),
-            picture(recording_images.robot_sheet(results), "robot model over the video"),
+            picture(images.robot_sheet(results), "robot model over the video"),
             _render_fixed_cameras(results),
         ],
         "Motion": motion_section(results),
@@ -117,13 +116,13 @@ def _render_estimate_sections(results: Results) -> dict[str, list[str]]:
             paragraph(
                 "The video (above) and the twin's replay of it (below). What the scan never saw stays empty."
             ),
-            picture(recording_images.replay_sheet(results), "replay"),
+            picture(images.replay_sheet(results), "replay"),
         ],
     }
 
 
 def _warnings(results: Results) -> list[str]:
-    """What the stages warn of, or nothing."""
+    """Table of the stages' warnings; empty without any."""
     rows: list[list[object]] = [
         [stage.title, sentence] for stage in STAGES for sentence in manifest_of(results, stage.name).warnings
     ]
@@ -161,14 +160,14 @@ def contact_sheet(results: Results) -> np.ndarray:
     cameras = read_episode(folders[0]).episode.cameras
     names = list(cameras)
     size = cameras[names[0]]
-    images = [
+    frames = [
         resize(image, size.width, size.height)
-        for image in recording_images.demo_strip(results, SHEET_FRAMES * len(names))
+        for image in images.demo_strip(results, SHEET_FRAMES * len(names))
     ]
     for folder in folders:
         for name in names:
-            images += recording_images.episode_strip(folder, name, SHEET_FRAMES)
-    small = [resize(image, size.width // 2, size.height // 2) for image in images]
+            frames += images.episode_strip(folder, name, SHEET_FRAMES)
+    small = [resize(image, size.width // 2, size.height // 2) for image in frames]
     return sheet(small, SHEET_FRAMES * len(names), gap=2)
 
 

@@ -36,7 +36,7 @@ from aomgen.io.artifact import load_artifact
 from aomgen.io.atomic import write_json
 from aomgen.io.episode_folder import commit_episode, list_committed, read_episode
 from aomgen.io.video import encode_video
-from aomgen.report.draws_section import draws_section
+from aomgen.report.episodes import draws_section
 from backwards import closing_of
 from drawer_episode import corner_camera, drawer_episode
 from toy_drawer import SUPPORT, fitted_drawer

@@ -12,7 +12,7 @@ from aomgen.core.joint import Joint, JointType
 from aomgen.core.motion import ContactPatch, MotionCurve, MotionEstimate
 from aomgen.io.artifact import save_artifact
 from aomgen.motion.estimates_file import REFUSED_MOTION, forget_refusal
-from aomgen.report.drawing import AXIS, TOUCH, axis_space, overlay_motion
+from aomgen.report.images import AXIS, TOUCH, axis_space, overlay_motion
 from aomgen.report.motion_section import motion_charts, motion_sentence, write_refusal
 
 TIMES_S = np.linspace(0, 4, 41, dtype=np.float64)
@@ -63,25 +63,25 @@ def estimate(joint_type: JointType = "revolute", axis: tuple = (0.0, 0.0, 1.0)) 
     )
 
 
-def test_the_space_of_a_hinge_has_its_waist_beside_the_held_point() -> None:
-    space = axis_space(estimate(), HELD)
-    middle = len(space.radii) // 2
-    assert space.centers[middle] == pytest.approx([0.5, 0.4, 0.2])
-    assert space.radii[middle] == pytest.approx(0.02)
+def test_the_region_of_a_hinge_is_narrowest_at_the_held_point() -> None:
+    centers, circles = axis_space(estimate(), HELD)
+    radii = np.linalg.norm(circles - centers[:, None], axis=-1)
+    middle = len(centers) // 2
+    assert centers[middle] == pytest.approx([0.5, 0.4, 0.2])
+    assert radii[middle] == pytest.approx(0.02)
     reach = 0.7 * 0.4
-    assert space.centers[-1] == pytest.approx([0.5, 0.4, 0.2 + reach])
-    assert space.radii[-1] == pytest.approx(0.02 + reach * np.tan(0.1))
-    rings = space.circles()
-    assert np.linalg.norm(rings[-1] - space.centers[-1], axis=1) == pytest.approx(space.radii[-1])
-    assert (rings[-1] - space.centers[-1]) @ space.axis == pytest.approx(0.0)
+    assert centers[-1] == pytest.approx([0.5, 0.4, 0.2 + reach])
+    assert radii[-1] == pytest.approx(0.02 + reach * np.tan(0.1))
+    assert (circles[-1] - centers[-1])[:, 2] == pytest.approx(0.0)
 
 
-def test_the_space_of_a_slide_is_a_cone_from_the_held_point() -> None:
-    space = axis_space(estimate("prismatic", (-1.0, 0.0, 0.0)), HELD)
-    assert space.centers[0] == pytest.approx(HELD)
-    assert space.radii[0] == 0.0
-    assert space.centers[-1] == pytest.approx(HELD - [0.2, 0, 0])
-    assert space.radii[-1] == pytest.approx(0.2 * np.tan(0.1))
+def test_the_region_of_a_slide_is_a_cone_from_the_held_point() -> None:
+    centers, circles = axis_space(estimate("prismatic", (-1.0, 0.0, 0.0)), HELD)
+    radii = np.linalg.norm(circles - centers[:, None], axis=-1)
+    assert centers[0] == pytest.approx(HELD)
+    assert radii[0] == pytest.approx(0.0)
+    assert centers[-1] == pytest.approx(HELD - [0.2, 0, 0])
+    assert radii[-1] == pytest.approx(0.2 * np.tan(0.1))
 
 
 def drawn(theta: float = 0.0, motion: MotionEstimate | None = None) -> np.ndarray:

@@ -1,6 +1,6 @@
-"""Drawing on images: outlines, label colors, lines, sheets."""
+"""Images of the report: outlines, label colors, lines and sheets, and comparisons of recording and reconstruction."""
 
-from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,8 +11,18 @@ from scipy.spatial import ConvexHull, QhullError
 from aomgen.conventions import MOVING, ROBOT, STATIC
 from aomgen.core.camera import Camera
 from aomgen.core.motion import MotionEstimate
+from aomgen.core.structure import held_out
 from aomgen.core.transforms import apply
 from aomgen.core.values import Array
+from aomgen.io.artifact import load_artifact
+from aomgen.io.images import read_image, resize
+from aomgen.io.video import probe_video, read_frames
+from aomgen.parts.stage import COVERAGE
+from aomgen.parts.survey import Survey
+from aomgen.pipeline.rendering import render_twin
+from aomgen.results import Results
+from aomgen.robots.silhouette import SilhouetteRenderer
+from aomgen.twin.twin import TwinState
 
 # sRGB: blue, orange, pink.
 LABEL_COLORS = {ROBOT: (64, 128, 255), STATIC: (255, 176, 32), MOVING: (230, 60, 120)}
@@ -20,11 +30,13 @@ LABEL_COLORS = {ROBOT: (64, 128, 255), STATIC: (255, 176, 32), MOVING: (230, 60,
 OUTLINE = (255, 60, 200)
 Image8 = NDArray[np.uint8]
 AXIS, PATH, TOUCH = (40, 220, 255), (255, 80, 60), (255, 230, 60)
-# How strongly the space in which the axis lies covers the image.
+# Opacity of the region that contains the axis, over the image, 0..255.
 VEIL = 110
 STATIONS, SIDES = 9, 24
-# What is nearer to the camera is not drawn, [m].
+# Points nearer to the camera are not drawn, [m].
 NEAR_M = 0.05
+# Colors of points that no view, few views and enough views saw, sRGB.
+SEEN = np.array([(205, 45, 45), (235, 180, 40), (60, 150, 90)], np.uint8)
 # A contact is drawn no smaller than a finger's pad, and its normal as long as a finger, [m].
 PATCH_M, NORMAL_M = 0.008, 0.05
 
@@ -90,25 +102,17 @@ def map_from_above(
     return np.asarray(canvas)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class AxisSpace:
-    """Where the axis lies with 95 %: circles (K, 3), (K,) along it, world frame, [m]."""
-
-    centers: Array
-    radii: Array
-    axis: Array
-
-    def circles(self) -> Array:
-        """Points (K, SIDES, 3) on the circles."""
-        first = np.cross(self.axis, np.eye(3)[int(np.argmin(np.abs(self.axis)))])
-        first /= np.linalg.norm(first)
-        turns = np.linspace(0, 2 * np.pi, SIDES, endpoint=False)
-        ring = np.outer(np.cos(turns), first) + np.outer(np.sin(turns), np.cross(self.axis, first))
-        return self.centers[:, None] + self.radii[:, None, None] * ring
+def draw_circles(centers: Array, radii: Array, axis: Array) -> Array:
+    """Points (K, SIDES, 3) on circles about a unit axis (3,), with centers (K, 3) and radii (K,)."""
+    first = np.cross(axis, np.eye(3)[int(np.argmin(np.abs(axis)))])
+    first /= np.linalg.norm(first)
+    turns = np.linspace(0, 2 * np.pi, SIDES, endpoint=False)
+    ring = np.outer(np.cos(turns), first) + np.outer(np.sin(turns), np.cross(axis, first))
+    return centers[:, None] + radii[:, None, None] * ring
 
 
-def axis_space(motion: MotionEstimate, held_world: Array) -> AxisSpace:
-    """The 95 % space of an axis, as long as the part reaches from it.
+def axis_space(motion: MotionEstimate, held_world: Array) -> tuple[Array, Array]:
+    """The 95 % region of an axis, as long as the part reaches from it: centers (K, 3) and circles (K, SIDES, 3), [m].
 
     Revolute: a waist at the foot of the held point, as wide as the line's place is unknown, which
     opens to both sides with the unknown of its direction. Prismatic: a cone from the held point (3,)
@@ -122,7 +126,8 @@ def axis_space(motion: MotionEstimate, held_world: Array) -> AxisSpace:
         reach = 0.7 * float(np.linalg.norm(held_world - start))
         along, waist = np.linspace(-reach, reach, STATIONS), motion.origin_ci95_m
     radii = waist + np.abs(along) * np.tan(min(motion.axis_ci95_rad, 1.2))
-    return AxisSpace(centers=start + along[:, None] * joint.axis, radii=radii, axis=joint.axis)
+    centers = start + along[:, None] * joint.axis
+    return centers, draw_circles(centers, radii, joint.axis)
 
 
 def overlay_motion(
@@ -135,30 +140,27 @@ def overlay_motion(
         theta: Joint value at the frame; the patches are drawn where the part carried them.
     """
     canvas = Image.fromarray(image_srgb).convert("RGBA")
-    space = axis_space(motion, held_world)
-    _veil(canvas, camera, space)
+    centers, circles = axis_space(motion, held_world)
+    _veil(canvas, camera, circles)
     draw = ImageDraw.Draw(canvas)
     joint = motion.joint
     values = np.linspace(joint.lower, joint.upper, 40)
     _polyline(draw, camera, apply(joint.motion(values), held_world), PATH, 2)
-    _polyline(draw, camera, space.centers, AXIS, 2)
-    _arrow_head(draw, camera, space.centers)
+    _polyline(draw, camera, centers, AXIS, 2)
+    _arrow_head(draw, camera, centers)
     carried = joint.motion(theta)
     for patch in motion.contacts:
         middle, normal = apply(carried, patch.point), carried[:3, :3] @ patch.normal
-        ring = AxisSpace(
-            centers=middle[None], radii=np.array([max(patch.spread_m, PATCH_M)]), axis=normal
-        ).circles()[0]
+        ring = draw_circles(middle[None], np.array([max(patch.spread_m, PATCH_M)]), normal)[0]
         _polyline(draw, camera, np.concatenate([ring, ring[:1]]), TOUCH, 2)
         # The normal points into the part: drawn from outside it ends at the patch.
         _polyline(draw, camera, np.stack([middle - NORMAL_M * normal, middle]), TOUCH, 2)
     return np.asarray(canvas.convert("RGB"))
 
 
-def _veil(canvas: Image.Image, camera: Camera, space: AxisSpace) -> None:
+def _veil(canvas: Image.Image, camera: Camera, circles: Array) -> None:
     layer = Image.new("L", canvas.size, 0)
     draw = ImageDraw.Draw(layer)
-    circles = space.circles()
     for pair in np.stack([circles[:-1], circles[1:]], 1):
         pixels, depths = camera.project(pair.reshape(-1, 3))
         if not depths.min() > NEAR_M:
@@ -192,3 +194,86 @@ def _polyline(
     for a, b, near in zip(pixels[:-1], pixels[1:], np.minimum(depths[:-1], depths[1:]), strict=True):
         if near > NEAR_M:
             draw.line([tuple(a), tuple(b)], fill=(*color, 255), width=width)
+
+
+def choose_recorded_frames(results: Results, count: int) -> list[int]:
+    """Frame numbers evenly over the recorded video."""
+    frames = len(results.videos[results.demo_camera].times_s)
+    return [int(frame) for frame in np.linspace(0, frames - 1, count)]
+
+
+def estimate_recorded_states(results: Results, frames: list[int]) -> tuple[TwinState, ...]:
+    """The twin's states at frames of the recorded video, as estimated."""
+    times_s = results.videos[results.demo_camera].times_s[frames]
+    return results.states_at(times_s, results.twin.T_world_object)
+
+
+def heldout_sheet(results: Results, count: int = 4) -> Image8:
+    """Held-out scan images above renders of the twin from the same places."""
+    cameras = results.scan_cameras
+    names = [name for name in held_out(list(results.scan_images)) if name in cameras]
+    picked = [names[i] for i in np.linspace(0, len(names) - 1, min(count, len(names))).astype(int)]
+    real = [_small(read_image(results.scan_images[name])) for name in picked]
+    drawn = [
+        _small(render_twin(results.twin, results.robot, cameras[name], results.twin.scan_state)[0])
+        for name in picked
+    ]
+    return sheet(real + drawn, len(picked))
+
+
+def parts_sheet(results: Results, count: int = 4) -> Image8:
+    """Part labels of the Gaussians over scan images."""
+    cameras = results.scan_cameras
+    names = sorted(cameras)
+    picked = [names[i] for i in np.linspace(0, len(names) - 1, count + 2).astype(int)[1:-1]]
+    images = []
+    for name in picked:
+        labels = render_twin(results.twin, results.robot, cameras[name], results.twin.scan_state)[2]
+        images.append(_small(overlay_labels(read_image(results.scan_images[name]), labels)))
+    return sheet(images, len(images))
+
+
+def coverage_map(results: Results) -> Image8:
+    """Sides of object, robot and table from above: red never seen, yellow too little, green enough."""
+    found = load_artifact(results.folders["parts"], COVERAGE, Survey)
+    seen = np.where(found.coverage.enough, 2, np.where(found.coverage.views > 0, 1, 0))
+    cameras = results.scan_cameras
+    withheld = held_out(list(results.scan_images))
+    training = [camera for name, camera in cameras.items() if name not in withheld]
+    return map_from_above(found.points_world, SEEN[seen], training)
+
+
+def robot_sheet(results: Results, count: int = 4) -> Image8:
+    """The robot model's outline over the video, at the estimated clock offset and camera."""
+    images = []
+    video, frames = results.videos[results.demo_camera], choose_recorded_frames(results, count)
+    height, width = video.frames_srgb.shape[1:3]
+    with SilhouetteRenderer(results.robot, max_width=width, max_height=height) as renderer:
+        for frame, state in zip(frames, estimate_recorded_states(results, frames), strict=True):
+            bodies, _ = renderer.draw(results.fixed_camera.camera, state.joints, state.gripper)
+            images.append(_small(overlay_outline(video.frames_srgb[frame], bodies >= 0, OUTLINE)))
+    return sheet(images, count)
+
+
+def replay_sheet(results: Results, count: int = 4) -> Image8:
+    """Video frames above the twin's replay of them."""
+    states = estimate_recorded_states(results, choose_recorded_frames(results, count))
+    camera = results.fixed_camera.camera
+    drawn = [_small(render_twin(results.twin, results.robot, camera, state)[0]) for state in states]
+    return sheet(demo_strip(results, count) + drawn, count)
+
+
+def demo_strip(results: Results, count: int = 6) -> list[Image8]:
+    """Frames of the recorded demonstration."""
+    video = results.videos[results.demo_camera]
+    return [_small(video.frames_srgb[frame]) for frame in choose_recorded_frames(results, count)]
+
+
+def episode_strip(folder: Path, camera: str, count: int) -> list[Image8]:
+    """Frames of one committed episode from one camera."""
+    path = folder / f"{camera}.mp4"
+    return read_frames(path, [int(i) for i in np.linspace(0, probe_video(path).frames - 1, count)])
+
+
+def _small(image: Image8, width: int = 320) -> Image8:
+    return resize(image, width, round(image.shape[0] * width / image.shape[1]))
