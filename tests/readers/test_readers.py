@@ -16,8 +16,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from aomgen.datasets.features import read_images
 from aomgen.datasets.formats import FORMATS, export_dataset
-from aomgen.datasets.pictures import read_pictures
 from aomgen.datasets.rlds import STATISTICS_FILE, VERSION
 from aomgen.datasets.robomimic import scale_actions
 from aomgen.datasets.selection import Selection
@@ -102,7 +102,7 @@ def compare_pictures(
     for camera, found in pictures.items():
         assert len(found) == len(chosen)
         for picture, (episode, frame) in zip(found, chosen, strict=True):
-            shown = next(islice(read_pictures(selection.episodes[episode], camera), frame, None))
+            shown = next(islice(read_images(selection.episodes[episode], camera), frame, None))
             least = min(least, psnr(picture, shown / np.float32(255)))
     print(f"least likeness of a picture: {least:.1f} dB")
     assert least >= (100 if media == "image" else 35)

@@ -1,4 +1,4 @@
-"""Does a dataset hold what its episodes hold? Numbers, pictures and splits, compared one by one."""
+"""Compare a dataset with its episodes: numbers, images and splits, one by one."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from aomgen.core.progress import Progress, silent
+from aomgen.datasets.features import read_images
 from aomgen.datasets.formats import DatasetFormat, find_format
-from aomgen.datasets.pictures import read_pictures
-from aomgen.datasets.stored import REMEDY, StoredDataset, StoredEpisode
+from aomgen.datasets.selection import REMEDY, StoredDataset, StoredEpisode
 from aomgen.errors import MalformedFileError
 from aomgen.io.episode_folder import CommittedEpisode, read_episode
 from aomgen.io.video import halve_colors
@@ -19,13 +19,13 @@ from aomgen.splatting.metrics import psnr
 
 # Largest difference of a number, as a share of it or of 1: several steps of single precision.
 MAX_DIFFERENCE: Final = 1e-6
-# Least likeness of a picture to the episode's, [dB]: JPEG of quality 95 and a second pass of a video stay above.
+# Least PSNR of an image against the episode's, [dB]: JPEG of quality 95 and a second pass of a video stay above.
 MIN_PSNR_DB: Final = 35.0
 
 
 @dataclass(slots=True)
 class Audit:
-    """What was found.
+    """Result of a comparison.
 
     Attributes:
         actions: Space of the feature `action`.
@@ -33,7 +33,7 @@ class Audit:
         splits: How many of them the dataset has, by split.
         frames: How many frames these have.
         difference, differing: Largest difference of a number, and its feature.
-        psnr_db, least_like: Least likeness of a picture, and what shows it.
+        psnr_db, least_like: Least PSNR of an image, and its camera and episode.
         faults: Sentences; none where dataset and episodes agree.
     """
 
@@ -73,7 +73,7 @@ def audit_dataset(dataset: Path, episode_folders: Sequence[Path], progress: Prog
             continue
         item = read_episode(left.pop(found.source_index))
         _compare_numbers(audit, kind, found, item, dataset)
-        _compare_pictures(audit, stored, found, item)
+        _compare_images(audit, stored, found, item)
         audit.frames += len(item.episode)
         progress(1 - len(left) / audit.committed, f"{audit.committed - len(left)} of {audit.committed}")
     if left:
@@ -106,15 +106,15 @@ def _compare_numbers(
             audit.difference, audit.differing = difference, name
 
 
-def _compare_pictures(
+def _compare_images(
     audit: Audit, stored: StoredDataset, found: StoredEpisode, item: CommittedEpisode
 ) -> None:
     number = item.folder.name
-    if set(found.pictures) != (set(item.episode.cameras) if stored.pictures else set()):
-        audit.faults.append(f"episode {number} has cameras {sorted(found.pictures)}")
+    if set(found.images) != (set(item.episode.cameras) if stored.images else set()):
+        audit.faults.append(f"episode {number} has cameras {sorted(found.images)}")
         return
-    for camera, pictures in found.pictures.items():
-        likeness = list(_likenesses(pictures, _render_reference(stored, item, camera)))
+    for camera, images in found.images.items():
+        likeness = list(_likenesses(images, _render_reference(stored, item, camera)))
         least = min(likeness, default=0.0)
         if len(likeness) != len(item.episode) or not least >= MIN_PSNR_DB:
             audit.faults.append(
@@ -128,20 +128,18 @@ def _compare_pictures(
 def _render_reference(
     stored: StoredDataset, item: CommittedEpisode, camera: str
 ) -> Iterator[NDArray[np.uint8]]:
-    """An episode's pictures as the dataset could show them at best."""
+    """Images of an episode with the dataset's resolution and color sampling."""
     rendered = item.episode.cameras[camera]
     view = rendered.resize(*stored.sizes[camera])
     again = stored.video and (view.width, view.height) != (rendered.width, rendered.height)
     cameras = {**item.episode.cameras, camera: view}
-    for picture in read_pictures(replace(item, episode=replace(item.episode, cameras=cameras)), camera):
-        yield halve_colors(picture) if again else picture
+    for image in read_images(replace(item, episode=replace(item.episode, cameras=cameras)), camera):
+        yield halve_colors(image) if again else image
 
 
-def _likenesses(
-    pictures: Iterator[NDArray[np.uint8]], wanted: Iterator[NDArray[np.uint8]]
-) -> Iterator[float]:
+def _likenesses(images: Iterator[NDArray[np.uint8]], wanted: Iterator[NDArray[np.uint8]]) -> Iterator[float]:
     """PSNR of frame by frame, [dB]; as many as both have, none for one of another shape."""
-    for mine, theirs in zip(pictures, wanted, strict=False):
+    for mine, theirs in zip(images, wanted, strict=False):
         if np.array_equal(mine, theirs):
             yield np.inf
         else:

@@ -1,9 +1,12 @@
-"""Which columns a dataset holds, and how they follow from an episode.
+"""Columns and images of a dataset, and how they follow from an episode.
 
 LeRobot takes every `observation.*` for an input of a policy and every `action*` for its output. So only
 what a robot measures is an observation, only one action space is `action`, and all the rest is `annotation.*`.
 """
 
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
 from typing import Final, Literal, get_args
 
 import numpy as np
@@ -18,16 +21,23 @@ from aomgen.core.transforms import (
     transform,
 )
 from aomgen.core.values import Array
+from aomgen.errors import ConfigError, CorruptArtifactError
+from aomgen.io.atomic import write_bytes
+from aomgen.io.episode_folder import SAMPLED_FRAMES, CommittedEpisode, color_counts
+from aomgen.io.images import resize
+from aomgen.io.video import decode_frames, encode_video
 
 # Spaces of actions; all describe the same targets.
 ActionSpace = Literal["joint", "ee_absolute", "ee_delta"]
 ACTION_SPACES: Final[tuple[ActionSpace, ...]] = get_args(ActionSpace)
 _POSE = ("x", "y", "z", "qw", "qx", "qy", "qz")
 _DELTA = ("dx", "dy", "dz", "drx", "dry", "drz")
-# Where the object stands; what policies without pictures are told instead, by the name that LeRobot has for it.
+# Pose of the object, and the name under which LeRobot's policies without images observe it.
 OBJECT_POSE, TOLD = "annotation.object_pose", "observation.environment_state"
-# Those that LeRobot v3.0 stores for each feature.
+# Quantiles that LeRobot v3.0 stores for each feature.
 QUANTILES: Final = {"q01": 0.01, "q10": 0.1, "q50": 0.5, "q90": 0.9, "q99": 0.99}
+# Quality of videos that are encoded again: finer than when rendered, since small images have more detail a pixel.
+RESIZED_CRF = {"h264": 14, "av1": 15}
 
 
 def action_feature(space: str, chosen: str) -> str:
@@ -77,7 +87,7 @@ def feature_columns(episode: Episode, actions: ActionSpace = "joint") -> dict[st
 
 
 def last_targets(episode: Episode) -> Array:
-    """Where the end effector was to be before each action (T, 4, 4): first where it stood, then at the target before."""
+    """Target of the end effector before each action (T, 4, 4): at first its pose, then the target before."""
     return np.concatenate([episode.Ts_world_ee[:1], episode.Ts_world_ee_action[:-1]])
 
 
@@ -136,3 +146,54 @@ def image_statistics(counts: NDArray[np.int64], frames: int) -> dict[str, list]:
     result = {"min": levels[present.argmax(1)], "max": levels[255 - present[:, ::-1].argmax(1)]}
     result |= {"mean": mean, "std": std} | {name: level(share) for name, share in QUANTILES.items()}
     return {name: array.reshape(3, 1, 1).tolist() for name, array in result.items()} | {"count": [frames]}
+
+
+def read_images(item: CommittedEpisode, camera: str) -> Iterator[NDArray[np.uint8]]:
+    """Frames (H, W, 3) of one camera at its size; area-averaged where that is smaller than the video's.
+
+    Raises:
+        CorruptArtifactError: The video has another length than the episode.
+        MissingFileError, MalformedFileError: See `io.video.decode_frames`.
+    """
+    view, count = item.episode.cameras[camera], 0
+    for _, frame in decode_frames(item.videos[camera]):
+        image = np.asarray(frame.to_ndarray(format="rgb24", threads=1), np.uint8)
+        same = image.shape[:2] == (view.height, view.width)
+        yield image if same else resize(image, view.width, view.height)
+        count += 1
+    check_length(item, camera, count)
+
+
+def check_length(item: CommittedEpisode, camera: str, frames: int) -> None:
+    """Refuse a video that does not show every frame of its episode.
+
+    Raises:
+        CorruptArtifactError: It has another length.
+    """
+    if frames != len(item.episode):
+        raise CorruptArtifactError(
+            item.videos[camera], f"has {frames} frames, the episode {len(item.episode)}", "generate it again"
+        )
+
+
+def count_colors(images: list[NDArray[np.uint8]]) -> NDArray[np.int64]:
+    """Histogram (3, 256) of the values 0..255 in each channel of some of an episode's images."""
+    return color_counts(np.stack(images[:: max(len(images) // SAMPLED_FRAMES, 1)]))
+
+
+def resize_videos(item: CommittedEpisode, folder: Path) -> CommittedEpisode:
+    """The episode with videos at its cameras' size and their color counts; new files lie in `folder`.
+
+    Raises:
+        ConfigError: A side of the images is odd; videos store colors for two by two pixels.
+    """
+    videos, counts = dict(item.videos), dict(item.color_counts)
+    for name, camera in item.episode.cameras.items():
+        if camera.width % 2 or camera.height % 2:
+            raise ConfigError("--size", f"{camera.width}x{camera.height} is odd", "videos need even sides")
+        images = list(read_images(item, name))
+        videos[name] = folder / f"{item.folder.name}.{name}.mp4"
+        counts[name] = count_colors(images)
+        data = encode_video(images, item.episode.fps, codec=item.codec, crf=RESIZED_CRF[item.codec])
+        write_bytes(videos[name], data)
+    return replace(item, videos=videos, color_counts=counts)

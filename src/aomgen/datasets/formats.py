@@ -15,19 +15,17 @@ from aomgen.datasets.lerobot_reading import INFO_FILE, read_lerobot
 from aomgen.datasets.lerobot_tables import single_precision_columns
 from aomgen.datasets.lerobot_v3 import write_lerobot_v3
 from aomgen.datasets.lerobot_v21 import write_lerobot_v21
-from aomgen.datasets.rlds import openvla_columns, write_rlds
-from aomgen.datasets.rlds_reading import FEATURES_FILE, read_rlds
-from aomgen.datasets.robomimic import FILE, write_robomimic
-from aomgen.datasets.robomimic_reading import read_robomimic
+from aomgen.datasets.rlds import FEATURES_FILE, openvla_columns, read_rlds, write_rlds
+from aomgen.datasets.robomimic import FILE, read_robomimic, write_robomimic
 from aomgen.datasets.selection import (
     Choices,
     Media,
     Selection,
+    StoredDataset,
     default_val,
     parse_size,
     require_replaceable,
 )
-from aomgen.datasets.stored import StoredDataset
 from aomgen.errors import ConfigError, MalformedFileError, MissingFileError, UnknownNameError
 
 
@@ -41,7 +39,7 @@ class DatasetFormat:
         read: Reads it back.
         columns: What it holds of an episode alone, by feature.
         actions: Space of `action` unless another is chosen.
-        media: Whether the kind of pictures can be chosen.
+        media: Whether the storage of images can be chosen.
         needs_val: Whether some episodes are always kept to validate on.
     """
 
@@ -93,7 +91,7 @@ def export_dataset(
         kind: One of `FORMATS`.
         progress: Called as the work goes on.
         actions, media, val: See `selection.Choices`.
-        size: Of the pictures, `128x96`.
+        size: Of the images, `128x96`.
 
     Raises:
         ConfigError: An option is wrong, or the folder holds something else than a dataset of ours.

@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 
 from aomgen.datasets import lerobot_v3, lerobot_v21
 from aomgen.datasets.features import OBJECT_POSE, TOLD
-from aomgen.datasets.lerobot_tables import CHUNK_FILES, SOURCE, picture_key
-from aomgen.datasets.stored import REMEDY, StoredDataset, StoredEpisode, chosen_space
+from aomgen.datasets.lerobot_tables import CHUNK_FILES, SOURCE, image_key
+from aomgen.datasets.selection import REMEDY, StoredDataset, StoredEpisode, chosen_space
 from aomgen.errors import MalformedFileError, MissingFileError
 from aomgen.io.artifact import read_json
 from aomgen.io.images import decode_image
@@ -27,8 +27,8 @@ INFO_FILE: Final = "meta/info.json"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class _Place:
-    """Where an episode's rows and frames lie: row and frame numbers within the files."""
+class _Location:
+    """Location of an episode's rows and frames: row and frame numbers within the files."""
 
     number: int
     source_index: int
@@ -49,22 +49,22 @@ def read_lerobot(folder: Path) -> StoredDataset:
     where = folder / INFO_FILE
     info = read_json(where)
     version = info.get("codebase_version") if isinstance(info, dict) else None
-    if version not in PLACES:
+    if version not in LOCATIONS:
         raise MalformedFileError(
-            where, f"has codebase_version {version!r}, known are {' and '.join(PLACES)}", REMEDY
+            where, f"has codebase_version {version!r}, known are {' and '.join(LOCATIONS)}", REMEDY
         )
     try:
         features = info["features"]
-        prefix = picture_key("")
+        prefix = image_key("")
         shapes = {name.removeprefix(prefix): features[name]["shape"] for name in features if prefix in name}
         sizes = {name: (int(shape[1]), int(shape[0])) for name, shape in shapes.items()}
-        videos = [name for name in sizes if features[picture_key(name)]["dtype"] == "video"]
+        videos = [name for name in sizes if features[image_key(name)]["dtype"] == "video"]
         train = int(info["splits"]["train"].split(":")[1])
         fps = int(info["fps"])
-        places = list(PLACES[version](folder, videos, fps))
-        if len(places) != info["total_episodes"]:
+        locations = list(LOCATIONS[version](folder, videos, fps))
+        if len(locations) != info["total_episodes"]:
             raise MalformedFileError(
-                where, f"says {info['total_episodes']} episodes, not {len(places)}", REMEDY
+                where, f"says {info['total_episodes']} episodes, not {len(locations)}", REMEDY
             )
         tasks = TASKS[version](folder)
     except (KeyError, TypeError, ValueError, IndexError) as error:
@@ -72,27 +72,27 @@ def read_lerobot(folder: Path) -> StoredDataset:
     return StoredDataset(
         actions=chosen_space(features, where),
         sizes=sizes,
-        episodes=_episodes(places, tasks, sizes, train),
+        episodes=_episodes(locations, tasks, sizes, train),
         video=bool(videos),
-        pictures=TOLD not in features,
+        images=TOLD not in features,
     )
 
 
-def _places_v3(folder: Path, videos: list[str], fps: int) -> Iterator[_Place]:
+def _locations_v3(folder: Path, videos: list[str], fps: int) -> Iterator[_Location]:
     for row in _read_table(folder / lerobot_v3.EPISODES_PATH).to_pylist():
         data = folder / lerobot_v3.DATA_PATH.format(
             chunk_index=row["data/chunk_index"], file_index=row["data/file_index"]
         )
         shown = {}
         for camera in videos:
-            key = picture_key(camera)
+            key = image_key(camera)
             path = lerobot_v3.VIDEO_PATH.format(
                 video_key=key,
                 chunk_index=row[f"videos/{key}/chunk_index"],
                 file_index=row[f"videos/{key}/file_index"],
             )
             shown[camera] = (folder / path, round(row[f"videos/{key}/from_timestamp"] * fps))
-        yield _Place(
+        yield _Location(
             number=row["episode_index"],
             source_index=row[SOURCE],
             length=row["length"],
@@ -102,26 +102,26 @@ def _places_v3(folder: Path, videos: list[str], fps: int) -> Iterator[_Place]:
         )
 
 
-def _places_v21(folder: Path, videos: list[str], fps: int) -> Iterator[_Place]:
+def _locations_v21(folder: Path, videos: list[str], fps: int) -> Iterator[_Location]:
     row_number = 0
     for row in _read_lines(folder / "meta" / "episodes.jsonl"):
         number = row["episode_index"]
         where: dict[str, Any] = {"episode_chunk": number // CHUNK_FILES, "episode_index": number}
         path = lerobot_v21.VIDEO_PATH
-        yield _Place(
+        yield _Location(
             number=number,
             source_index=row[SOURCE],
             length=row["length"],
             table=folder / lerobot_v21.DATA_PATH.format(**where),
             row=row_number,
-            videos={name: (folder / path.format(video_key=picture_key(name), **where), 0) for name in videos},
+            videos={name: (folder / path.format(video_key=image_key(name), **where), 0) for name in videos},
         )
         row_number += row["length"]
 
 
 def _tasks_v3(folder: Path) -> list[str]:
     table = _read_table(folder / lerobot_v3.TASKS_PATH)
-    # The sentences stand in the column that pandas makes of an index.
+    # The sentences are in the column that pandas makes of an index.
     rows = {
         number: task for number, task in zip(*(column.to_pylist() for column in table.columns), strict=True)
     }
@@ -139,9 +139,9 @@ def _read_lines(path: Path) -> list[Any]:
     return [json.loads(line) for line in path.read_text("utf-8").splitlines()]
 
 
-# How each version says where its episodes lie, and which instructions there are.
+# Readers of the episodes' locations and of the instructions, by version.
 TASKS: Final = {lerobot_v21.VERSION: _tasks_v21, lerobot_v3.VERSION: _tasks_v3}
-PLACES: Final = {lerobot_v21.VERSION: _places_v21, lerobot_v3.VERSION: _places_v3}
+LOCATIONS: Final = {lerobot_v21.VERSION: _locations_v21, lerobot_v3.VERSION: _locations_v3}
 
 
 # Frames of a video with their numbers; taken in order.
@@ -162,34 +162,36 @@ def _take(frames: _Frames, start: int, count: int) -> Iterator[NDArray[np.uint8]
 
 
 def _episodes(
-    places: list[_Place], tasks: list[str], sizes: dict[str, tuple[int, int]], train: int
+    locations: list[_Location], tasks: list[str], sizes: dict[str, tuple[int, int]], train: int
 ) -> Iterator[StoredEpisode]:
     opened, read_table = cache(_open_video), lru_cache(maxsize=1)(_read_table)
-    for place in places:
-        table = read_table(place.table)
+    for location in locations:
+        table = read_table(location.table)
         for name in ("index", "task_index"):
             if name not in table.column_names:
-                raise MalformedFileError(place.table, f"lacks the feature '{name}'", REMEDY)
-        rows = pc.index(table["index"], place.row).as_py()
-        table = table.slice(rows, place.length) if rows >= 0 else table.slice(0, 0)
-        if table["index"].to_pylist() != list(range(place.row, place.row + place.length)):
-            raise MalformedFileError(place.table, f"holds other rows for episode {place.number}", REMEDY)
-        columns, pictures = _columns(table), {}
+                raise MalformedFileError(location.table, f"lacks the feature '{name}'", REMEDY)
+        rows = pc.index(table["index"], location.row).as_py()
+        table = table.slice(rows, location.length) if rows >= 0 else table.slice(0, 0)
+        if table["index"].to_pylist() != list(range(location.row, location.row + location.length)):
+            raise MalformedFileError(
+                location.table, f"holds other rows for episode {location.number}", REMEDY
+            )
+        columns, images = _columns(table), {}
         task = int(columns["task_index"][0])
         if not 0 <= task < len(tasks):
-            raise MalformedFileError(place.table, f"names task {task} of {len(tasks)}", REMEDY)
+            raise MalformedFileError(location.table, f"names task {task} of {len(tasks)}", REMEDY)
         for camera in sizes:
-            if camera in place.videos:
-                video, start = place.videos[camera]
-                pictures[camera] = _take(opened(video), start, place.length)
+            if camera in location.videos:
+                video, start = location.videos[camera]
+                images[camera] = _take(opened(video), start, location.length)
             else:
-                pictures[camera] = _pictures(table, picture_key(camera), place.table)
+                images[camera] = _images(table, image_key(camera), location.table)
         yield StoredEpisode(
-            source_index=place.source_index,
-            split="train" if place.number < train else "val",
+            source_index=location.source_index,
+            split="train" if location.number < train else "val",
             instruction=tasks[task],
             columns=columns,
-            pictures=pictures,
+            images=images,
         )
 
 
@@ -200,11 +202,11 @@ def _columns(table: pa.Table) -> dict[str, NDArray[Any]]:
     return {OBJECT_POSE if name == TOLD else name: values for name, values in columns.items()}
 
 
-def _pictures(table: pa.Table, feature: str, where: Path) -> Iterator[NDArray[np.uint8]]:
+def _images(table: pa.Table, feature: str, where: Path) -> Iterator[NDArray[np.uint8]]:
     if feature not in table.column_names:
         raise MalformedFileError(where, f"lacks the feature '{feature}'", REMEDY)
-    for picture in table[feature]:
-        yield decode_image(picture["bytes"].as_py(), where)
+    for image in table[feature]:
+        yield decode_image(image["bytes"].as_py(), where)
 
 
 def _read_table(path: Path) -> pa.Table:

@@ -1,4 +1,4 @@
-"""What LeRobot's formats v2.1 and v3.0 share: the columns of episodes, parquet tables, feature descriptions, statistics."""
+"""Common parts of LeRobot's formats v2.1 and v3.0: columns of episodes, parquet tables, feature descriptions, statistics."""
 
 import json
 from collections.abc import Iterator, Mapping, Sequence
@@ -16,11 +16,12 @@ from aomgen.datasets.features import (
     TOLD,
     ActionSpace,
     column_statistics,
+    count_colors,
     feature_columns,
     feature_names,
     image_statistics,
+    read_images,
 )
-from aomgen.datasets.pictures import count_colors, read_pictures
 from aomgen.datasets.selection import Media, Selection
 from aomgen.io.atomic import write_bytes, write_text
 from aomgen.io.episode_folder import CommittedEpisode
@@ -35,16 +36,16 @@ INDEX_TYPES: Final = {
     "index": "int64",
     "task_index": "int64",
 }
-# Parts of `names` of a feature that holds pictures.
-PICTURE_AXES: Final = ("height", "width", "channels")
+# Parts of `names` of a feature that holds images.
+IMAGE_AXES: Final = ("height", "width", "channels")
 # Columns of the table of episodes that LeRobot does not know: an episode's number in its run, and its object.
 SOURCE, ASSET = "aomgen/source_index", "aomgen/asset"
-# A table's pictures (PNG) by feature.
-Pictures = Mapping[str, list[bytes]]
+# A table's images (PNG) by feature.
+Images = Mapping[str, list[bytes]]
 
 
-def picture_key(camera: str) -> str:
-    """Name of the feature that holds a camera's pictures."""
+def image_key(camera: str) -> str:
+    """Name of the feature that holds a camera's images."""
     return f"observation.images.{camera}"
 
 
@@ -70,38 +71,38 @@ def episode_columns(selection: Selection) -> list[dict[str, NDArray]]:
 
 
 def _make_stored_name(feature: str, media: Media) -> str:
-    """Without pictures the object's pose is something that policies observe."""
+    """Name of a feature; without images the object's pose becomes an observation."""
     return TOLD if feature == OBJECT_POSE and media == "none" else feature
 
 
 def single_precision_columns(episode: Episode, actions: ActionSpace) -> dict[str, NDArray]:
-    """What the tables hold of an episode alone: its features (T, D) and its times (T,), float32."""
+    """Columns that the tables hold of an episode alone: its features (T, D) and its times (T,), float32."""
     columns = feature_columns(episode, actions) | {"timestamp": episode.times_s}
     return {name: values.astype(np.float32) for name, values in columns.items()}
 
 
-def encode_pictures(item: CommittedEpisode) -> tuple[dict[str, list[bytes]], dict[str, NDArray[np.int64]]]:
-    """All pictures of an episode as PNG by feature, and color counts (3, 256) by camera."""
+def encode_images(item: CommittedEpisode) -> tuple[dict[str, list[bytes]], dict[str, NDArray[np.int64]]]:
+    """All images of an episode as PNG by feature, and color counts (3, 256) by camera."""
     encoded, counts = {}, {}
     for camera in sorted(item.episode.cameras):
-        pictures = list(read_pictures(item, camera))
-        encoded[picture_key(camera)] = [encode_png(picture) for picture in pictures]
-        counts[camera] = count_colors(pictures)
+        images = list(read_images(item, camera))
+        encoded[image_key(camera)] = [encode_png(image) for image in images]
+        counts[camera] = count_colors(images)
     return encoded, counts
 
 
-def parquet_table(columns: Mapping[str, NDArray], pictures: Pictures) -> pa.Table:
-    """A table of columns (T, D) and pictures, which come back as images from Hugging Face's `datasets`."""
+def parquet_table(columns: Mapping[str, NDArray], images: Images) -> pa.Table:
+    """A table of columns (T, D) and images, which Hugging Face's `datasets` decodes."""
     arrays = {name: _arrow(values) for name, values in columns.items()}
-    if not pictures:
+    if not images:
         return pa.table(arrays)
-    for name, encoded in pictures.items():
+    for name, encoded in images.items():
         paths = pa.nulls(len(encoded), pa.string())
         arrays[name] = pa.StructArray.from_arrays(
             [pa.array(encoded, pa.binary()), paths], names=["bytes", "path"]
         )
     described: dict[str, Any] = {name: _hugging_face_type(values) for name, values in columns.items()}
-    described |= {name: {"_type": "Image"} for name in pictures}
+    described |= {name: {"_type": "Image"} for name in images}
     metadata = {"huggingface": json.dumps({"info": {"features": described}})}
     return pa.table(arrays).replace_schema_metadata(metadata)
 
@@ -129,7 +130,7 @@ def episode_statistics(
     for name, values in columns.items():
         yield name, column_statistics(values.reshape(frames, -1))
     for camera, levels in counts.items():
-        yield picture_key(camera), image_statistics(levels, frames)
+        yield image_key(camera), image_statistics(levels, frames)
 
 
 def join_columns(columns: Sequence[Mapping[str, NDArray]]) -> dict[str, NDArray]:
@@ -138,7 +139,7 @@ def join_columns(columns: Sequence[Mapping[str, NDArray]]) -> dict[str, NDArray]
 
 
 def describe(selection: Selection, version: str) -> dict[str, Any]:
-    """What info.json says in both formats."""
+    """Common content of info.json in both formats."""
     first, train = selection.episodes[0].episode, len(selection.train)
     splits = {"train": f"0:{train}"}
     if selection.val:
@@ -170,7 +171,7 @@ def _features(selection: Selection) -> dict[str, Any]:
         feature = {
             "dtype": choices.media,
             "shape": [camera.height, camera.width, 3],
-            "names": list(PICTURE_AXES),
+            "names": list(IMAGE_AXES),
         }
         if choices.media == "video":
             feature["info"] = {
@@ -183,7 +184,7 @@ def _features(selection: Selection) -> dict[str, Any]:
                 "video.channels": 3,
                 "has_audio": False,
             }
-        features[picture_key(name)] = feature
+        features[image_key(name)] = feature
     for name, kind in INDEX_TYPES.items():
         features[name] = {"dtype": kind, "shape": [1], "names": None}
     return features

@@ -14,21 +14,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from aomgen.core.progress import Progress, silent
+from aomgen.datasets.features import check_length, resize_videos
 from aomgen.datasets.lerobot_tables import (
     ASSET,
     CHUNK_FILES,
     SOURCE,
     describe,
-    encode_pictures,
+    encode_images,
     episode_columns,
     episode_statistics,
+    image_key,
     parquet_table,
-    picture_key,
     tasks_of,
     write_parquet,
     write_plain_json,
 )
-from aomgen.datasets.pictures import check_length, resize_videos
 from aomgen.datasets.selection import Choices, Selection, select_episodes, stage_dataset
 from aomgen.io.atomic import scratch_folder, write_bytes, write_text
 from aomgen.io.episode_folder import CommittedEpisode
@@ -52,14 +52,14 @@ def write_lerobot_v21(
         for item, columns in zip(selection.episodes, episode_columns(selection), strict=True):
             number = len(episodes)
             where: dict[str, Any] = {"episode_chunk": number // CHUNK_FILES, "episode_index": number}
-            pictures, counts = dict[str, list[bytes]](), dict[str, NDArray[np.int64]]()
+            images, counts = dict[str, list[bytes]](), dict[str, NDArray[np.int64]]()
             if choices.media == "video":
                 shown = resize_videos(item, scratch) if choices.size is not None else item
                 _write_videos(staging, shown, where)
                 counts = shown.color_counts
             elif choices.media == "image":
-                pictures, counts = encode_pictures(item)
-            write_parquet(staging / DATA_PATH.format(**where), parquet_table(columns, pictures))
+                images, counts = encode_images(item)
+            write_parquet(staging / DATA_PATH.format(**where), parquet_table(columns, images))
             statistics.append({"episode_index": number, "stats": _known(columns, counts)})
             episodes.append(_episode_line(item, number))
             progress((number + 1) / len(selection.episodes), f"{number + 1} of {len(selection.episodes)}")
@@ -74,7 +74,7 @@ def write_lerobot_v21(
 def _write_videos(staging: Path, item: CommittedEpisode, where: dict[str, Any]) -> None:
     for camera, video in sorted(item.videos.items()):
         check_length(item, camera, probe_video(video).frames)
-        path = staging / VIDEO_PATH.format(video_key=picture_key(camera), **where)
+        path = staging / VIDEO_PATH.format(video_key=image_key(camera), **where)
         write_bytes(path, video.read_bytes())
 
 

@@ -18,22 +18,22 @@ from numpy.typing import NDArray
 
 from aomgen.core.episode import Episode
 from aomgen.core.progress import Progress, silent
+from aomgen.datasets.features import check_length, resize_videos
 from aomgen.datasets.lerobot_tables import (
     ASSET,
     CHUNK_FILES,
     SOURCE,
     describe,
-    encode_pictures,
+    encode_images,
     episode_columns,
     episode_statistics,
+    image_key,
     join_columns,
     parquet_table,
-    picture_key,
     tasks_of,
     write_parquet,
     write_plain_json,
 )
-from aomgen.datasets.pictures import check_length, resize_videos
 from aomgen.datasets.selection import Choices, Selection, select_episodes, stage_dataset
 from aomgen.io.atomic import scratch_folder, write_bytes
 from aomgen.io.episode_folder import CommittedEpisode
@@ -81,7 +81,7 @@ def write_lerobot_v3(
             counts = [Counts() for _ in rows]
             _write_data(staging, columns, rows)
         else:
-            counts = _write_data_with_pictures(staging, selection, columns, rows, progress)
+            counts = _write_data_with_images(staging, selection, columns, rows, progress)
         _complete_rows(rows, columns, counts)
         write_parquet(staging / EPISODES_PATH, pa.Table.from_pylist(rows))
         write_parquet(staging / TASKS_PATH, _task_table(tasks_of(selection)))
@@ -138,27 +138,27 @@ def _write_data(staging: Path, columns: list[dict[str, NDArray]], rows: list[dic
         _write_data_file(staging, file, table, [rows[i] for i in members])
 
 
-def _write_data_with_pictures(
+def _write_data_with_images(
     staging: Path,
     selection: Selection,
     columns: list[dict[str, NDArray]],
     rows: list[dict[str, Any]],
     progress: Progress,
 ) -> list[Counts]:
-    """Write tables that hold the pictures, too; returns color counts (3, 256) by camera of each episode."""
+    """Write tables that hold the images, too; returns color counts (3, 256) by camera of each episode."""
     cameras = selection.episodes[0].episode.cameras.values()
-    # A file's size is only known when it is written: at most that of its uncompressed pictures.
+    # A file's size is only known when it is written: at most that of its uncompressed images.
     pixels = 3 * sum(camera.width * camera.height for camera in cameras)
     sizes = [_bytes(table) + len(table["index"]) * pixels for table in columns]
     counts: list[Counts] = []
     for file, members in enumerate(_members(assign_files(sizes, DATA_FILE_MB * 1e6))):
         encoded = []
         for i in members:
-            pictures, colors = encode_pictures(selection.episodes[i])
-            encoded.append(pictures)
+            images, colors = encode_images(selection.episodes[i])
+            encoded.append(images)
             counts.append(colors)
             progress((i + 1) / len(rows), f"{i + 1} of {len(rows)}")
-        joined = {name: [png for pictures in encoded for png in pictures[name]] for name in encoded[0]}
+        joined = {name: [png for images in encoded for png in images[name]] for name in encoded[0]}
         table = parquet_table(join_columns([columns[i] for i in members]), joined)
         _write_data_file(staging, file, table, [rows[i] for i in members])
     return counts
@@ -195,7 +195,7 @@ def _write_videos(
 def _write_video_file(
     staging: Path, camera: str, file: int, members: dict[int, CommittedEpisode], rows: list[dict[str, Any]]
 ) -> None:
-    key, fps = picture_key(camera), next(iter(members.values())).episode.fps
+    key, fps = image_key(camera), next(iter(members.values())).episode.fps
     data, lengths = concatenate_videos([item.videos[camera] for item in members.values()], fps)
     chunk, index = divmod(file, CHUNK_FILES)
     write_bytes(staging / VIDEO_PATH.format(video_key=key, chunk_index=chunk, file_index=index), data)

@@ -9,7 +9,7 @@ Source: TFDS's documentation "RLDS"; OpenVLA's `prismatic/vla/datasets/rlds/oxe`
 """
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final, Literal
 
@@ -20,30 +20,49 @@ from aomgen.core.episode import Episode
 from aomgen.core.progress import Progress, silent
 from aomgen.core.transforms import invert
 from aomgen.core.values import Array
-from aomgen.datasets.array_record import require_array_record, write_array_record
-from aomgen.datasets.features import ActionSpace, feature_columns, last_targets
-from aomgen.datasets.pictures import read_pictures
-from aomgen.datasets.selection import Choices, Selection, select_episodes, stage_dataset
-from aomgen.datasets.tfrecord import Feature, encode_example, records_bytes
-from aomgen.errors import ConfigError
+from aomgen.datasets.features import ActionSpace, feature_columns, last_targets, read_images
+from aomgen.datasets.records import (
+    Feature,
+    decode_example,
+    encode_example,
+    read_array_record,
+    read_records,
+    records_bytes,
+    require_array_record,
+    write_array_record,
+)
+from aomgen.datasets.selection import (
+    REMEDY,
+    Choices,
+    Selection,
+    StoredDataset,
+    StoredEpisode,
+    chosen_space,
+    select_episodes,
+    stage_dataset,
+)
+from aomgen.errors import ConfigError, MalformedFileError
+from aomgen.io.artifact import read_json
 from aomgen.io.atomic import write_bytes, write_json
 from aomgen.io.episode_folder import CommittedEpisode
-from aomgen.io.images import encode_jpeg
+from aomgen.io.images import decode_image, encode_jpeg
 
 VERSION: Final = "1.0.0"
 # Episodes in a file: some ten megabytes, so that a reader has several files to mix.
 SHARD_EPISODES: Final = 16
 # Joints of OpenVLA's state; fewer are followed by zeros.
 STATE_JOINTS: Final = 7
-# At least 36 dB on rendered pictures, even at 64x48.
+# At least 36 dB on rendered images, even at 64x48.
 JPEG_QUALITY: Final = 95
 # Kinds of shards, as TFDS calls them.
 Shards = Literal["tfrecord", "array_record"]
 SHARD_NAME: Final = "{name}-{split}.{kind}-{shard:05d}-of-{shards:05d}"
 FILE_TEMPLATE: Final = "{DATASET}-{SPLIT}.{FILEFORMAT}-{SHARD_X_OF_Y}"
+FEATURES_FILE: Final = f"{VERSION}/features.json"
+STEPS, ABOUT = "steps/", "episode_metadata/"
+READERS: Final = {"tfrecord": read_records, "array_record": read_array_record}
 STATISTICS_FILE: Final = "dataset_statistics.json"
 TFDS_NAME: Final = re.compile(r"[a-zA-Z]\w*")
-_CLASS: Final = "tensorflow_datasets.core.features."
 
 
 def openvla_columns(episode: Episode, actions: ActionSpace = "ee_delta") -> dict[str, Array]:
@@ -138,14 +157,14 @@ def write_rlds(
                 }
             )
         columns = [openvla_columns(item.episode, choices.actions) for item in selection.episodes]
-        write_json(home / "features.json", _features(selection.episodes[0], columns[0]))
+        write_json(home / "features.json", _describe_features(selection.episodes[0], columns[0]))
         write_json(home / "dataset_info.json", _info(name, splits, kind))
         write_json(home / STATISTICS_FILE, {name: openvla_statistics(columns)})
     return selection
 
 
 def openvla_statistics(columns: Sequence[Mapping[str, NDArray]]) -> dict[str, Any]:
-    """What OpenVLA normalizes with, of the columns of all episodes; summed in double precision, so that order is nothing."""
+    """OpenVLA's normalization, from the columns of all episodes; summed in double precision, so that the order does not matter."""
     result: dict[str, Any] = {}
     for key, name in {"action": "action", "proprio": "observation.state"}.items():
         values = np.concatenate([table[name].astype(np.float32) for table in columns]).astype(np.float64)
@@ -163,9 +182,9 @@ def _record(item: CommittedEpisode, actions: ActionSpace) -> bytes:
         name.replace(".", "/"): values for name, values in openvla_columns(episode, actions).items()
     }
     for camera in sorted(episode.cameras):
-        pictures = read_pictures(item, camera)
+        images = read_images(item, camera)
         steps[f"observation/{camera}"] = [
-            encode_jpeg(picture, JPEG_QUALITY, halve_colors=False) for picture in pictures
+            encode_jpeg(image, JPEG_QUALITY, halve_colors=False) for image in images
         ]
     steps |= {
         "is_first": first,
@@ -183,24 +202,26 @@ def _record(item: CommittedEpisode, actions: ActionSpace) -> bytes:
     return encode_example({f"steps/{name}": value for name, value in steps.items()} | about)
 
 
-def _features(item: CommittedEpisode, columns: Mapping[str, NDArray]) -> dict[str, Any]:
+def _describe_features(item: CommittedEpisode, columns: Mapping[str, NDArray]) -> dict[str, Any]:
     """Content of features.json."""
-    step: dict[str, Any] = {name: _tensor(values.shape[1]) for name, values in columns.items()}
-    for name, camera in item.episode.cameras.items():
-        step[f"observation.{name}"] = _image(camera.width, camera.height)
-    step |= {name: _scalar("bool") for name in ("is_first", "is_last", "is_terminal")}
-    step |= {name: _scalar("float32") for name in ("reward", "discount")}
-    step["language_instruction"] = _text()
-    about = {"file_path": _text(), "source_index": _scalar("int64"), "asset": _text()}
-    steps = {
-        "pythonClassName": f"{_CLASS}dataset_feature.Dataset",
-        "sequence": {"feature": _nest(step), "length": "-1"},
+    step: dict[str, Any] = {
+        name: _tensor({"dimensions": [str(values.shape[1])]}, "float32") for name, values in columns.items()
     }
+    for name, camera in item.episode.cameras.items():
+        shape = {"dimensions": [str(camera.height), str(camera.width), "3"]}
+        image = {"shape": shape, "dtype": "uint8", "encodingFormat": "jpeg"}
+        step[f"observation.{name}"] = _feature("image_feature.Image", image=image)
+    step |= {name: _tensor({}, "bool") for name in ("is_first", "is_last", "is_terminal")}
+    step |= {name: _tensor({}, "float32") for name in ("reward", "discount")}
+    text = _feature("text_feature.Text", text={})
+    step["language_instruction"] = text
+    about = {"file_path": text, "source_index": _tensor({}, "int64"), "asset": text}
+    steps = _feature("dataset_feature.Dataset", sequence={"feature": _nest(step), "length": "-1"})
     return _dictionary({"steps": steps, "episode_metadata": _dictionary(about)})
 
 
 def _nest(features: Mapping[str, Any]) -> dict[str, Any]:
-    """A dictionary of features; what stands before a point in a name is a dictionary within."""
+    """A dictionary of features; the part of a name before a point becomes a dictionary within."""
     levels: dict[str, dict[str, Any]] = {}
     for name, feature in features.items():
         first, _, rest = name.partition(".")
@@ -209,30 +230,17 @@ def _nest(features: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _dictionary(features: Mapping[str, Any]) -> dict[str, Any]:
-    return {
-        "pythonClassName": f"{_CLASS}features_dict.FeaturesDict",
-        "featuresDict": {"features": dict(features)},
-    }
+    return _feature("features_dict.FeaturesDict", featuresDict={"features": dict(features)})
 
 
-def _tensor(size: int) -> dict[str, Any]:
-    tensor = {"shape": {"dimensions": [str(size)]}, "dtype": "float32", "encoding": "none"}
-    return {"pythonClassName": f"{_CLASS}tensor_feature.Tensor", "tensor": tensor}
+def _tensor(shape: Mapping[str, Any], kind: str) -> dict[str, Any]:
+    """Numbers of a shape; a scalar when that is empty."""
+    name = "tensor_feature.Tensor" if shape else "scalar.Scalar"
+    return _feature(name, tensor={"shape": shape, "dtype": kind, "encoding": "none"})
 
 
-def _scalar(kind: str) -> dict[str, Any]:
-    tensor = {"shape": {}, "dtype": kind, "encoding": "none"}
-    return {"pythonClassName": f"{_CLASS}scalar.Scalar", "tensor": tensor}
-
-
-def _text() -> dict[str, Any]:
-    return {"pythonClassName": f"{_CLASS}text_feature.Text", "text": {}}
-
-
-def _image(width: int, height: int) -> dict[str, Any]:
-    shape = {"dimensions": [str(height), str(width), "3"]}
-    image = {"shape": shape, "dtype": "uint8", "encodingFormat": "jpeg"}
-    return {"pythonClassName": f"{_CLASS}image_feature.Image", "image": image}
+def _feature(name: str, **content: Any) -> dict[str, Any]:
+    return {"pythonClassName": f"tensorflow_datasets.core.features.{name}", **content}
 
 
 def _info(name: str, splits: list[dict[str, Any]], kind: Shards) -> dict[str, Any]:
@@ -246,3 +254,89 @@ def _info(name: str, splits: list[dict[str, Any]], kind: Shards) -> dict[str, An
         "releaseNotes": {},
         "splits": splits,
     }
+
+
+def read_rlds(folder: Path) -> StoredDataset:
+    """Open a dataset.
+
+    Raises:
+        MissingFileError: A file is missing.
+        MalformedFileError: A file is damaged, cut or lacks a feature.
+    """
+    where = folder / FEATURES_FILE
+    widths: dict[str, int] = {}
+    sizes: dict[str, tuple[int, int]] = {}
+    try:
+        features = read_json(where)["featuresDict"]["features"]
+        steps = _flatten(features["steps"]["sequence"]["feature"])
+        for name, feature in steps.items():
+            if "image" in feature:
+                height, width, _ = map(int, feature["image"]["shape"]["dimensions"])
+                sizes[name.removeprefix("observation.")] = (width, height)
+            elif feature.get("tensor", {}).get("shape"):
+                widths[name] = int(feature["tensor"]["shape"]["dimensions"][0])
+        info = read_json(where.with_name("dataset_info.json"))
+        name, kind = str(info["name"]), info["fileFormat"]
+        if kind not in READERS:
+            raise ValueError(f"fileFormat '{kind}' is unknown")
+        lengths = {split["name"]: list(map(int, split["shardLengths"])) for split in info["splits"]}
+    except (KeyError, TypeError, ValueError) as error:
+        raise MalformedFileError(where.parent, f"is not described completely ({error!r})", REMEDY) from error
+    return StoredDataset(
+        actions=chosen_space(widths, where),
+        sizes=sizes,
+        episodes=_episodes(where.parent, name, kind, lengths, widths, sizes),
+    )
+
+
+def _flatten(described: Any, prefix: str = "") -> dict[str, Any]:
+    """Features by name, levels joined by points."""
+    if "featuresDict" not in described:
+        return {prefix.removesuffix("."): described}
+    flat: dict[str, Any] = {}
+    for name, feature in described["featuresDict"]["features"].items():
+        flat |= _flatten(feature, f"{prefix}{name}.")
+    return flat
+
+
+def _episodes(
+    home: Path,
+    name: str,
+    kind: Shards,
+    lengths: dict[str, list[int]],
+    widths: dict[str, int],
+    sizes: dict[str, tuple[int, int]],
+) -> Iterator[StoredEpisode]:
+    """Read the episodes; `widths` has the length of each feature at a step."""
+    for split, shards in lengths.items():
+        for number, expected in enumerate(shards):
+            words = {"name": name, "split": split, "kind": kind, "shard": number, "shards": len(shards)}
+            path, count = home / SHARD_NAME.format(**words), 0
+            for record in READERS[kind](path):
+                try:
+                    yield _episode(decode_example(record, path), path, split, widths, sizes)
+                except KeyError as error:
+                    raise MalformedFileError(path, f"lacks the feature {error}", REMEDY) from error
+                count += 1
+            if count != expected:
+                raise MalformedFileError(
+                    path, f"holds {count} episodes, dataset_info.json says {expected}", REMEDY
+                )
+
+
+def _episode(
+    features: Mapping[str, Any],
+    where: Path,
+    split: str,
+    widths: dict[str, int],
+    sizes: dict[str, tuple[int, int]],
+) -> StoredEpisode:
+    columns = {name: features[STEPS + name.replace(".", "/")] for name in widths}
+    encoded = {camera: features[f"{STEPS}observation/{camera}"] for camera in sizes}
+    return StoredEpisode(
+        source_index=int(features[f"{ABOUT}source_index"][0]),
+        split=split,
+        instruction=str(features[f"{STEPS}language_instruction"][0], "utf-8"),
+        columns={name: np.reshape(values, (-1, widths[name])) for name, values in columns.items()},
+        images={camera: (decode_image(item, where) for item in items) for camera, items in encoded.items()},
+    )

@@ -1,24 +1,32 @@
 """HDF5 datasets in robomimic's layout: one file, a group a demonstration, masks for the splits.
 
-robomimic's policies end in a tanh, so `actions` are scaled to [-1, 1] over the whole dataset; the limits stand
-beside them, and the actions of every space in their own units are there, too.
+robomimic's policies end in a tanh, so `actions` are scaled to [-1, 1] over the whole dataset; the limits are
+attributes of the data, and annotations hold the actions of every space in their own units.
 
 Source: robomimic's documentation "Dataset contents and info".
 """
 
 import json
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from aomgen.core.progress import Progress, silent
 from aomgen.core.values import Array
-from aomgen.datasets.features import feature_columns
-from aomgen.datasets.pictures import read_pictures
-from aomgen.datasets.selection import Choices, Selection, select_episodes, stage_dataset
-from aomgen.errors import ConfigError
+from aomgen.datasets.features import ACTION_SPACES, feature_columns, read_images
+from aomgen.datasets.selection import (
+    REMEDY,
+    Choices,
+    Selection,
+    StoredDataset,
+    StoredEpisode,
+    select_episodes,
+    stage_dataset,
+)
+from aomgen.errors import ConfigError, MalformedFileError, MissingFileError, suggest
 from aomgen.io.episode_folder import CommittedEpisode
 
 FILE: Final = "demonstrations.hdf5"
@@ -26,6 +34,7 @@ FILE: Final = "demonstrations.hdf5"
 GYM_TYPE: Final = 2
 # robomimic's names of the splits.
 MASKS: Final = {"train": "train", "val": "valid"}
+IMAGE: Final = "_image"
 
 
 def write_robomimic(
@@ -99,12 +108,12 @@ def _write_demonstration(
     group[f"annotation/action/{selection.choices.actions}"] = columns["action"]
     group["obs/state"] = columns["observation.state"]
     for camera in sorted(episode.cameras):
-        pictures = np.stack(list(read_pictures(item, camera)))
+        images = np.stack(list(read_images(item, camera)))
         # A frame a chunk, since readers want single frames.
         group.create_dataset(
             f"obs/{camera}_image",
-            data=pictures,
-            chunks=(1, *pictures.shape[1:]),
+            data=images,
+            chunks=(1, *images.shape[1:]),
             compression="gzip",
             compression_opts=1,
         )
@@ -132,3 +141,65 @@ def _add_next(group: Any, name: str) -> None:
     properties.set_virtual(frames(count - 1, 1), here, path, frames(count - 1, 1))
     target = group.require_group("next_obs").id
     h5d.create(target, name.encode(), source.id.get_type(), h5s.create_simple(source.shape), dcpl=properties)
+
+
+def read_robomimic(folder: Path) -> StoredDataset:
+    """Open a dataset.
+
+    Raises:
+        MissingFileError: The file is missing.
+        MalformedFileError: It is damaged, cut or lacks a feature.
+    """
+    import h5py
+
+    where = folder / FILE
+    if not where.is_file():
+        raise MissingFileError(where, "is missing", REMEDY)
+    try:
+        file: Any = h5py.File(where, "r")
+        actions = str(file["data"].attrs["action_space"])
+        first = file["data/demo_0/obs"]
+        cameras = [name.removesuffix(IMAGE) for name in first if name.endswith(IMAGE)]
+        shapes = {name: first[name + IMAGE].shape for name in cameras}
+    except (KeyError, OSError, RuntimeError) as error:
+        raise _make_damage_error(where, error) from error
+    if actions not in ACTION_SPACES:
+        raise MalformedFileError(where, f"says action_space '{actions}'", suggest(actions, ACTION_SPACES))
+    return StoredDataset(
+        actions=actions,  # type: ignore[arg-type]
+        sizes={name: (int(shape[2]), int(shape[1])) for name, shape in shapes.items()},
+        episodes=_episodes(file, where, cameras),
+    )
+
+
+def _make_damage_error(where: Path, error: Exception) -> MalformedFileError:
+    return MalformedFileError(where, f"is damaged or lacks a feature ({error})", REMEDY)
+
+
+def _episodes(file: Any, where: Path, cameras: list[str]) -> Iterator[StoredEpisode]:
+    with file:
+        try:
+            limits = (file["data"].attrs["action_lower"], file["data"].attrs["action_upper"])
+            for split, mask in MASKS.items():
+                for name in file[f"mask/{mask}"][:]:
+                    yield _episode(file["data"][name.decode()], split, limits, cameras)
+        except (KeyError, OSError, RuntimeError) as error:
+            raise _make_damage_error(where, error) from error
+
+
+def _episode(group: Any, split: str, limits: tuple[Any, Any], cameras: list[str]) -> StoredEpisode:
+    columns: dict[str, NDArray[Any]] = {
+        "observation.state": group["obs/state"][:],
+        "action": unscale_actions(group["actions"][:], *limits),
+    }
+    for name in ("ee_pose", "object_pose", "object_joint", "finger_force"):
+        columns[f"annotation.{name}"] = group[f"annotation/{name}"][:]
+    for space in group["annotation/action"]:
+        columns[f"annotation.action.{space}"] = group[f"annotation/action/{space}"][:]
+    return StoredEpisode(
+        source_index=int(group.attrs["source_index"]),
+        split=split,
+        instruction=str(group.attrs["instruction"]),
+        columns=columns,
+        images={camera: iter(np.asarray(group[f"obs/{camera}{IMAGE}"])) for camera in cameras},
+    )

@@ -1,25 +1,27 @@
-"""What a dataset is made of: committed episodes that are alike, their split, and the chosen form of their content."""
+"""Content of a dataset: committed episodes of one kind, their split, and the chosen form."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, Final, Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
-from aomgen.datasets.features import ActionSpace
-from aomgen.errors import ConfigError, MissingFileError
+from aomgen.datasets.features import ACTION_SPACES, ActionSpace
+from aomgen.errors import ConfigError, MalformedFileError, MissingFileError
 from aomgen.io.atomic import stage_folder, write_json
 from aomgen.io.episode_folder import CommittedEpisode, read_episode
 
-# How a LeRobot dataset stores pictures: compressed videos, or PNG in its tables, which need no video decoder; or none, and
-# policies are told the object's pose instead: how well they could do if they saw perfectly.
+# Storage of images in a LeRobot dataset: compressed videos, or PNG in its tables, which need no video decoder; or none, and
+# policies observe the object's pose instead, as an upper bound of perception.
 Media = Literal["video", "image", "none"]
-# Share of the episodes that validates where a format needs such a split and nobody says how many.
+# Default share of the validation episodes in formats that need such a split.
 VAL_SHARE: Final = 0.1
 # Beside a dataset's data: what it was made of. A folder without it is not ours to replace.
 MARK: Final = "aomgen.json"
+REMEDY: Final = "export it again"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -28,8 +30,8 @@ class Choices:
 
     Attributes:
         actions: Space of the actions that policies learn.
-        media: How LeRobot datasets store pictures.
-        size: Width and height of pictures, [px]; None for as rendered.
+        media: Storage of the images in LeRobot datasets.
+        size: Width and height of images, [px]; None for as rendered.
         val: Number of episodes to validate on, in a split of their own.
     """
 
@@ -45,7 +47,7 @@ class Selection:
 
     Attributes:
         train, val: To train and to validate on. All have the same rate, robot, joints and cameras, and
-            their cameras the dataset's picture size; videos and color counts are as rendered.
+            their cameras the dataset's image size; videos and color counts are as rendered.
         choices: The form of the dataset.
     """
 
@@ -65,7 +67,7 @@ class Selection:
 
     @property
     def frames(self) -> int:
-        """How many frames all of them have."""
+        """Number of frames of all episodes."""
         return sum(len(item.episode) for item in self.episodes)
 
 
@@ -80,7 +82,7 @@ def select_episodes(episode_folders: Sequence[Path], dataset: Path, choices: Cho
     Raises:
         MissingFileError: There is no episode.
         ConfigError: Episodes differ in rate, robot, joints, cameras or codec; or there are too few for
-            the split, or pictures are rendered smaller.
+            the split, or images are rendered smaller.
         CorruptArtifactError: An episode's file is damaged.
     """
     if not episode_folders:
@@ -120,7 +122,7 @@ def stage_dataset(folder: Path, selection: Selection) -> Iterator[Path]:
 
 
 def require_replaceable(folder: Path) -> None:
-    """Refuse a place where something else stands than a dataset of ours.
+    """Refuse a folder that holds something else than a dataset of ours.
 
     Raises:
         ConfigError: It does.
@@ -136,7 +138,7 @@ def spread(count: int, wanted: int) -> set[int]:
 
 
 def default_val(episodes: int) -> int:
-    """How many episodes validate where a format needs some: a tenth, at least one."""
+    """Default number of validation episodes: a tenth, at least one."""
     return max(1, round(VAL_SHARE * episodes))
 
 
@@ -153,7 +155,7 @@ def parse_size(text: str) -> tuple[int, int]:
 
 
 def require_smaller(size: tuple[int, int], drawn: tuple[int, int], what: str) -> None:
-    """Refuse pictures larger than what is drawn, both width and height, [px].
+    """Refuse images larger than the rendered ones, both width and height, [px].
 
     Raises:
         ConfigError: They are.
@@ -191,3 +193,60 @@ def _check_alike(item: CommittedEpisode, first: CommittedEpisode) -> None:
             raise ConfigError(
                 item.folder, f"has {name} {value}, {first.folder.name} has {want[name]}", "export them apart"
             )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class StoredEpisode:
+    """One episode of a dataset.
+
+    Attributes:
+        source_index: Number of the episode that it was made from.
+        split: "train" or "val".
+        instruction: Language instruction.
+        columns: Values (T, D) or (T,) by feature.
+        images: Frames (H, W, 3) uint8 by camera; to be read before the next episode.
+    """
+
+    source_index: int
+    split: str
+    instruction: str
+    columns: Mapping[str, NDArray[Any]]
+    images: Mapping[str, Iterator[NDArray[np.uint8]]]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class StoredDataset:
+    """A dataset that is being read.
+
+    Attributes:
+        actions: Space of the feature `action`.
+        sizes: Width and height of the images by camera, [px].
+        video: Whether images were compressed as videos are.
+        images: Whether there are any.
+        episodes: One after the other; what is wrong with a file is raised when it is reached.
+    """
+
+    actions: ActionSpace
+    sizes: Mapping[str, tuple[int, int]]
+    episodes: Iterator[StoredEpisode]
+    video: bool = False
+    images: bool = True
+
+
+def chosen_space(features: Mapping[str, Any], where: Path) -> ActionSpace:
+    """The action space that is no annotation.
+
+    Raises:
+        MalformedFileError: There is no such space, or more than one.
+    """
+    absent: list[ActionSpace] = [
+        space for space in ACTION_SPACES if f"annotation.action.{space}" not in features
+    ]
+    if len(absent) != 1:
+        known = (
+            ", ".join(f"annotation.action.{space}" for space in absent) or "no action space but annotations"
+        )
+        raise MalformedFileError(
+            where, f"lacks the features {known}, of which only one may be 'action'", REMEDY
+        )
+    return absent[0]

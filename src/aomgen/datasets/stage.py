@@ -15,7 +15,7 @@ from aomgen.results import Results
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DatasetParams:
-    """What can be chosen of a run's own dataset; `aomgen export` makes all others.
+    """Options of a run's own dataset; `aomgen export` makes all others.
 
     Attributes:
         actions: Space of the actions that policies learn.

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from aomgen.datasets.tfrecord import (
+from aomgen.datasets.records import (
     decode_example,
     encode_example,
     mask_crc,

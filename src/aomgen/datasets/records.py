@@ -1,7 +1,9 @@
-"""TFRecord files of `tf.train.Example`, without TensorFlow.
+"""TFRecord files of `tf.train.Example`, without TensorFlow, and ArrayRecord files.
 
-A record is its length (8 bytes, little-endian), the length's masked CRC (4), its bytes, and their masked
+A TFRecord is its length (8 bytes, little-endian), the length's masked CRC (4), its bytes, and their masked
 CRC (4). An Example is a protocol buffer: a map of names to lists of bytes, floats or whole numbers.
+
+ArrayRecord files, which loaders made with Grain read in any order, are written by Google's own library.
 
 Source: TensorFlow's guide "TFRecord and tf.train.Example"; protocol buffers' guide "Encoding".
 """
@@ -15,17 +17,19 @@ import google_crc32c
 import numpy as np
 from numpy.typing import NDArray
 
-from aomgen.errors import MalformedFileError, MissingFileError
+from aomgen.errors import BackendError, MalformedFileError, MissingFileError
 
 # TensorFlow turns a CRC by 15 bits and adds this, so that data which hold CRCs have sound ones.
 MASK_TURN, MASK_ADDED = 15, 0xA282EAD8
 # Largest unsigned number of 32 and of 64 bits; both wrap there.
 MAX_32, MAX_64 = 0xFFFFFFFF, 0xFFFFFFFFFFFFFFFF
-# Protocol buffers: the low three bits of a tag say how a field is stored; this is length first.
+# Protocol buffers: the low three bits of a tag state how a field is stored; this is length first.
 DELIMITED = 2
 # Fields of Feature: which kind of list it holds.
 BYTES_LIST, FLOAT_LIST, INT64_LIST = 1, 2, 3
 REMEDY: Final = "export it again"
+# ArrayRecord: every record can be read alone.
+OPTIONS: Final = "group_size:1"
 Feature = list[bytes] | NDArray[Any]
 
 
@@ -175,3 +179,41 @@ def _read_varint(data: memoryview, place: int) -> tuple[int, int]:
         if byte < 128:
             return number & MAX_64, place
     raise ValueError("a number is cut")
+
+
+def require_array_record() -> Any:
+    """Import the library of ArrayRecord.
+
+    Raises:
+        BackendError: It is not installed.
+    """
+    try:
+        from array_record.python import array_record_module
+    except ImportError as error:
+        raise BackendError(
+            "array_record", "is not installed", "pip install 'aomgen[array-record]'"
+        ) from error
+    return array_record_module
+
+
+def write_array_record(path: Path, records: Iterable[bytes]) -> None:
+    """Write a file; its folder is there."""
+    writer = require_array_record().ArrayRecordWriter(str(path), OPTIONS)
+    for record in records:
+        writer.write(record)
+    writer.close()
+
+
+def read_array_record(path: Path) -> list[bytes]:
+    """The records of a file.
+
+    Raises:
+        MissingFileError: No such file.
+        MalformedFileError: It is cut or damaged.
+    """
+    if not path.is_file():
+        raise MissingFileError(path, "is missing", REMEDY)
+    try:
+        return require_array_record().ArrayRecordReader(str(path)).read_all()
+    except RuntimeError as error:
+        raise MalformedFileError(path, f"is no sound ArrayRecord file ({error})", REMEDY) from error
