@@ -48,7 +48,7 @@ def score_estimates(
 
 
 def score_motion(estimates: dict[str, Any], truth: Truth, times_s: Array, camera: str) -> dict[str, Any]:
-    """The figures of `score_estimates` that tell of the part's motion: interval, contact, joint, values.
+    """The metrics of `score_estimates` on the part's motion: interval, contact, joint, values.
 
     Args:
         estimates: Its `start_s`, `end_s`, `contacts`, `joint` and `theta` are read.
@@ -132,7 +132,7 @@ def _demo_camera(estimates: dict[str, Any], truth: Truth, camera: str) -> dict[s
 
 
 def _touches(truth: Truth, times_s: Array) -> list[dict[str, Any]]:
-    """True contacts by which the part is moved at first; none where the hand hardly presses."""
+    """True contacts that move the part at first; none where the gripper hardly presses."""
     start_s = times_s[truth.start_frame]
     frames = np.flatnonzero((times_s >= start_s) & (times_s <= start_s + CONTACT_WINDOW_S))
     return [item for frame in frames for item in truth.contacts[frame] if item["force"] >= CONTACT_MIN_N]

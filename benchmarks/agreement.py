@@ -1,4 +1,4 @@
-"""How far the engine is from float64, in pictures and in gradients."""
+"""Deviation of the engine from float64, in images and in gradients."""
 
 from dataclasses import dataclass
 
@@ -41,7 +41,7 @@ class Agreement:
 
 
 class Oracle:
-    """Float64 pictures and gradients of one scene, to compare engine settings with.
+    """Float64 images and gradients of one scene, to compare engine settings with.
 
     Args:
         gaussians: The scene; its float32 values are taken as exact.
@@ -96,7 +96,7 @@ class Oracle:
 def draw(
     parameters: dict[str, Tensor], camera: Camera, degree: int, context: native.Context
 ) -> TensorRendering:
-    """The engine's picture over black of float32 tensors by the names in `PARAMETERS`."""
+    """The engine's image over black of float32 tensors by the names in `PARAMETERS`."""
     rasterizer, options = CpuRasterizer(context), RasterOptions(sh_degree=degree)
     return rasterizer(GaussianTensors(**parameters), camera, options)
 

@@ -31,7 +31,7 @@ from benchmarks.truth import read_truth
 
 TOLERANCE_M = 0.006
 PROJECT_FILE = "project.toml"
-# Six starts of ten have an answer.
+# Six starts of ten have a solution.
 SOLVABLE_SHARE = 0.6
 
 
@@ -42,8 +42,8 @@ class Outcome:
     Attributes:
         scene, kind, done: See `Case`.
         refusal: The reason, empty when it was answered.
-        error_m: Of the end effector, None when there is no right answer or none was given.
-        sd_m: What the alignment believes.
+        error_m: Of the end effector, None when there is no solution or the alignment was refused.
+        sd_m: The alignment's own estimate of it.
         seconds: Processor time.
     """
 
@@ -57,14 +57,14 @@ class Outcome:
 
     @property
     def right(self) -> bool:
-        """Whether this is what one would want."""
+        """Return whether the outcome is right: a right solution, or a refusal where there is none."""
         if self.kind == "solvable":
             return self.error_m is not None and self.error_m <= TOLERANCE_M
         return bool(self.refusal)
 
     @property
     def wrong(self) -> bool:
-        """Whether an answer was given that is not right."""
+        """Return whether a wrong solution was returned."""
         return not self.refusal and not self.right
 
 
@@ -82,7 +82,7 @@ def run_alignment_bench(
         starts: How many, over all paths.
         seed: Of everything random.
         run_project: Runs a project up to a stage.
-        tell: Gets the row of every start as soon as it is known.
+        tell: Receives the row of every start as soon as it is known.
     """
     scenes = [_scene_of(path, run_project) for path in paths]
     bare = [without_robot(scene) for scene in scenes]
@@ -161,7 +161,7 @@ def _error_m(S_world_recon: np.ndarray, scene: Scene) -> float:
 
 
 def _frame_spread_mm(scene: Scene, rng: np.random.Generator) -> float:
-    """How far the answers for one scene in differently scaled and turned frames lie apart."""
+    """Deviation of the results for one scene in differently scaled and turned frames."""
     points = scene.configuration.points_world(100)
     placed = []
     for scale in (0.05, 20.0):

@@ -17,14 +17,14 @@ from aomgen.robots.silhouette import SilhouetteRenderer
 from benchmarks.alignment_solvable import is_solvable
 
 SCALES = (0.05, 20.0)
-# Kinds without a right answer, and how they differ from a solvable case.
+# Kinds without a solution, and how they differ from a solvable case.
 UNSOLVABLE = ("absent", "elsewhere", "joints", "mirrored")
 MIRROR = np.diag([-1.0, 1.0, 1.0, 1.0])
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Scene:
-    """A structure with its images, and the true answer.
+    """A structure with its images, and the true solution.
 
     Attributes:
         name: Of the capture.
@@ -33,7 +33,7 @@ class Scene:
         points_recon: Sparse points (P, 3).
         configuration: The robot during the scan.
         S_world_recon: The true similarity (4, 4).
-        errors: How far the structure believes its cameras to be off.
+        errors: Standard deviations that the structure states for its cameras.
     """
 
     name: str
@@ -53,7 +53,7 @@ class Case:
     Attributes:
         kind: "solvable" or one of `UNSOLVABLE`.
         done: The disturbances in words.
-        scene: As the alignment gets it; `S_world_recon` is the answer where there is one.
+        scene: Input of the alignment; `S_world_recon` is the solution where there is one.
     """
 
     kind: str
@@ -103,7 +103,7 @@ def resimilated(scene: Scene, scale: float, R: Array, rng: np.random.Generator) 
 
 
 def without_robot(scene: Scene) -> Scene:
-    """The robot painted over with what surrounds it, in every image."""
+    """The images with the robot replaced by its surroundings."""
     with _renderer(scene) as renderer:
         views = [
             replace(view, image_srgb=_painted_over(view.image_srgb, _robot_mask(scene, view, renderer)))

@@ -1,4 +1,4 @@
-"""Stages of a finished run made anew by other methods: the paper's rigid ICP and link boxes, affinity features."""
+"""Stages of a finished run recomputed by other methods: the paper's rigid ICP and link boxes, affinity features."""
 
 import time
 from dataclasses import replace
@@ -14,15 +14,15 @@ from aomgen.twin.twin import TwinModel
 from benchmarks.table import as_table
 
 PREFIX = "paper."
-# What the two methods are compared in.
+# Metrics in which the two methods are compared.
 GROUPS = ("alignment.", "cameras.median", "demo_camera.", "parts.", "images.replay")
 
 
 def with_paper_alignment(results: Results, folder: Path) -> tuple[Results, float]:
-    """A run with the paper's alignment in a folder of its own, and the seconds that it took.
+    """A run with the paper's alignment in a separate folder, and the seconds that it took.
 
     Raises:
-        AlignmentError: The method has no answer.
+        AlignmentError: The method refuses.
     """
     folder.mkdir(parents=True, exist_ok=True)
     started = time.monotonic()
@@ -36,7 +36,7 @@ def with_parts(results: Results, folder: Path, evidence: MotionEvidence) -> tupl
     """A run with parts found anew in a folder of their own, and the seconds that they took.
 
     Raises:
-        ReconstructionError: The method has no answer.
+        ReconstructionError: The method refuses.
     """
     folder.mkdir(parents=True, exist_ok=True)
     started = time.monotonic()

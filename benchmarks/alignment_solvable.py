@@ -1,4 +1,4 @@
-"""Which starts of the alignment have an answer: a question of geometry, not of any method."""
+"""Decide which starts of the alignment have a solution: a question of geometry, not of any method."""
 
 import numpy as np
 
@@ -17,11 +17,11 @@ def is_solvable(
     configuration: RobotConfiguration,
     S_world_recon: Array,
 ) -> bool:
-    """Whether images and prompts determine the answer, whatever the method.
+    """Return whether images and prompts determine the solution, whatever the method.
 
-    Half of the robot or more is in at least `MIN_VIEWS` pictures, two of them from directions
+    Half of the robot or more is in at least `MIN_VIEWS` images, two of them from directions
     `MIN_ANGLE_DEG` apart, which fixes place and scale to the pixel; and one prompted box has at
-    least half in common with the robot's true extent in its picture (intersection over union).
+    least half in common with the robot's true extent in its image (intersection over union).
     Cameras may be off by what an end effector within tolerance allows. Not checked: what stands
     before the robot.
     """

@@ -1,4 +1,4 @@
-"""What a twin has to reach: one bar a figure, for every capture alike."""
+"""Thresholds that a twin has to reach: one a metric, the same for every capture."""
 
 from dataclasses import dataclass
 from typing import Final
@@ -17,7 +17,7 @@ class Bar:
     at_most: bool
 
     def met(self, value: float | None) -> bool:
-        """Whether a figure passes; a refusal never does."""
+        """Return whether a metric passes; a refusal never does."""
         if value is None:
             return False
         return value <= self.limit if self.at_most else value >= self.limit

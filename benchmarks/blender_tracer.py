@@ -1,4 +1,4 @@
-"""Runs inside Blender: reads a scene, then draws one picture for every line of standard input.
+"""Runs inside Blender: reads a scene, then renders one image for every line of standard input.
 
 Not imported by anything else here: Blender's Python has its own packages.
 """
@@ -53,7 +53,7 @@ def make_object(name: str, mesh: dict, material: bpy.types.Material) -> bpy.type
 
 
 def make_light(light: dict) -> None:
-    """An environment from Blender's own files, and a lamp with an area."""
+    """An environment from Blender's own files, and an area light."""
     world = bpy.data.worlds.new("world")
     bpy.context.scene.world = world
     world.use_nodes = True
@@ -101,7 +101,7 @@ def read_scene(folder: Path) -> list[bpy.types.Object]:
 
 
 def draw(job: dict, objects: list[bpy.types.Object]) -> None:
-    """One picture of one state."""
+    """One image of one state."""
     for item, T, hidden in zip(objects, job["Ts_world_mesh"], job["hidden"], strict=True):
         item.matrix_world, item.hide_render = Matrix(T), hidden
     camera, render = bpy.context.scene.camera, bpy.context.scene.render
@@ -117,7 +117,7 @@ def draw(job: dict, objects: list[bpy.types.Object]) -> None:
 
 
 def main() -> None:
-    """Answer every job with a line that begins with DONE."""
+    """Reply to every job with a line that begins with DONE."""
     objects = read_scene(Path(sys.argv[1]))
     for line in sys.stdin:
         job = json.loads(line)

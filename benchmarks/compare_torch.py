@@ -16,7 +16,7 @@ from benchmarks.torch_tiles import render
 
 
 def compare(gaussians: Gaussians, camera: Camera, rounds: int, tile_px: int) -> dict[str, float]:
-    """Medians of both, medians of the ratios round by round, and the difference of the pictures."""
+    """Medians of both, medians of the ratios round by round, and the difference of the images."""
     context = native.Context(1)
     torch_forward, torch_training = _torch_passes(gaussians, camera, tile_px)
     functions = {

@@ -26,12 +26,12 @@ from aomgen.results import Results
 
 # Image sizes that steps are timed at, two cameras each, [px].
 SIZES: Final = ((320, 240), (128, 128))
-# Of each asset: episodes whose pictures are compared, and frames of each of them.
+# Number of episodes of each asset whose images are compared, and frames of each of them.
 COMPARED_EPISODES, COMPARED_FRAMES = 3, 10
 # Trials whose resets and steps are timed, after one that opens everything.
 TIMED_TRIALS: Final = 3
 SEED: Final = 7
-# Equal pictures have no finite ratio of signal to noise; this stands for it, [dB].
+# Equal images have no finite ratio of signal to noise; this is reported for it, [dB].
 EQUAL_DB: Final = 100.0
 
 
@@ -45,7 +45,7 @@ def run_environment(
         folder: Keeps suite and rollouts; a bench that was killed goes on.
         trials: Of each action space.
         workers: Processes.
-        tell: Hears what is done.
+        tell: Receives the progress.
 
     Returns:
         `oracle_replay` and `nearest_replay` by action space, `pixels_psnr` (the worst frame, [dB]), `step_cpu_ms` by
@@ -83,7 +83,7 @@ def resized(world: World, size: tuple[int, int]) -> World:
 
 
 def worst_psnr(results: Results) -> float:
-    """Of the environment's pictures against an episode's before they are encoded, in the same states, [dB]."""
+    """PSNR of the environment's images against an episode's before they are encoded, in the same states, [dB]."""
     folder, worst = results.folders["episodes"], EQUAL_DB
     factory = EpisodeFactory(results, folder)
     for asset in range(len(results.fitted_assets)):
@@ -112,7 +112,7 @@ def _psnrs(factory: EpisodeFactory, path: Path) -> list[float]:
 
 
 def time_steps(world: World) -> tuple[float, float]:
-    """Median CPU time of a step, [ms], and of a reset, [s], with pictures, on one thread."""
+    """Median CPU time of a step, [ms], and of a reset, [s], with images, on one thread."""
     env = OpenEnv(world)
     policy = OracleReplay(world)
     steps, resets = [], []
@@ -132,7 +132,7 @@ def time_steps(world: World) -> tuple[float, float]:
 
 
 def passes_check(world: World) -> bool:
-    """Whether Gymnasium's own check finds nothing; raises what it finds."""
+    """Run Gymnasium's own check; raises what it finds."""
     env = OpenEnv(resized(world, (64, 48)))
     with warnings.catch_warnings():
         # Joints and poses have no bounds of their own.

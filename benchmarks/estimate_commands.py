@@ -113,8 +113,8 @@ def alignment(
 ) -> None:
     """Disturb frames, prompts, cameras and joint values: what is answered, how well, what is refused.
 
-    Six of ten starts have an answer; in the others the robot is gone, stands elsewhere than the
-    prompts say, has other joint values than the log says, or is mirrored.
+    Six of ten starts have a solution; in the others the robot is missing, has another pose than the
+    prompts, has other joint values than the log, or is mirrored.
     """
     from benchmarks.alignment import run_alignment_bench
 
@@ -132,7 +132,7 @@ def intervals(
     seed: Annotated[int, typer.Option(help="First seed.")] = 5000,
     json_file: JsonFile = None,
 ) -> None:
-    """Hide joints behind hand paths that slip and pivot: do the stated 95 % intervals hold them?
+    """Hide joints behind end effector paths that slip and pivot: do the stated 95 % intervals hold them?
 
     `held` is the share of intervals that hold the truth, `width` their median over the median error.
     """

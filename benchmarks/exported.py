@@ -1,4 +1,4 @@
-"""What a user gets of an episode, and its replay in a scene made of these values alone."""
+"""Exported values of an episode, and its replay in a scene made of these values alone."""
 
 import copy
 import math
@@ -25,16 +25,16 @@ FORCE, THETA = "annotation.finger_force", "annotation.object_joint"
 IK_STEPS: Final = 6
 # An object that stands this much farther along the gripper's approach cannot be opened or closed by the same actions, [m].
 AWAY_M: Final = 0.08
-# How long the arm stands still before the first and after the last action, [s]; a lid would fall meanwhile.
+# Time that the arm rests before the first and after the last action, [s]; a lid would fall meanwhile.
 BEFORE_S, AFTER_S = 0.2, 1.0
-# When a replay counts, as in `simulation.judge.PassRule`: share of the planned way made, share of the
+# Limits of a successful replay, as in `simulation.judge.PassRule`: share of the planned travel made, share of the
 # progress made while pads carry force, what counts as force [N], and share of the way made before it.
 OPENED_SHARE, CONTACT_SHARE, CARRIED_N, EARLY_SHARE = 0.9, 0.8, 0.5, 0.02
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Exported:
-    """What a user gets of one episode.
+    """Exported values of one episode.
 
     Attributes:
         usd: The object's file.
@@ -64,7 +64,7 @@ class Exported:
         return (thetas - first) / (last - first)
 
     def moved_away(self, robot: RobotModel) -> "Exported":
-        """The same actions with the object AWAY_M farther along the approach of the hand that first touches it."""
+        """The same actions with the object AWAY_M farther along the approach of the gripper that first touches it."""
         touching = poses_of(self.ee_poses[[np.argmax(self.forces > 0)]])[0]
         T = self.T_world_object.copy()
         T[:3, 3] += AWAY_M * touching[:3, :3] @ robot.approach_ee
@@ -101,7 +101,7 @@ def exported_from(
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Opening:
-    """What a replay did: the object's joint (T + 1,) at every frame and after the last action, [rad] or [m], and
+    """Result of a replay: the object's joint (T + 1,) at every frame and after the last action, [rad] or [m], and
     whether a pad carried force there (T + 1,)."""
 
     thetas: Array
@@ -160,7 +160,7 @@ class Replay:
         return Opening(thetas=np.array(thetas), carried=np.array(carried))
 
     def _carries(self) -> bool:
-        """Whether the pads press on the moving link."""
+        """Return whether the pads press on the moving link."""
         model, data, wrench, total = self._scene.model, self._data, np.zeros(6), 0.0
         for index in range(data.ncon):
             pair = data.contact[index].geom

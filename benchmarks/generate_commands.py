@@ -61,7 +61,7 @@ def environment(
         Path | None, typer.Option(help="Keeps suite and rollouts; continued when it exists.")
     ] = None,
 ) -> None:
-    """Replay plans in closed loop in every action space, compare pictures with episodes', time steps and resets."""
+    """Replay plans in closed loop in every action space, compare images with episodes', time steps and resets."""
     from benchmarks.environment import run_environment
 
     with tempfile.TemporaryDirectory() as scratch:
@@ -92,7 +92,7 @@ def policy(
 ) -> None:
     """Train policies on generated demonstrations with LeRobot and count how often they open what they have not seen.
 
-    Run it from .venv-policy (`make policy-env`). Hours for all tables; figures are told by `docs/policies.md`.
+    Run it from .venv-policy (`make policy-env`). Hours for all tables; `docs/policies.md` explains the metrics.
     """
     from aomgen.assets.choice import asset_file, open_asset
     from benchmarks.policy import PolicyBench
@@ -126,7 +126,7 @@ def replay(
 ) -> None:
     """Plan for made objects from recovered demonstrations, and replay what is exported (the paper's Table 1).
 
-    Figures are told by `docs/dataset.md`.
+    `docs/dataset.md` explains the metrics.
     """
     from benchmarks.replay_runs import run_replay_bench
 
@@ -149,9 +149,9 @@ def replace(
     seed: Annotated[int, typer.Option(help="Of the first made asset and of all views.")] = 100,
     json_file: JsonFile = None,
 ) -> None:
-    """Draw assets as Gaussians beside their meshes, fit them to motions, and compare with path-traced pictures.
+    """Draw assets as Gaussians and as meshes, fit them to motions, and compare with path-traced images.
 
-    Rooms want Blender (`make blender-env`) and half an hour each. Figures are told by `docs/replacement.md`.
+    Rooms need Blender (`make blender-env`) and half an hour each. `docs/replacement.md` explains the metrics.
     """
     from aomgen.assets.choice import load_asset
     from benchmarks.replace_fits import run_fits
@@ -177,7 +177,7 @@ def faults(
 ) -> None:
     """Kill runs that make episodes, fill their disk, kill workers, here and on a Ray cluster; then let them continue.
 
-    Episodes are real but small. Figures are told by `docs/dataset.md`.
+    Episodes are real but small. `docs/dataset.md` explains the metrics.
     """
     from faults import run_faults
 

@@ -1,4 +1,4 @@
-"""How the pads of a hand that holds a fitted asset lie on its meshes, which physics does not see."""
+"""Contact of the pads of a gripper that holds a fitted asset with its meshes, which physics does not simulate."""
 
 from collections.abc import Callable
 from functools import cache
@@ -16,9 +16,9 @@ from aomgen.episodes.candidates import list_motions
 from aomgen.episodes.retarget import MOVE, DemonstratedMotion, RetargetedMotion
 from aomgen.robots.robot import FingerPad, RobotModel
 
-# Points of a surface lie about so far apart, and only those so near to the held point are looked at, [m].
+# Distance between points of a surface, and from the held point to the farthest of them, [m].
 SPACING_M, NEAR_M = 1e-3, 0.06
-# What lies farther behind a pad's face is on the other side of the finger, [m].
+# Points farther behind a pad's face are on the other side of the finger, [m].
 BEHIND_M: Final = 0.012
 # Halvings of the gripper's range until its value is known: to far below a tenth of a millimetre.
 HALVINGS: Final = 12
@@ -42,7 +42,7 @@ class Grip(NamedTuple):
 
     @property
     def holds(self) -> bool:
-        """Whether the pads lie on the meshes and not in them."""
+        """Return whether the pads lie on the meshes and not in them."""
         return self.gap_mm <= MAX_GAP_MM and self.penetration_mm <= MAX_PENETRATION_MM
 
 
@@ -66,7 +66,7 @@ Pads = Callable[[float], list[tuple[FingerPad, Array]]]
 
 
 def _grip(motion: RetargetedMotion, pads: Pads, boxes: Array, surface: Array) -> Grip:
-    """Of one grasp, on points of colliders and meshes (N, 3)."""
+    """Contact of one grasp, on points of colliders and meshes (N, 3)."""
     knots, fitted = motion.shown.knots[MOVE], motion.fitted
     times = np.linspace(knots[0], knots[-1], POSES)
     moved = fitted.T_world_asset @ fitted.asset.joint.motion(motion.thetas(times))
@@ -93,7 +93,7 @@ def _pad_poses(robot: RobotModel, gripper: float) -> list[tuple[FingerPad, Array
 
 
 def _clearances(pads: list[tuple[FingerPad, Array]], T_part_ee: Array, points: Array) -> list[float]:
-    """How far points (N, 3) before the pads are from the faces of these, below 0 inside, [m]."""
+    """Distance of points (N, 3) before the pads from the faces of these, below 0 inside, [m]."""
     return [_clearance(pad, T_part_ee @ T_ee_pad, points) for pad, T_ee_pad in pads]
 
 

@@ -1,4 +1,4 @@
-"""Times of the engine and of gsplat on one scene, and how far their pictures lie apart.
+"""Times of the engine and of gsplat on one scene, and the difference of their images.
 
     python -m benchmarks.gsplat_times 20000,100000,300000 640x480
 
@@ -25,7 +25,7 @@ COLUMNS = ("Gaussians", "forward", "with ids", "with 16 features", "forward+back
 
 
 def tensors(gaussians: Gaussians, device: str) -> GaussianTensors:
-    """What the optimizer would hold, on a device, with gradients."""
+    """Parameters as the optimizer holds them, on a device, with gradients."""
     opacities = np.clip(gaussians.opacities.astype(np.float64), 1e-6, 1 - 1e-6)
 
     def leaf(array: np.ndarray) -> Tensor:
@@ -41,7 +41,7 @@ def tensors(gaussians: Gaussians, device: str) -> GaussianTensors:
 
 
 def passes(draw: Rasterizer, gaussians: GaussianTensors, camera: Camera) -> dict[str, Callable[[], Tensor]]:
-    """What is timed, by column."""
+    """Timed operations, by column."""
     shape = (len(gaussians.means), 16)
     featured = replace(gaussians, features=torch.ones(shape, device=gaussians.means.device))
     with_ids = replace(OPTIONS, with_ids=True)
@@ -74,7 +74,7 @@ def median_ms(function: Callable[[], Tensor], repeats: int = 15) -> float:
 
 
 def rows_of(count: int, size: tuple[int, int], rasterizers: dict[str, tuple[Rasterizer, str]]) -> list[list]:
-    """One row of the table for every rasterizer; the pictures are compared with the first one's."""
+    """One row of the table for every rasterizer; the images are compared with the first one's."""
     scene, camera = table_top(count, 3), table_camera(*size)
     rows, pictures = [], []
     for name, (draw, device) in rasterizers.items():

@@ -18,18 +18,18 @@ from aomgen.io.images import encode_jpeg, encode_png, read_image, read_labels
 from aomgen.io.video import encode_video, read_video
 from synthetic.world import joints_csv
 
-# What a lab states, and what is true: focal length by a share, and a lens that nobody mentions.
+# Stated focal length against the true one, as a share, and a lens distortion that is not stated.
 FOCAL_SHARE, K1 = 0.01, -0.03
 # Zero of each joint, [rad]: what a mastered arm still has.
 JOINT_ZERO_RAD = np.deg2rad(0.25)
 # Exposure and white balance of a phone on automatic, relative spread of each image.
 GAIN_SPREAD, COLOR_SPREAD = 0.12, 0.04
-# Of the stills, and how far the camera moves while one is exposed, as a share of the width.
+# Share of blurred stills, and the camera's motion during the exposure, as a share of the width.
 BLURRED_SHARE, BLUR_SHARE = 0.25, 0.008
 JPEG_QUALITY, VIDEO_CRF = 70, 30
-# Of the log: jitter of its stamps, [s], and share of the rows that get lost.
+# Log: jitter of its stamps, [s], and share of the rows that get lost.
 STAMP_JITTER_S, LOST_SHARE = 0.003, 0.01
-# What a person draws: boxes off by a share of their size, clicks by so many pixels.
+# Prompts of a person: boxes off by a share of their size, clicks by a number of pixels.
 BOX_SHARE, CLICK_PX = 0.03, 3.0
 
 Image8 = NDArray[np.uint8]

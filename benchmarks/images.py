@@ -1,4 +1,4 @@
-"""Scores renders of a finished run's twin against the capture's own pictures and true masks."""
+"""Scores renders of a finished run's twin against the capture's own images and true masks."""
 
 from collections.abc import Callable, Collection
 from dataclasses import dataclass
@@ -38,11 +38,11 @@ class TrueMasks:
     lens: Lens | None = None
 
     def has(self, stem: str) -> bool:
-        """Whether there is a mask of this image; a scan video has none."""
+        """Return whether there is a mask of this image; a scan video has none."""
         return (self.folder / f"{stem}.png").is_file()
 
     def read(self, stem: str) -> NDArray[np.uint8]:
-        """Labels (H, W) of the straightened image.
+        """Labels (H, W) of the undistorted image.
 
         Raises:
             MissingFileError: There is none.
@@ -52,7 +52,7 @@ class TrueMasks:
 
 
 def is_heldout(index: int) -> bool:
-    """Whether the scan image at this place in name order is kept for evaluation."""
+    """Return whether the scan image at this index in name order is kept for evaluation."""
     return index % 8 == 4
 
 

@@ -1,9 +1,9 @@
-"""Hands that hold a part while it moves: they slide, give way and tilt as in contact simulations.
+"""Grippers that hold a part while it moves: they slide, give way and tilt as in contact simulations.
 
 Sizes are those measured (60 doors, 15 drawers with firm grasps, 50 of five categories): over a door's opening
 the grasp slips 1 mm outwards and 1.5 mm along the bar, the handle turns by up to 0.4 of the door's turn
-in the fingers, the hand tilts by 0.15 degrees. A straight pull slips along the fingers' pads only. In
-most worlds the hand slides along the bar besides, by up to 11 mm. Loose grasps slip by up to 15 mm and
+in the fingers, the gripper tilts by 0.15 degrees. A straight pull slips along the fingers' pads only. In
+most worlds the gripper slides along the bar besides, by up to 11 mm. Loose grasps slip by up to 15 mm and
 tilt by degrees.
 """
 
@@ -15,25 +15,25 @@ from aomgen.core.values import Array
 
 # A slow grasp slips by at most this per travel, [m/m].
 MAX_SLIP_RATE = 0.05
-# Share of hands that slide along the bar as people let them, how far at most [m], and by which share of that
+# Share of grippers that slide along the bar as people let them, the largest distance [m], and by which share of that
 # they give way across it, along their pads.
 SLIDING = 0.6
 MAX_SLIDE_M = 0.011
 ASIDE = (0.3, 1.2)
-# Share of pulls with fingers that close along the way, and how far the hand leans about the bar else, [rad].
+# Share of pulls with fingers that close along the motion, and the lean of the gripper about the bar else, [rad].
 CLOSING_ALONG = {"revolute": 0.6, "prismatic": 0.4}
 MAX_LEAN_RAD = 0.4
 # Firm fingers let a straight pull slip by this per travel in the direction in which they close, [m/m].
 CLOSING_RATE = 0.0003
 LOG_HZ = 100.0
-# White noise of hand poses from a joint log (0.5 mrad a joint), [m], [rad].
+# White noise of end effector poses from a joint log (0.5 mrad a joint), [m], [rad].
 LOG_SD_M, LOG_SD_RAD = 0.00025, 0.0007
 
 
 def hand_in_part(
     joint: Joint, handle: Array, thetas: Array, rng: np.random.Generator, *, loose: bool
 ) -> tuple[Array, Array, Array]:
-    """Hand poses (T, 4, 4) in the part's frame (as at value 0); held point and closing direction in the hand's."""
+    """End effector poses (T, 4, 4) in the part's frame (as at value 0); held point and closing direction in the end effector's frame."""
     share = thetas / joint.upper
     bar, closing, pads = _fingers(joint, handle, rng)
     length = joint.upper * (_radius(joint, handle) if joint.type == "revolute" else 1.0)
@@ -66,7 +66,7 @@ def _slips(
     *,
     loose: bool,
 ) -> Array:
-    """Slow slip (T, 3) of the hand along the part, [m].
+    """Slow slip (T, 3) of the gripper along the part, [m].
 
     Ways are outwards or along the pads, along the bar, and in which the fingers close (3,).
     """
@@ -123,7 +123,7 @@ def _slow(share: Array, rng: np.random.Generator, steady: float = 1.0) -> Array:
 
 
 def logged(Ts_world_ee: Array, rng: np.random.Generator) -> Array:
-    """The hand's poses (T, 4, 4) as a joint log has them."""
+    """The end effector's poses (T, 4, 4) as a joint log has them."""
     noise = transform(
         matrix_from_rotvec(rng.normal(size=(len(Ts_world_ee), 3)) * LOG_SD_RAD),
         rng.normal(size=(len(Ts_world_ee), 3)) * LOG_SD_M,

@@ -1,4 +1,4 @@
-"""Whether the joint's stated 95 % intervals hold the truth, and how wide they are, over many hidden joints."""
+"""Coverage and width of the joint's stated 95 % intervals, over many hidden joints."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -17,7 +17,7 @@ from benchmarks.joint_worlds import GRASP_SD_M, JointWorld, draw_world
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class IntervalRow:
-    """One world's answer.
+    """Result of one world.
 
     Attributes:
         seed: Of the world.
@@ -25,7 +25,7 @@ class IntervalRow:
         loose: Whether its grasp was a bad one.
         axis: Error and stated radius of the direction, [deg].
         origin: The same of the axis line nearest the held point, [mm]; zeros for a prismatic joint.
-        failure: "" or why there is no right answer: the error's name, or "wrong type".
+        failure: "" or why there is no right result: the error's name, or "wrong type".
     """
 
     seed: int
@@ -98,7 +98,7 @@ def interval_figures(rows: list[IntervalRow]) -> list[dict[str, Any]]:
 
 
 def _figures(name: str, unit: str, pairs: Array) -> dict[str, float | None]:
-    """Of errors and radii (N, 2)."""
+    """Coverage of errors and radii (N, 2)."""
     keys = (f"{name}_{unit}", f"{name}_{unit}_p90", f"{name}_held", f"{name}_width")
     if not len(pairs):
         return dict.fromkeys(keys)

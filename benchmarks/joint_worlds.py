@@ -1,4 +1,4 @@
-"""Joints behind a hand's path, with truth: what AOMotion's joint estimate is held to, without pictures.
+"""Joints behind an end effector's path, with truth: test data of AOMotion's joint estimate, without images.
 
 One world in seven has a loose grasp. Geometry is off by what reconstructed parts are off by.
 """
@@ -28,8 +28,8 @@ class JointWorld:
 
     Attributes:
         joint: World frame, axis positive in the demonstrated direction.
-        held_world: Point of the part that the hand held at first (3,), [m].
-        Ts_world_ee: Hand poses (T, 4, 4) by the log, start to end of the motion.
+        held_world: Point of the part that the gripper held at first (3,), [m].
+        Ts_world_ee: End effector poses (T, 4, 4) by the log, start to end of the motion.
         thetas: True joint values (T,), 0 at first.
         grasp_ee: First guess of the held point (3,), end-effector frame, [m].
         closing_ee: Unit direction in which the fingers close (3,), same frame.

@@ -1,4 +1,4 @@
-"""`python -m benchmarks accuracy --synthetic-motion N`: AOMotion on cheap worlds that nobody looked at."""
+"""`python -m benchmarks accuracy --synthetic-motion N`: AOMotion on cheap unseen worlds."""
 
 import tempfile
 import time
@@ -40,7 +40,7 @@ BEYOND: Final[tuple[Kind, ...]] = ("closing", "hook", "push", "open", "open")
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Case:
-    """Which world: its category, seed and kind, and the group it is counted in."""
+    """Identity of a world: its category, seed and kind, and the group it is counted in."""
 
     category: str
     seed: int
@@ -56,10 +56,10 @@ class Outcome:
         case: Which world.
         joint_type: The true one.
         method: "ours", or a variant of the paper's.
-        refusal: Name of the error, empty when there is an answer.
+        refusal: Name of the error, empty when there is an estimate.
         reason: Its sentence.
         figures: By dotted name; empty when refused.
-        moving_share: Share of the film in which the part moves.
+        moving_share: Share of the video in which the part moves.
         seconds: Processor time of the estimate.
     """
 
@@ -74,12 +74,12 @@ class Outcome:
 
     @property
     def failed(self) -> bool:
-        """Whether there is no answer, or one with the wrong type of joint."""
+        """Return whether there is no estimate, or one with the wrong type of joint."""
         return bool(self.refusal) or not self.figures["joint.type_ok"]
 
     @property
     def rightly_refused(self) -> bool:
-        """Whether an unsolvable world was refused with an error that says why."""
+        """Return whether an unsolvable world was refused with an error that states the reason."""
         return self.refusal in UNSOLVABLE.get(self.case.kind, ())
 
     def error(self, name: str) -> float:
@@ -103,7 +103,7 @@ class Outcome:
 
 
 def cases(count: int, first_seed: int) -> list[Case]:
-    """So many worlds of the five categories, then unsolvable ones, then some beyond; categories take turns.
+    """A number of worlds of the five categories, then unsolvable ones, then some beyond; categories take turns.
 
     Beyond are other manners of the five, and other objects.
     """
@@ -136,9 +136,9 @@ def run_motion(
     """Make worlds, recover their motion, score it.
 
     Args:
-        wanted: Which worlds.
+        wanted: Requested worlds.
         out: Keeps the worlds, which are made but once; temporary when None.
-        tell: Gets every outcome as soon as it is known.
+        tell: Receives every outcome as soon as it is known.
         skipped: Gets every case that no demonstration was found for, with the reason; it is left out.
     """
     outcomes = []
@@ -208,7 +208,7 @@ def _paper(world: MotionWorld, blank: Outcome) -> Iterator[Outcome]:
 
 
 def scored(estimate: MotionEstimate, world: MotionWorld) -> dict[str, Any]:
-    """Figures of an answer, with its intervals and whether it tells opening from closing."""
+    """Metrics of an estimate, with its intervals and whether it distinguishes opening from closing."""
     times = world.demonstration.video.times_s
     figures = score_motion(motion_estimates(estimate), world.truth, times, CAMERA)
     direction = read_json(world.truth.folder / "truth.json")["direction"]

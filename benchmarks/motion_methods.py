@@ -19,7 +19,7 @@ from benchmarks.table import as_table
 from benchmarks.truth import Truth
 
 PREFIX = "paper_motion."
-# What the methods are compared in.
+# Metrics in which the methods are compared.
 GROUPS = ("keyframes.", "contact_mm", "joint.", "theta.")
 REFUSAL = "refusal"
 
@@ -39,7 +39,7 @@ def paper_variants(joint_type: JointType) -> dict[str, PaperMotionParams]:
 def paper_estimates(
     demonstration: MotionInput, masks: PartMasks, joint_type: JointType
 ) -> dict[str, dict[str, Any]]:
-    """What each variant answers, as entries of estimates.json; refused ones say why under "refusal"."""
+    """Result of each variant, as entries of estimates.json; refused ones have the reason under "refusal"."""
     answers = {}
     for name, params in paper_variants(joint_type).items():
         try:

@@ -29,7 +29,7 @@ NEAR_SPACING_M: Final = 0.012
 FAR_SPACING_SHARE: Final = 0.03
 # Depth steps larger than this share of the depth are outlines, not slopes.
 OUTLINE_SHARE: Final = 0.02
-# Iterations that fit colors and opacities to the scan's pictures.
+# Iterations that fit colors and opacities to the scan's images.
 LESSONS: Final = 220
 
 
@@ -62,7 +62,7 @@ class Surface:
 def seen_surface(
     painter: SceneRenderer, cameras: list[Camera], qpos: Array, middle: Array, rng: np.random.Generator
 ) -> tuple[Surface, list[NDArray[np.uint8]]]:
-    """Unproject the pictures of a walk, thin the points to the density of a reconstruction.
+    """Unproject the images of a walk, thin the points to the density of a reconstruction.
 
     Args:
         painter: Of the compiled world.
@@ -72,7 +72,7 @@ def seen_surface(
         rng: Chooses which points stay.
 
     Returns:
-        The surface and the clean pictures.
+        The surface and the clean images.
     """
     pieces, images = [], []
     for camera in cameras:
@@ -119,7 +119,7 @@ def _slope(points: Array, depths: Array, axis: int) -> Array:
 
 
 def spacings(points: Array, labels: NDArray[np.uint8], middle: Array) -> Array:
-    """Wanted distance between neighbors (N,), [m]."""
+    """Required distance between neighbors (N,), [m]."""
     away = np.maximum(np.linalg.norm(points - middle, axis=1) - 0.6, 0.0)
     result = np.maximum(NEAR_SPACING_M, FAR_SPACING_SHARE * away)
     for label, spacing in SPACING_M.items():
@@ -204,7 +204,7 @@ def raw_gaussians(surface: Surface, middle: Array, upstream: Upstream, rng: np.r
 def learned(
     gaussians: Gaussians, cameras: list[Camera], images: list[NDArray[np.uint8]], rng: np.random.Generator
 ) -> Gaussians:
-    """Colors and opacities fitted to the scan's pictures; places stay where they are.
+    """Colors and opacities fitted to the scan's images; positions stay where they are.
 
     All Gaussians stay, in order, however faint.
     """

@@ -1,4 +1,4 @@
-"""Figures of many motion worlds: median, 90th percentile, refusals, failures, beside what is wanted."""
+"""Metrics of many motion worlds: median, 90th percentile, refusals, failures, with their thresholds."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -10,7 +10,7 @@ import numpy as np
 from benchmarks.motion_accuracy import Outcome
 from benchmarks.table import as_table
 
-# Shortest and longest moving share of a film for which start and end have to be found.
+# Shortest and longest moving share of a video for which start and end have to be found.
 SHARES: Final = (0.05, 0.80)
 # A stated interval may be this many times as wide as the median error.
 WIDEST: Final = 3.0
@@ -45,7 +45,7 @@ BARS: Final[dict[str, MotionBar]] = {
     "keyframes.start_error_s": MotionBar(median=None, p90=0.2),
     "keyframes.end_error_s": MotionBar(median=None, p90=0.2),
 }
-# Which figures a joint of the other type does not have.
+# Metrics that a joint of the other type does not have.
 OF_TYPE: Final = {"joint.origin_mm": "revolute", "theta.rmse_deg": "revolute", "theta.rmse_mm": "prismatic"}
 
 
@@ -99,7 +99,7 @@ def unsolvable_of(outcomes: Sequence[Outcome]) -> list[dict[str, Any]]:
 
 
 def fractions_of(outcomes: Sequence[Outcome]) -> list[dict[str, Any]]:
-    """Errors of start and end against the share of the film in which the part moves."""
+    """Errors of start and end against the share of the video in which the part moves."""
     asked = [o for o in outcomes if o.case.group == "solvable" and o.method == "ours"]
     rows = []
     for low, high in pairwise(FRACTIONS):

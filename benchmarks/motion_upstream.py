@@ -1,4 +1,4 @@
-"""What the stages before the motion get wrong, as measured, and how it is put onto a true world."""
+"""Errors of the stages before the motion, as measured, and their application to a true world."""
 
 from dataclasses import dataclass, field
 from typing import Final
@@ -46,7 +46,7 @@ class SolidStatistics:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Upstream:
-    """Errors of scene, camera and clock that AOMotion is given, one standard deviation where not said otherwise.
+    """Errors of scene, camera and clock that AOMotion is given, one standard deviation where not stated otherwise.
 
     Measured on seven finished runs (synthetic captures of 320x240 to 640x480 px, three arms): the scene's
     similarity against the true one, the fixed camera against the scene, the clock against the true one,
@@ -57,7 +57,7 @@ class Upstream:
         scale_pct: Of scene against world; measured .01-.12, rms .061.
         shift_mm: Of scene against world at the object, along each axis; measured size .5-2.6, rms 1.6 in all.
         camera_mm: Of the camera against the scene, along each axis; measured size .4-2.6, rms 1.4 in all.
-            The camera turns along, so that the object stays where it is in the picture but for
+            The camera turns along, so that the object stays where it is in the image but for
         camera_px: this, along each axis (measured size .1-.7, rms .36 in all),
         roll_deg: and this about its optical axis; measured turns .02-.22, rms .12 in all.
         clock_ms: Of the offset between video and log; measured .03-2.1, rms .98.
@@ -186,7 +186,7 @@ def mislabelled(
 
 
 def _strip(points: Array, upstream: Upstream, rng: np.random.Generator) -> Array:
-    """How far the border is moved (N,), [m]: to one side along half of it."""
+    """Displacement of the border (N,), [m]: to one side along half of it."""
     direction = rng.standard_normal(3)
     heights = (points - points.mean(0)) @ (direction / np.linalg.norm(direction))
     sign = 1.0 if rng.random() < 0.5 else -1.0

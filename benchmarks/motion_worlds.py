@@ -47,7 +47,7 @@ from synthetic.style import DemonstrationStyle, draw_style
 from synthetic.world import DEFAULT_ROBOT, find_moved_range
 
 Kind = Literal["open", "closing", "hook", "push", "nothing", "touch", "locked", "cut", "short"]
-# Kinds of which no joint can be told, and the errors that say why.
+# Kinds whose joint cannot be determined, and the errors that state the reason.
 UNSOLVABLE: Final[dict[Kind, tuple[str, ...]]] = {
     "nothing": ("NoMotionError",),
     "touch": ("NoMotionError",),
@@ -55,12 +55,12 @@ UNSOLVABLE: Final[dict[Kind, tuple[str, ...]]] = {
     "cut": ("NoMotionError",),
     "short": ("DemonstrationTooShortError", "AmbiguousJointError"),
 }
-# Travel that is too short to tell a joint, [rad] or [m].
+# Travel that is too short to determine a joint, [rad] or [m].
 SHORT: Final = {"revolute": float(np.deg2rad(5.0)), "prismatic": 0.01}
 MAX_MANNERS: Final = 6
 CAMERA: Final = "front"
 SCAN_VIEWS: Final = 30
-# Beside truth.json: labels of the Gaussians, and of every frame of the film.
+# Next to truth.json: labels of the Gaussians, and of every frame of the video.
 TRUE_ARRAYS: Final = "arrays.npz"
 _WORLD, _VIDEO, _ARRAYS = "world.json", "demo.mp4", "arrays.npz"
 _GAUSSIANS = ("means", "quats", "scales", "opacities", "sh")
@@ -68,12 +68,12 @@ _GAUSSIANS = ("means", "quats", "scales", "opacities", "sh")
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MotionWorld:
-    """What AOMotion is given, and what it should find.
+    """Input of AOMotion, and the true result.
 
     Attributes:
         name: For example "microwave-2003".
         demonstration: Its input.
-        truth: The answers; `scan` is empty.
+        truth: The true values; `scan` is empty.
     """
 
     name: str
@@ -265,7 +265,7 @@ def _intrinsics(camera: Camera) -> list[float]:
 
 
 def picture(world: MotionWorld) -> NDArray[np.uint8]:
-    """First frame beside the scene drawn from the same camera (H, 2 W, 3), for looking at."""
+    """First frame next to the scene rendered from the same camera (H, 2 W, 3), for inspection."""
     demonstration = world.demonstration
     drawn = render(demonstration.scene, demonstration.camera).rgb
     drawn = np.clip(np.asarray(drawn) * 255, 0, 255).astype(np.uint8)

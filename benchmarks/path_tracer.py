@@ -1,4 +1,4 @@
-"""Path-traced pictures of a MuJoCo scene by Blender, an external program that shares no code with our own drawing."""
+"""Path-traced images of a MuJoCo scene by Blender, an external program that shares no code with our own rendering."""
 
 import hashlib
 import json
@@ -27,9 +27,9 @@ INTERPRETER: Final = Path(__file__).parents[1] / ".venv-blender" / "bin" / "pyth
 WORKER: Final = Path(__file__).with_name("blender_tracer.py")
 # Paths a pixel; what noise they leave is taken by Blender's denoiser.
 SAMPLES: Final = 24
-# Of what has a color and no material: between paint and plastic.
+# Surfaces with a color and no material: between paint and plastic.
 PLAIN_ROUGHNESS: Final = 0.5
-# Where MuJoCo has no roughness its shininess s stands for a roughness of 1 - s / this.
+# MuJoCo's shininess s, where it has no roughness, becomes a roughness of 1 - s / this.
 SHININESS: Final = 0.6
 
 
@@ -46,9 +46,9 @@ class RoomLight:
         environment: File among Blender's studio lights.
         strength: Of the environment.
         turn: Of the environment about z, [rad].
-        lamp_w, lamp_m: Power and side of a square lamp; no lamp at 0 W.
+        lamp_w, lamp_m: Power and side of a square light source; none at 0 W.
         lamp_color: Linear.
-        lamp_from, lamp_at: Where the lamp hangs, and the point that it shines on, world frame, [m].
+        lamp_from, lamp_at: Position of the light source, and the point that it shines on, world frame, [m].
         view_transform: Tone curve of all cameras.
         exposure: Of all cameras, stops.
     """
@@ -71,7 +71,7 @@ class PathTracedRenderer(SceneRenderer):
     Args:
         scene: Compiled with what is seen.
         size: As of `SceneRenderer`.
-        folder: Keeps the scene's files and every picture, so that none is drawn twice.
+        folder: Keeps the scene's files and every image, so that none is rendered twice.
         light: Of the room.
     """
 
@@ -87,7 +87,7 @@ class PathTracedRenderer(SceneRenderer):
         self._described, self._blender = described, None
 
     def draw(self, camera: Camera, qpos: Array, without: tuple[str, ...] = ()) -> NDArray[np.uint8]:
-        """Picture (H, W, 3) of a state; bodies whose names begin with one of `without` are not there."""
+        """Image (H, W, 3) of a state; bodies whose names begin with one of `without` are not there."""
         self.data.qpos[:] = qpos
         mujoco.mj_kinematics(self.model, self.data)
         Ts = np.tile(np.eye(4), (len(self._geoms), 1, 1))
@@ -105,7 +105,7 @@ class PathTracedRenderer(SceneRenderer):
         name = hashlib.sha256(json.dumps(job).encode()).hexdigest()[:24]
         file = self.folder / "pictures" / f"{name}.png"
         if not file.is_file():
-            # One that dies while it writes leaves half a picture.
+            # A process that dies while it writes leaves half an image.
             partial = file.with_suffix(".part.png")
             self._ask({**job, "file": str(partial)})
             partial.replace(file)
@@ -124,7 +124,7 @@ class PathTracedRenderer(SceneRenderer):
         blender = self._blender
         if blender.stdin is None or blender.stdout is None:
             raise ValueError("Blender was started without pipes")
-        # One that has died does not listen either.
+        # A process that has died does not read either.
         with suppress(BrokenPipeError):
             blender.stdin.write(json.dumps(job) + "\n")
             blender.stdin.flush()
@@ -149,7 +149,7 @@ class PathTracedRenderer(SceneRenderer):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _DescribedScene:
-    """What Blender needs to know: `scene.json`, arrays of all meshes, textures (H, W, 3) by file name."""
+    """Input of Blender: `scene.json`, arrays of all meshes, textures (H, W, 3) by file name."""
 
     scene: dict[str, Any]
     arrays: dict[str, NDArray]

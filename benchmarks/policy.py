@@ -25,9 +25,9 @@ from benchmarks.policy_tables import FILMED, TABLES, VIDEO, Row, Training
 from benchmarks.policy_training import Trainer
 from benchmarks.policy_video import mean_trajectory_error, video_error
 
-# Packages whose versions stand beside the figures.
+# Packages whose versions are reported with the metrics.
 MADE_WITH: Final = ("aomgen", "lerobot", "torch", "mujoco", "numpy")
-# Two policies that differ by chance less often than this are said to differ.
+# Two policies that differ by chance less often than this are reported to differ.
 SIGNIFICANT: Final = 0.05
 
 
@@ -69,7 +69,7 @@ class PolicyBench:
             list(pool.map(self.trainer.train, trainings))
 
     def video_errors(self) -> dict[str, float]:
-        """How far from the recorded hand it is that policies foresee from the recorded video, [mm]."""
+        """Mean distance of the end effector that policies foresee from the recorded one, on the recorded video, [mm]."""
         suite, results = open_suite(self.data.suite(Trials(world="microwave")))
         learned = {
             name: video_error(self.trainer.home(item), suite, results) for name, item in FILMED.items()
@@ -101,13 +101,13 @@ class PolicyBench:
 
 
 def folder_digest(folder: Path) -> str:
-    """Of the names and contents of all files."""
+    """Digest of the names and contents of all files."""
     files = sorted(path for path in folder.rglob("*") if path.is_file())
     return text_digest("".join(f"{path.relative_to(folder)} {file_digest(path)}\n" for path in files))
 
 
 def versions() -> dict[str, str]:
-    """Of what trains and simulates."""
+    """Versions of the packages that train and simulate."""
     return {name: version(name) for name in MADE_WITH}
 
 
@@ -144,7 +144,7 @@ def table_figures(rows: Iterator[tuple[Row, list[dict[str, Any]]]]) -> list[dict
 
 
 def beats(mine: Mapping[str, Any], theirs: Mapping[str, Any]) -> bool:
-    """Whether a policy succeeds more often than another in the same trials: McNemar's exact test, two-sided."""
+    """Return whether a policy succeeds more often than another in the same trials: McNemar's exact test, two-sided."""
     pairs = [
         (not a["fail_reason"], not b["fail_reason"])
         for a, b in zip(mine["rollouts"], theirs["rollouts"], strict=True)

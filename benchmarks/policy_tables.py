@@ -12,7 +12,7 @@ from benchmarks.policy_data import FULL, MANY, UNSEEN, Sight, Trials
 SEEDS: Final = (0, 1, 2)
 SCALES: Final = (0.6, 0.7, 0.8, 0.9)
 MOVED_M: Final = (0.0, 0.05, 0.10, 0.20)
-# What is tried where it only matters whether it works.
+# Worlds that are tried where only the success matters.
 QUICK: Final = "quick"
 
 

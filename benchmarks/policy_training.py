@@ -19,7 +19,7 @@ from aomgen.io.atomic import remove_folder
 from benchmarks.policy_data import PolicyData
 from benchmarks.policy_tables import Kind, Training
 
-# Of every training: AdamW's steps, demonstrations a step, and steps between checkpoints, from which a killed one goes on.
+# Settings of every training: AdamW's steps, demonstrations a step, and steps between checkpoints, from which a killed one goes on.
 STEPS, BATCH, SAVE_EVERY = 5000, 32, 1000
 QUICK_STEPS: Final = 3
 # LeRobot's own policies would ask its hub for the weights of an encoder.
@@ -99,7 +99,7 @@ class Trainer:
 
 
 def first_draws(dataset: Path, count: int) -> list[int]:
-    """Numbers of so many demonstrations, of as many objects as there are; draws fill their ranges evenly from the first on.
+    """Numbers of some demonstrations, of as many objects as there are; draws fill their ranges evenly from the first on.
 
     Raises:
         NotEnoughEpisodesError: The dataset has fewer.
@@ -112,7 +112,7 @@ def first_draws(dataset: Path, count: int) -> list[int]:
 
 
 def front_features(dataset: Path) -> dict[str, Any]:
-    """What a policy sees that has only the dataset's first camera, as LeRobot's settings say it."""
+    """Features of a policy that has only the dataset's first camera, as LeRobot's settings name them."""
     features = read_json(dataset / "meta" / "info.json")["features"]
     first = next(name for name in features if name.startswith(IMAGES))
     height, width, channels = features[first]["shape"]

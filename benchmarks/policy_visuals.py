@@ -13,7 +13,7 @@ from benchmarks.replay_runs import start_workers
 
 
 def redraw(run: Path, home: Path) -> list[Path]:
-    """Folders of a run's committed episodes with the simulator's pictures, in `home`; those that are there are kept."""
+    """Folders of a run's committed episodes with the simulator's images, in `home`; those that are there are kept."""
     committed = list_committed(open_results(run).folders["episodes"])
     missing = [path for path in committed if not (home / path.name).is_dir()]
     with start_workers() as pool:

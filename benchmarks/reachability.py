@@ -16,12 +16,12 @@ from aomgen.core.values import Array
 from aomgen.simulation.scene import Scene
 from synthetic.grasp_selection import holding_gripper
 
-# Random arms and hands tried: flat laptops, the hardest, need some hundred where they are feasible at all.
+# Random arms and grasps tried: flat laptops, the hardest, need some hundred where they are feasible at all.
 RESTARTS: Final = 400
-# The hand leans this far up or down from the front's normal, about the handle, while it holds [rad]: a person's
+# The gripper leans this far up or down from the front's normal, about the handle, while it holds [rad]: a person's
 # does as well.
 LEAN_RAD: Final = np.deg2rad(50.0)
-# Where between the pads the bar may lie, from the end effector towards the tips, [m].
+# Positions of the bar between the pads, from the end effector towards the tips, [m].
 DEPTHS_M: Final = (-0.005, 0.012)
 # Samples along the contact, and damped steps: first from anywhere, then from the sample before.
 SAMPLES, FIRST_STEPS, NEXT_STEPS = 24, 60, 10
@@ -42,18 +42,18 @@ def can_hold(
     rng: np.random.Generator,
     restarts: int = RESTARTS,
 ) -> bool:
-    """Whether some arm motion holds the handle from the first to the last planned joint value.
+    """Return whether some arm motion holds the handle from the first to the last planned joint value.
 
-    The hand may lean within LEAN_RAD about the handle, and change its lean steadily as the part moves; the
+    The gripper may lean within LEAN_RAD about the handle, and change its lean steadily as the part moves; the
     fingers may be exchanged.
 
     Args:
         scene: With the object at its pose.
         start_joints: Of the demonstration (J,), where the robot's colliders may touch one another.
-        rng: Chooses arms and hands.
+        rng: Chooses arms and grasps.
         restarts: How many.
 
-    Not checked: the way to the handle and back, speed, forces, the fingers' grip.
+    Not checked: the motion to the handle and back, speed, forces, the fingers' grip.
     """
     checker = _Checker(scene, fitted, start_joints)
     if checker.stands_in_robot():
@@ -71,7 +71,7 @@ class _Hold:
 
 
 class _Checker:
-    """A scene, its state, and the way of the handle; a builder that holds what all restarts share."""
+    """A scene, its state, and the path of the handle; a builder that holds what all restarts share."""
 
     def __init__(self, scene: Scene, fitted: FittedAsset, start_joints: Array) -> None:
         asset = fitted.asset
@@ -92,7 +92,7 @@ class _Checker:
         self._allowed = OVERLAP_M + self._overlap(start_joints, 0.0, own=True)
 
     def stands_in_robot(self) -> bool:
-        """Whether the object overlaps the robot's foot; MuJoCo sees no contact of two bodies that never move."""
+        """Return whether the object overlaps the robot's foot; MuJoCo sees no contact of two bodies that never move."""
         model, roles = self._scene.model, self._scene.roles
         welded = model.body_weldid[model.geom_bodyid] == 0
         solid = model.geom_contype | model.geom_conaffinity > 0
@@ -104,7 +104,7 @@ class _Checker:
         )
 
     def attempt(self, rng: np.random.Generator) -> bool:
-        """Whether a random hold, reached from a random arm, carries through."""
+        """Return whether a random hold, reached from a random arm, carries through."""
         leans = rng.uniform(-LEAN_RAD, LEAN_RAD, 2)
         hold = _Hold((leans[0], leans[1]), rng.choice([-1.0, 1.0]), rng.uniform(*DEPTHS_M))
         low, high = np.clip(self._limits, -np.pi, np.pi).T
@@ -158,7 +158,7 @@ class _Checker:
         )
 
     def _overlap(self, joints: Array, theta: float, *, own: bool) -> float:
-        """Deepest overlap of the robot with itself, or with anything else but what the hand holds, [m]."""
+        """Deepest overlap of the robot with itself, or with anything else but what the gripper holds, [m]."""
         scene, data, roles = self._scene, self._data, self._scene.roles
         data.qpos[:] = scene.qpos(joints[None], self._gripper, theta)[0]
         mujoco.mj_kinematics(scene.model, data)

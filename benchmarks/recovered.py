@@ -30,7 +30,7 @@ from benchmarks.motion_worlds import motion_world
 MAX_WORLDS: Final = 5
 # The made object's seed over that of the world, so that it is never the recorded object.
 OTHER_OBJECT: Final = 1000
-# A film in which the hand goes a shorter way before it holds shows no approach that could be generalized, [m].
+# A video in which the end effector moves a shorter distance before it holds shows no approach that could be generalized, [m].
 MIN_APPROACH_M: Final = 0.05
 # Name of a kept demonstration in its folder.
 RECOVERED: Final = "recovered"
@@ -38,13 +38,13 @@ RECOVERED: Final = "recovered"
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Recovered:
-    """What planning needs, found from a film without its truth.
+    """Input of planning, found from a video without its truth.
 
     Attributes:
         demo: The demonstration.
         fitted: A made asset, not the recorded one, in the recorded object's stead.
         support: The table's plane; its outline counts as unknown.
-        fps: Rate of the film, [1/s].
+        fps: Rate of the video, [1/s].
         world: Seed of the motion world.
         refused: Why worlds of the seeds before it gave no demonstration.
     """
@@ -90,7 +90,7 @@ def recover(category: str, seed: int, folder: Path, direction: Direction = "open
 def recorded_motion(
     given: MotionInput, direction: Direction
 ) -> tuple[Demonstration, SupportPlane, RecordedContact, float]:
-    """Demonstration, support, contact and the film's rate, [1/s], as the stages of a run find them.
+    """Demonstration, support, contact and the video's rate, [1/s], as the stages of a run find them.
 
     Raises:
         EstimationError, ReconstructionError: Something of it is not found.
@@ -128,7 +128,7 @@ def _fitted(given: MotionInput, category: str, number: int, direction: Direction
 
 
 def _approach_m(demo: Demonstration) -> float:
-    """Way of the end effector until the part moves, [m]."""
+    """Distance of the end effector's motion until the part moves, [m]."""
     hand = demo.Ts_world_ee[: demo.contact_frames[0] + 1, :3, 3]
     return float(np.linalg.norm(np.diff(hand, axis=0), axis=1).sum())
 

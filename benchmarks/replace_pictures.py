@@ -1,4 +1,4 @@
-"""Pairs of pictures of a room with a replaced object: as the twin draws it, and as it is path traced."""
+"""Pairs of images of a room with a replaced object: as the twin renders it, and as it is path traced."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -72,7 +72,7 @@ class RoomPictures:
 
     @cached_property
     def cameras(self) -> dict[str, Camera]:
-        """Of the scan and fixed, where they truly were, and the episodes' new viewpoint."""
+        """True cameras of the scan, fixed ones, and the episodes' new viewpoint."""
         names = sorted(self.truth.answers["scan"])
         chosen = [names[int(share * (len(names) - 1))] for share in VIEWS]
         side = self.results.episode_scene.cameras[NEW_CAMERA].resize(*CONDITIONS.size)
@@ -98,7 +98,7 @@ class RoomPictures:
     def draw(
         self, shot: Shot, *, twin: TwinModel | None = None, shadow: bool = True
     ) -> dict[str, NDArray[np.uint8]]:
-        """What the twin, or another one, shows each camera, (H, W, 3)."""
+        """Images (H, W, 3) of the twin, or another one, from each camera."""
         twin = twin or self.twin
         trajectory = SceneTrajectory(
             times_s=np.zeros(1),
@@ -113,7 +113,7 @@ class RoomPictures:
         return {name: item.images_srgb[0] for name, item in frames.items()}
 
     def trace(self) -> dict[str, dict[str, NDArray[np.uint8]]]:
-        """What a camera would see (H, W, 3), by shot and camera."""
+        """Path-traced images (H, W, 3), by shot and camera."""
         with self.truth.painter(self.fitted.asset, self.fitted.T_world_asset) as painter:
             found = {}
             for name, shot in self.shots.items():
@@ -125,7 +125,7 @@ class RoomPictures:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SeenGeometry:
-    """What is where in the pictures of the truth, by camera (H, W).
+    """Labels of the true images, by camera (H, W).
 
     Attributes:
         labels: Parts, see `conventions.PART_LABELS`.

@@ -42,7 +42,7 @@ class ReplacedRoom:
     asset: str
 
 
-# Lights of other kinds, and other tone curves: a lamp from the left, a window, an even sky.
+# Lights of other kinds, and other tone curves: a directional light from the left, a window, an even sky.
 ROOMS: Final[Mapping[str, ReplacedRoom]] = {
     "lamp": ReplacedRoom(
         category="microwave",
@@ -70,11 +70,11 @@ ROOMS: Final[Mapping[str, ReplacedRoom]] = {
 
 @dataclass(frozen=True)
 class RoomTruth:
-    """What was recorded in a room, and pictures of it with another object.
+    """Recording of a room, and images of it with another object.
 
     Attributes:
         room: Which.
-        folder: Holds `capture`, and `traced` pictures, so that none is drawn twice.
+        folder: Holds `capture`, and `traced` images, so that none is rendered twice.
     """
 
     room: ReplacedRoom
@@ -97,7 +97,7 @@ class RoomTruth:
 
     @cached_property
     def layout(self) -> SceneLayout:
-        """Where everything stood, the recorded object among it."""
+        """True poses, the recorded object's among them."""
         category, seed = self.room.category, self.room.seed
         return find_demonstration(self.robot, draw_object(category, seed), capture_rng(category, seed)).layout
 

@@ -1,4 +1,4 @@
-"""How well a replaced object, its shadow, the emptied table and the robot agree with path-traced pictures."""
+"""Agreement of a replaced object, its shadow, the emptied table and the robot with path-traced images."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
@@ -26,20 +26,20 @@ from benchmarks.replace_pictures import RoomPictures, SeenGeometry, see_geometry
 from benchmarks.replace_rooms import CONDITIONS, ROOMS, RoomTruth
 
 Pictures = Mapping[str, NDArray[np.uint8]]
-# The object's box in a picture is grown by this share of its sides.
+# The object's box in an image is grown by this share of its sides.
 GROWN: Final = 0.2
-# Shadows are compared on the table so far around the object; what lies so near to its plane is table, [m].
+# Distance around the object within which shadows are compared on the table, and largest height of the table's points, [m].
 AROUND_M, TABLE_M = 0.25, 0.003
 # A view that sees nearer than this before a point does not see it, [m].
 HIDDEN_M: Final = 0.01
-# Fewer pixels than this tell nothing.
+# Fewer pixels than this are not scored.
 MIN_PIXELS: Final = 40
-# Where less of a pixel is covered there is a hole.
+# Pixels that are covered less are holes.
 COVERED: Final = 0.98
 
 
 def score_room(pictures: RoomPictures) -> dict[str, float]:
-    """Figures of a room: medians over its pictures."""
+    """Metrics of a room: medians over its images."""
     shots, traced = pictures.shots, pictures.trace()
     drawn = {name: pictures.draw(shot) for name, shot in shots.items()}
     seen = {name: see_geometry(pictures, shot, pictures.cameras) for name, shot in shots.items()}
@@ -173,7 +173,7 @@ def _hole_figures(pictures: RoomPictures, drawn: Pictures, traced: Pictures) -> 
 
 
 def _visible(points: Array, camera: Camera, labels: NDArray[np.uint8], depths: Array) -> NDArray[np.bool_]:
-    """Which points (H, W, 3) a view sees before the recorded object and the robot."""
+    """Mask of the points (H, W, 3) that a view sees before the recorded object and the robot."""
     pixels, depth = camera.project(points)
     column, row = (np.floor(np.nan_to_num(pixels[..., k], nan=-1)).astype(int) for k in (0, 1))
     inside = (depth > 0) & (column >= 0) & (row >= 0) & (column < camera.width) & (row < camera.height)

@@ -45,7 +45,7 @@ NEAR: Final = {"deg": 3.0, "mm": 5.0}
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Sweep:
-    """Where objects are put, and how large they are: both drawn uniformly and independently."""
+    """Poses and sizes of the objects: both drawn uniformly and independently."""
 
     name: str
     ranges: Ranges = field(default_factory=Ranges)
@@ -71,7 +71,7 @@ def draw(sweep: Sweep, category: str, seed: int, index: int) -> Variation:
 
 
 def measure(folder: Path, category: str, sweep: Sweep, seed: int, index: int) -> dict[str, Any]:
-    """What came of one draw, kept in a folder beside the category's recovered demonstration.
+    """Outcome of one draw, kept in a folder next to the category's recovered demonstration.
 
     Returns:
         `x`, `y`, `yaw_deg`, `scale`; `feasible` (see `reachability.can_hold`); `reason` and `detail` of tier A,
@@ -113,7 +113,7 @@ def measure(folder: Path, category: str, sweep: Sweep, seed: int, index: int) ->
 
 @cache
 def _workplace(folder: Path, category: str, seed: int) -> tuple[RobotModel, IkSolver, Recovered, Scene]:
-    """What all draws of a category share."""
+    """Common data of all draws of a category."""
     robot, recovered = load_robot(DEFAULT_ROBOT), recover(category, seed, folder / category)
     scene = episode_scene(robot, recovered.fitted, recovered.demo, recovered.support, bolted=True)
     return robot, ik_solver(robot), recovered, scene
@@ -163,11 +163,11 @@ def judge_opening(run: Opening, exported: Exported) -> str:
 
 
 def recheck(plan: EpisodePlan, robot: RobotModel, params: PlanParams) -> dict[str, float]:
-    """Forward kinematics of a plan as it is exported: does the handle stay in the hand, are the joints slow enough?
+    """Forward kinematics of a plan as it is exported: does the handle stay in the gripper, are the joints slow enough?
 
     Returns:
         `mm` and `deg`: farthest that the held point and the bar's direction come from their middle place in the
-        hand during contact; `step`: largest joint step over what its speed limit allows in a frame.
+        gripper during contact; `step`: largest joint step over what its speed limit allows in a frame.
     """
     joints, asset = plan.joints.astype(np.float32).astype(np.float64), plan.fitted.asset
     holding = plan.phases == PHASES.index("contact")

@@ -80,7 +80,7 @@ def exported_episodes(out: Path) -> Iterator[Exported]:
 
 
 def summed_error_m(episode: Exported) -> float:
-    """How far from the planned path the deltas lead that are added up from the first pose, [m]."""
+    """Distance from the planned path of the sum of the deltas from the first pose, [m]."""
     T, worst = poses_of(episode.ee_poses[:1]), 0.0
     for delta, target in zip(episode.actions["ee_delta"], episode.actions["ee_absolute"], strict=True):
         T = ee_targets(T, delta[None, :6])

@@ -17,7 +17,7 @@ from benchmarks.replay import BEYOND, PAPER, Sweep, measure, summary, worst_ik
 CATEGORIES: Final = ("microwave", "toolbox", "laptop", "drawer", "cabinet")
 # Processes, each on one thread: the reference machine has two cores.
 WORKERS: Final = 2
-# Draws for each attempt before a sweep is given up; and attempts beyond the paper's for each of its own.
+# Draws for each attempt before a sweep is given up; and attempts beyond the paper's for each sweep.
 MAX_DRAWS, BEYOND_SHARE = 20, 0.1
 # Key of the figures of demonstrations that close their object, and the folder in which they are kept.
 CLOSING: Final = "closing"
@@ -36,9 +36,9 @@ def run_replay_bench(
 
     Args:
         folder: Keeps demonstrations and draws; a bench that was killed goes on.
-        attempts: Draws wanted that pass tier A, in each category.
+        attempts: Requested draws that pass tier A, in each category.
         seed: Of the first motion world, and of all draws.
-        tell: Hears about every draw.
+        tell: Receives every draw.
         categories: What is opened, and closed.
         others: Sweeps beyond the paper's.
     """
@@ -94,7 +94,7 @@ def start_workers() -> Executor:
 def _drawn(
     pool: Executor, job: Callable[[int], dict[str, Any]], attempts: int, tell: Tell
 ) -> Iterator[dict[str, Any]]:
-    """Draws in order, so many that `attempts` of them pass tier A; those that were begun beyond are dropped."""
+    """Draws in order until `attempts` of them pass tier A; those that were begun beyond are dropped."""
     waiting: deque[Future[dict[str, Any]]] = deque()
     good = 0
     for index in count():

@@ -21,7 +21,7 @@ UNUSED_SEED: Final = 77_000
 # One synthetic capture of each category; worlds, episodes and attempts so that one odd case moves no median.
 SYNTHETIC, MOTION_WORLDS, JOINT_WORLDS, EPISODES, ATTEMPTS, ROOM_COUNT = 5, 30, 200, 60, 50, 3
 PARTS: Final = ("captures", "synthetic", "motion", "intervals", "replace", "generate", "replay", "splatting")
-# Lists and tables beside the figures: every single world, capture, asset or room.
+# Lists and tables in addition to the metrics: every single world, capture, asset or room.
 DETAILS: Final = {"worlds", "rows", "captures", "rooms", "categories", "assets"}
 
 
@@ -35,7 +35,7 @@ def run_scores(
         captures: With ground truth; the part `captures` runs each of them.
         parts: Of `PARTS`.
         seed: First seed of made captures and worlds.
-        tell: Called with a line about each part.
+        tell: Receives a line on each part.
 
     Returns:
         Figures by dotted name.

@@ -1,4 +1,4 @@
-"""True masks of a film with the errors that a segmenter makes, for methods that live on masks."""
+"""True masks of a video with the errors that a segmenter makes, for methods that need masks."""
 
 from dataclasses import dataclass
 
@@ -15,9 +15,9 @@ WIDTH = 320
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MaskErrors:
-    """How far a mask's outline is off, [px] in images 320 px wide, standard deviations.
+    """Errors of a mask's outline, [px] in images 320 px wide, standard deviations.
 
-    Measured on MobileSAM's masks of a door and a drawer in three films, asked with the box around the
+    Measured on MobileSAM's masks of a door and a drawer in three videos, prompted with the box around the
     true mask: 0.6 to 4 px off on average, of which 0.02 to 0.2 px change from one frame to the next in
     a still scene and 0.4 to 1.4 px while arm or part move. The values are from the better end, as SAM 2
     follows a part more steadily.

@@ -1,4 +1,4 @@
-"""Render sessions against full renders of the same frames: speed, and the same pictures."""
+"""Render sessions against full renders of the same frames: speed, and the same images."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -22,11 +22,11 @@ class SessionSpeed:
     """Medians, [ms].
 
     Attributes:
-        picture_ms: An 8-bit picture, drawn over that of the frame before.
+        picture_ms: An 8-bit image, drawn over that of the frame before.
         draw_ms: Color, depth and alpha as floats, into new arrays.
         full_ms: The same floats, by a full render of static and moving Gaussians together.
         speed_over_full: full_ms over picture_ms, median of the rounds.
-        frames_per_s: 8-bit pictures in a batch of `BATCH_FRAMES`, spread over the threads.
+        frames_per_s: 8-bit images in a batch of `BATCH_FRAMES`, spread over the threads.
         tiles_share: Tiles in which moving Gaussians are seen in a frame or in the one before.
         max_difference: Largest difference of red, green, blue or alpha from a full render.
     """

@@ -57,7 +57,7 @@ class SpeedCase:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Effort:
-    """How long to measure.
+    """Duration of the measurements.
 
     Attributes:
         repeats: Timed runs of every function, taken in turn; the median counts.
@@ -90,10 +90,10 @@ def measure(cases: tuple[SpeedCase, ...], effort: Effort) -> dict[str, Any]:
 
     Returns:
         `cases`: for each a dict with the case's fields, forward_ms and forward_backward_ms
-        (gradients by all parameters from a given gradient by the picture; into the same arrays every
+        (gradients by all parameters from a given gradient by the image; into the same arrays every
         time), torch_forward_backward_ms (the same through torch, into new tensors), session_ms
-        (a picture of a session: objects move that are seen in `SESSION_SHARE` of the tiles, and
-        session_tiles_share tells the share that was reached), the work as `_work` tells, and the fields of `Agreement`.
+        (an image of a session: objects move that are seen in `SESSION_SHARE` of the tiles, and
+        session_tiles_share is the share that was reached), the work as `_work` states, and the fields of `Agreement`.
         `stages`: for each case the medians of the engine's stages, [ms].
         `sessions`: for each case, and for a scene with an arm, the fields of `SessionSpeed`.
         `instruction_sets`: see `compare_instruction_sets`.

@@ -12,7 +12,7 @@ from aomgen.assets.choice import MAKERS, OTHER_MAKERS, list_styles, make_asset
 from aomgen.assets.mjcf import VISUAL_GROUP, add_asset
 from aomgen.core.asset import ArticulatedAsset
 
-# Pixels of one picture; how far parts are opened, as a share of their range.
+# Pixels of one image; opening of the parts, as a share of their range.
 SIZE: Final = (248, 196)
 OPENED: Final = 0.12
 # Direction from which they are seen, field of view [deg], and distance in their own diagonals.
@@ -20,7 +20,7 @@ AZIMUTH_DEG, ELEVATION_DEG, FOV_DEG, AWAY = 62.0, -24.0, 20.0, 2.5
 
 
 def draw_styles(path: Path) -> None:
-    """Write one picture: a row for each category, a column for each of its styles, which follow from the first seeds."""
+    """Write one image: a row for each category, a column for each of its styles, which follow from the first seeds."""
     rows = []
     for category in MAKERS | OTHER_MAKERS:
         seeds = range(1, 1 + len(list_styles(category)))
@@ -29,7 +29,7 @@ def draw_styles(path: Path) -> None:
 
 
 def draw_asset(asset: ArticulatedAsset) -> NDArray[np.uint8]:
-    """A picture (H, W, 3) of an asset on a white floor."""
+    """An image (H, W, 3) of an asset on a white floor."""
     spec = mujoco.MjSpec()
     spec.compiler.degree = False
     names = add_asset(spec, asset, np.eye(4), damping=0.0, frictionloss=0.0, visual=True)

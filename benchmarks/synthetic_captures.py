@@ -1,4 +1,4 @@
-"""`python -m benchmarks accuracy --synthetic N`: captures that nobody looked at, end to end, in one table."""
+"""`python -m benchmarks accuracy --synthetic N`: unseen captures, end to end, in one table."""
 
 import json
 import tempfile
@@ -142,7 +142,7 @@ def accuracy_table(figures: dict[str, Any]) -> str:
 
 
 def draw_conditions(rng: np.random.Generator) -> Conditions:
-    """Conditions as recordings differ in them: lens, picture size, light, length of the walk."""
+    """Conditions as recordings differ in them: lens, image size, light, length of the walk."""
     return Conditions(
         size=((320, 240), (400, 300), (384, 256))[rng.integers(3)],
         scan_views=int(rng.integers(40, 57)),

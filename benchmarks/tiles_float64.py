@@ -1,4 +1,4 @@
-"""What the rasterizer should give, in float64 and only on chosen tiles, so that large scenes are feasible."""
+"""Reference of the rasterizer, in float64 and only on chosen tiles, so that large scenes are feasible."""
 
 from dataclasses import dataclass
 
@@ -27,7 +27,7 @@ NEAR_TIE = 1e-6
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TileImages:
-    """Pictures of some tiles over black, zero elsewhere.
+    """Images of some tiles over black, zero elsewhere.
 
     Attributes:
         planes: (5, H, W) float64: red, green, blue, depth [m, not divided by alpha], alpha.
@@ -125,7 +125,7 @@ def _window(camera: Camera, column: int, row: int) -> tuple[slice, slice]:
 
 
 def _hits(splats: Splats, column: int, row: int) -> Tensor:
-    """Which splats (N,) may reach the tile: their boxes do, with a pixel to spare."""
+    """Mask (N,) of the splats that may reach the tile: their boxes do, with a pixel to spare."""
     middle = torch.tensor([column + 0.5, row + 0.5], dtype=torch.float64) * TILE_PX
     reach = splats.half_sizes + TILE_PX / 2 + 1
     return ((splats.centers - middle).abs() < reach).all(1) & (splats.values[:, 3] > NEAR_DEPTH)

@@ -46,7 +46,7 @@ def _visible_near_to_far(splats: Splats, camera: Camera) -> Tensor:
 
 
 def _tile_pairs(splats: Splats, order: Tensor, camera: Camera, tile_px: int) -> tuple[list[int], Tensor]:
-    """Where every tile's pairs begin (tiles + 1), and the pairs' splats, near to far in every tile."""
+    """Start of every tile's pairs (tiles + 1), and the pairs' splats, near to far in every tile."""
     columns, rows = -(-camera.width // tile_px), -(-camera.height // tile_px)
     last = torch.tensor([columns - 1, rows - 1], dtype=torch.float32)
     centers, half = splats.centers[order], splats.half_sizes[order]

@@ -14,7 +14,7 @@ from aomgen.io.artifact import read_json
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Truth:
-    """What `truth/truth.json` says, world frame, SI units.
+    """Content of `truth/truth.json`, world frame, SI units.
 
     Attributes:
         folder: The truth folder (for masks).

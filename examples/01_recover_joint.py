@@ -1,7 +1,7 @@
 """Recover a hinge from the path of the gripper that opened its door: python examples/01_recover_joint.py
 
-The gripper holds a door by its edge and turns only partly with it, as fingers do on a handle. The path alone tells where
-the hinge is and how well that is known; the slip need not be known.
+The gripper holds a door by its edge and turns only partly with it, as fingers do on a handle. The path alone determines
+the hinge and its uncertainty; the slip need not be known.
 """
 
 import numpy as np

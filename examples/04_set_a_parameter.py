@@ -1,4 +1,4 @@
-"""What a parameter of a stage changes: python examples/04_set_a_parameter.py RUN FOLDER
+"""Effect of a parameter of a stage: python examples/04_set_a_parameter.py RUN FOLDER
 
 Runs the motion stage again with another parameter in a copy of a finished run, and prints both joints. In place,
 `aomgen run RUN --set motion.joint.nodes=16` does the same.

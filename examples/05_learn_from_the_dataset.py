@@ -1,7 +1,7 @@
 """Read an exported dataset and learn a first policy from it: python examples/05_learn_from_the_dataset.py RUN/dataset
 
 No robot-learning library is needed: LeRobot v3.0 is parquet and MP4. The policy is the smallest there is: behavior cloning by
-least squares, from the last step and the gripper to the next step. It sees no picture and does not know where the object stands, so it
+least squares, from the last step and the gripper to the next step. It sees no image and does not know where the object is, so it
 only shows that `action` is what to do next: on a held-out episode it must come nearer to the action than standing still does.
 """
 

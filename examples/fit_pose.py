@@ -1,8 +1,8 @@
 """Find a camera by gradients: python examples/fit_pose.py scene.ply
 
 Draws a 3DGS file from a camera, forgets it, starts from a pose a few degrees and percent away, and
-descends the picture's error through the rasterizer back to the pose. With a photograph in place of
-the first picture the same loop localizes a real camera in a scene.
+descends the image's error through the rasterizer back to the pose. With a photograph in place of
+the first image the same loop localizes a real camera in a scene.
 """
 
 import argparse

@@ -1,4 +1,4 @@
-"""Draw a 3DGS file: python examples/render_ply.py scene.ply --out pictures [--orbit 24]
+"""Draw a 3DGS file: python examples/render_ply.py scene.ply --out images [--orbit 24]
 
 Reads any 3DGS .ply or .splat, chooses a camera from the content, and writes rgb.png and
 depth.png (near is bright). Most 3DGS files have y down; --up=z is for files with z up.

@@ -55,7 +55,7 @@ def main() -> None:
 
 
 def load(path: Path, camera: Camera, max_side: int) -> tuple[Camera, np.ndarray]:
-    """Camera and image (H, W, 3) uint8, reduced where the image is larger than wanted."""
+    """Camera and image (H, W, 3) uint8, reduced where the image is larger than requested."""
     image = Image.open(path).convert("RGB")
     factor = max(image.size) / max_side
     if factor > 1:

@@ -13,20 +13,20 @@ from lerobot.optim.schedulers import CosineDecayWithWarmupSchedulerConfig
 class SmallACTConfig(PreTrainedConfig):
     """Action chunking with a small convolutional encoder: about 2 million parameters for two cameras of 96x96.
 
-    Pictures, state and actions are normalized; noise and color changes are in units of their standard deviations.
+    Images, state and actions are normalized; noise and color changes are in units of their standard deviations.
 
     Attributes:
         chunk_size: Actions that are predicted at once.
-        n_action_steps: Of these, how many are done before the policy looks again. Over as many steps it goes over from
-            what it said last to what it says now: two looks differ by millimetres, and an arm that holds a handle
-            answers steps of millimetres with all its torque.
-        channels: Of the encoder's convolutions; each halves the picture.
+        n_action_steps: Number of these that are done before the next prediction. Over as many steps the policy blends
+            the last prediction into the new one: predictions differ by millimetres, and an arm that holds a handle
+            follows steps of millimetres with all its torque.
+        channels: Of the encoder's convolutions; each halves the image.
         joint_offsets: Actions are joints, and predicted as offsets from the state; False for those of another kind.
-        picture_tokens: What the encoder makes of a picture. So few are cheap, and each may look at all of it.
+        picture_tokens: Number of the encoder's tokens of an image; each may depend on all of it.
         dim_model, n_heads, dim_feedforward, n_encoder_layers, n_decoder_layers, dropout: Of the transformer.
-        state_noise: Added to the state in training, so that the policy comes back to the path from beside it.
-        shift_px: Pictures are shifted by up to so many pixels in training.
-        contrast, tint: Largest change of a picture's contrast, as a share, and of each of its color channels.
+        state_noise: Added to the state in training, so that the policy returns to the path after a deviation.
+        shift_px: Largest shift of images in training, [px].
+        contrast, tint: Largest change of an image's contrast, as a share, and of each of its color channels.
         optimizer_lr, optimizer_weight_decay, warmup_steps, decay_steps: Of AdamW, with a cosine decay to zero; fewer
             steps of training shorten both.
     """
@@ -66,7 +66,7 @@ class SmallACTConfig(PreTrainedConfig):
             )
 
     def validate_features(self) -> None:
-        """Raises ValueError without an action, a state, or anything that tells where the object is, and for offsets of poses."""
+        """Raises ValueError without an action, a state, or an input that locates the object, and for offsets of poses."""
         if self.action_feature is None or self.robot_state_feature is None:
             raise ValueError("the dataset needs the features action and observation.state")
         if self.joint_offsets and self.action_feature.shape != self.robot_state_feature.shape:

@@ -1,4 +1,4 @@
-"""The small policy: pictures and joints to a chunk of actions, as offsets from where the joints are.
+"""The small policy: images and joints to a chunk of actions, as offsets from the current joints.
 
 Source: Zhao et al., Learning Fine-Grained Bimanual Manipulation with Low-Cost Hardware (ACT), without its variational
 part: demonstrations of one planner differ in what is seen, not in style.
@@ -15,7 +15,7 @@ from torch.nn import functional as F
 
 from lerobot_policy_aomgen.configuration_small_act import SmallACTConfig
 
-# What is kept of each cell before all cells of a picture are joined.
+# Channels of each cell before all cells of an image are joined.
 CELL_CHANNELS = 32
 
 
@@ -38,7 +38,7 @@ class SmallACTPolicy(PreTrainedPolicy):
     def reset(self) -> None:
         """Forget the last chunk."""
         self._left: deque[Tensor] = deque(maxlen=self.config.n_action_steps)
-        # What the last chunk says of the steps after those.
+        # The last chunk's prediction of the steps after those.
         self._ahead: Tensor | None = None
 
     def forward(self, batch: dict[str, Tensor]) -> tuple[Tensor, dict[str, float]]:
@@ -71,8 +71,8 @@ class SmallACTPolicy(PreTrainedPolicy):
 class SmallACT(nn.Module):
     """A transformer from tokens of what is observed to actions, one query each.
 
-    Actions that are joints are what it says added to the state: two looks shortly after each other then agree to far
-    less than either knows about the way ahead, and the arm is not jerked.
+    Actions that are joints are the prediction added to the state: two predictions shortly after each other then agree to far
+    less than the uncertainty of the remaining path, and the arm is not jerked.
     """
 
     def __init__(self, config: SmallACTConfig) -> None:
@@ -130,7 +130,7 @@ class SmallACT(nn.Module):
 
 
 def _encoder(config: SmallACTConfig, camera: str) -> nn.Sequential:
-    """From pictures (B, 3, H, W) of a camera to tokens (B, N, width): convolutions that halve it, then all of its cells."""
+    """From images (B, 3, H, W) of a camera to tokens (B, N, width): convolutions that halve it, then all of its cells."""
     layers: list[nn.Module] = []
     _, height, width = config.image_features[camera].shape
     for before, after in zip((3, *config.channels), config.channels, strict=False):
@@ -143,7 +143,7 @@ def _encoder(config: SmallACTConfig, camera: str) -> nn.Sequential:
 
 
 def _changed(pictures: Tensor, config: SmallACTConfig) -> Tensor:
-    """Pictures (B, 3, H, W), each with another contrast, tint and place."""
+    """Images (B, 3, H, W), each with another contrast, tint and shift."""
     count = len(pictures)
     contrast = 1 + config.contrast * (2 * torch.rand(count, 1, 1, 1, device=pictures.device) - 1)
     tint = config.tint * (2 * torch.rand(count, 3, 1, 1, device=pictures.device) - 1)
@@ -151,7 +151,7 @@ def _changed(pictures: Tensor, config: SmallACTConfig) -> Tensor:
 
 
 def _shifted(pictures: Tensor, most: int) -> Tensor:
-    """Pictures (B, 3, H, W), each shifted by up to `most` pixels, its border repeated."""
+    """Images (B, 3, H, W), each shifted by up to `most` pixels, its border repeated."""
     padded = F.pad(pictures, (most,) * 4, mode="replicate")
     height, width = pictures.shape[2:]
     offsets = torch.randint(0, 2 * most + 1, (len(pictures), 2)).tolist()

@@ -1,4 +1,4 @@
-"""What happens to observations before the policy, and to actions after it: scaled by the dataset's statistics."""
+"""Scaling of observations before the policy, and of actions after it, by the dataset's statistics."""
 
 from typing import Any
 
