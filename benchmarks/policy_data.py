@@ -1,8 +1,6 @@
-"""What policies learn from and where they are tried: runs of the pipeline, datasets, and suites, each made once."""
+"""Training data and trials of policies: runs of the pipeline, datasets, and suites, each made once."""
 
 import math
-import os
-import shutil
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -17,22 +15,22 @@ from aomgen.datasets.selection import MARK
 from aomgen.evaluation.draws import SuiteRequest, make_suite
 from aomgen.evaluation.suite import open_results, open_suite, write_suite
 from aomgen.io.episode_folder import list_committed
-from aomgen.pipeline.runner import LOCK_FILE, results_of
-from aomgen.pipeline.stages import PROJECT_FILE, STAGES
+from aomgen.pipeline.runner import results_of, share_stages
+from aomgen.pipeline.stages import STAGES
 from benchmarks.policy_visuals import redraw
 from synthetic.world import make_capture
 
 Tell = Callable[[str], None]
-# What demonstrations show: pictures of the twin or of the simulator, or the object's pose instead.
+# Observations of the demonstrations: images of the twin or of the simulator, or the object's pose instead.
 Sight = Literal["splat", "simulator", "pose"]
 # Demonstrations of a policy, and of one that learns from many objects.
 FULL, MANY = 150, 240
-# Pictures are drawn at twice the size that policies see, [px].
+# Images are rendered at twice the size that policies see, [px].
 DRAWN_SIZE: Final = (192, 192)
 SEEN_SIZE: Final = (96, 96)
-# Of the synthetic capture; it was not looked at while the policy was chosen.
+# Seed of the synthetic capture; it was not looked at while the policy was chosen.
 DRAWER_SEED: Final = 9100
-# Of the trials; none was looked at while grasps and policy were chosen.
+# Seed of the trials; none was looked at while grasps and policy were chosen.
 SUITE_SEED: Final = 3
 # Stages from here on differ between worlds that share their objects.
 OWN_STAGES: Final = ("episodes", "dataset")
@@ -67,7 +65,7 @@ VIEWS: Final = {
     "ranges": {"around": {"turn_deg": [-8.0, 8.0], "tilt_deg": [-8.0, 8.0], "distance": [0.9, 1.1]}}
 }
 PUSHES: Final = {"ranges": {"push_m": [0.0, 0.02]}}
-# A camera on the hand shows what the hand has missed.
+# A camera on the end effector shows what the gripper has missed.
 HAND: Final = {"images": {"robot_cameras": True}}
 WORLDS: Final = {
     "microwave": World(recording="microwave", assets=("microwave:1",)),
@@ -128,10 +126,10 @@ class PolicyData:
         capture: The bundled recording.
         run_project: Runs a project until a stage.
         trials: Of a suite.
-        demonstrations: At most so many of a world, over all its objects.
-        assets: Of the user's, tried beside the made objects that no policy saw.
+        demonstrations: Largest number of a world, over all its objects.
+        assets: Of the user's, tried in addition to the made objects that no policy saw.
         workers: Processes.
-        tell: Hears what is made.
+        tell: Receives the progress.
     """
 
     folder: Path
@@ -149,12 +147,13 @@ class PolicyData:
         wanted = min(world.demonstrations, self.demonstrations)
         assets = (*world.assets, *(self.assets if name == UNSEEN else ()))
         if world.like and not home.exists():
-            self._copy(self.run(world.like), home)
+            like = self.run(world.like)
+            share_stages((like / stage.folder for stage in STAGES if stage.name not in OWN_STAGES), home)
         project = Project(
             capture=self._capture(world.recording),
             out=home,
             assets=assets,
-            # Of many objects some find no place: the others make up for them.
+            # Some of many objects find no place: the others make up for them.
             poses=max(1, math.ceil(wanted / len(assets) / (WITH_ROOM if len(assets) > 1 else 1))),
             image_size=DRAWN_SIZE,
             params={"episodes": dict(world.episodes)} if world.episodes else {},
@@ -207,16 +206,9 @@ class PolicyData:
             make_capture(home, category=recording, seed=DRAWER_SEED)
         return home
 
-    @staticmethod
-    def _copy(source: Path, home: Path) -> None:
-        """The results of a run up to its fitted objects, without taking space."""
-        own = [stage.folder for stage in STAGES if stage.name in OWN_STAGES]
-        ignored = shutil.ignore_patterns(PROJECT_FILE, "run.json", LOCK_FILE, *own)
-        shutil.copytree(source, home, copy_function=os.link, ignore=ignored)
-
 
 def moved_cameras(cameras: Mapping[str, Camera], way_m: float) -> dict[str, Camera]:
-    """Every camera moved by so much in a direction of its own, the same for all lengths."""
+    """Every camera moved by a distance in a separate direction, the same for all distances."""
     rng = np.random.default_rng(SUITE_SEED)
 
     def moved(camera: Camera) -> Camera:

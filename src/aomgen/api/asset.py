@@ -52,7 +52,7 @@ class Asset:
             file: The model; OBJ needs an `articulation.json`, see `docs/assets.md`.
             joint: Which of several joints moves.
             scale: Factor on the size.
-            category: For example "microwave"; as the file says when empty.
+            category: For example "microwave"; as in the file when empty.
             limits: Lower and upper limit of the joint in place of the file's, [rad] or [m].
             handle: Corners x0, y0, z0, x1, y1, z1 of a box around the handle as drawn, [m], z up.
 
@@ -91,7 +91,7 @@ class Asset:
 
     @property
     def name(self) -> str:
-        """Name of the asset, by which episodes tell assets apart."""
+        """Name of the asset, by which episodes identify it."""
         return self.model.name
 
     @property

@@ -48,7 +48,7 @@ class Capture:
         """Decode every file and return warnings, one sentence for each doubt.
 
         Raises:
-            InputError, ConfigError: The first thing that would stop a reconstruction.
+            InputError, ConfigError: The first problem that would stop a reconstruction.
 
         Example:
             >>> ag.Capture.load("my_capture").check()

@@ -18,7 +18,7 @@ from aomgen.pipeline.stages import STAGES
 
 # Often enough to see that it works, seldom enough to keep a log short, [s].
 EVERY_S = 12.0
-# From this share on a stage's own pace tells when it ends.
+# From this share on a stage's own pace predicts its end.
 TELLING_SHARE = 0.05
 COLORS = {"good": "green", "poor": "yellow", "": ""}
 
@@ -170,7 +170,7 @@ def format_finished_line(stage: Stage, seconds: float, figures: dict[str, Any]) 
 
 
 class CallbackDisplay:
-    """Passes the progress of stages to a function, or to nobody.
+    """Passes the progress of stages to a function, or discards it.
 
     Args:
         callback: Receives the share of the running stage that is done, 0..1, and a text.

@@ -2,8 +2,6 @@
 
 import hashlib
 import json
-import os
-import shutil
 import threading
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -25,7 +23,7 @@ from aomgen.episodes.ledger import unit_of
 from aomgen.episodes.variations import Ranges
 from aomgen.errors import ConfigError
 from aomgen.io.episode_folder import CommittedEpisode, list_committed, read_episode
-from aomgen.pipeline.runner import results_of
+from aomgen.pipeline.runner import results_of, share_stages
 from aomgen.pipeline.stages import PROJECT_FILE, STAGES, check_params, find_project
 from aomgen.simulation.scene import Scene
 from aomgen.simulation.verify import verify_plan
@@ -100,7 +98,7 @@ def generate(
     # Fewer episodes than an earlier call made would delete the others.
     project = project.model_copy(update={"out": home, "poses": max(n, earlier)})
     machine = {"workers": require_count("workers", workers)} if workers else {}
-    _share_twin(run, home)
+    share_stages((run.results.folders[name] for name in SHARED_STAGES), home)
     return _generate(project, n, progress, machine)
 
 
@@ -119,22 +117,6 @@ def _differences(params: Any, usual: Any) -> dict[str, Any]:
             nested = is_dataclass(value)
             changed[item.name] = _differences(value, default) if nested else json.loads(json.dumps(value))
     return changed
-
-
-def _share_twin(run: Run, home: Path) -> None:
-    """Link the stages up to the twin into the folder of another run."""
-    for name in SHARED_STAGES:
-        source = run.results.folders[name]
-        if not (home / source.name).exists():
-            shutil.copytree(source, home / source.name, copy_function=_link)
-
-
-def _link(source: str, target: str) -> None:
-    """Link a file, or copy it to another file system."""
-    try:
-        os.link(source, target)
-    except OSError:
-        shutil.copy2(source, target)
 
 
 def _generate(
@@ -211,7 +193,7 @@ def plan(
         scene: Result of `build_scene`, which is built when None.
 
     Returns:
-        The plan, or why there is none; `passed` tells which.
+        The plan, or the reason why there is none; `passed` is True for a plan.
 
     Example:
         >>> run = ag.Run.open("out")
@@ -232,7 +214,7 @@ def verify(plan: EpisodePlan, scene: Scene) -> Verdict | Rejection:
         scene: Robot, table and the plan's asset.
 
     Returns:
-        The certificate with all margins, or why the plan fails; `passed` tells which.
+        The certificate with all margins, or the reason why the plan fails; `passed` is True for a certificate.
 
     Example:
         >>> run = ag.Run.open("out")

@@ -75,7 +75,7 @@ def estimate_joint(
         closing_ee: Unit direction (3,) in which two fingers press on the part, end-effector frame; None if the gripper
             only pushes or hooks.
         part_points: Points (N, 3) and (M, 3) on the static and on the moving part, world frame at the first pose, [m].
-            Their shape tells likely axes (a hinge lies on an edge of the part). None uses the path alone.
+            Their shape gives a prior of the axis (a hinge lies on an edge of the part). None uses the path alone.
 
     Raises:
         ConfigError: An argument has another shape, or a pose is not rigid; the subclass says which.

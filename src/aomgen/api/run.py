@@ -189,7 +189,7 @@ def reconstruct(
     Raises:
         UnknownNameError: No such stage or choice; lists the known ones.
         InputError: The capture cannot be used.
-        EstimationError: An estimator refuses to answer; the subclass says which.
+        EstimationError: An estimator refuses the data; the subclass states the reason.
 
     Example:
         >>> run = ag.reconstruct("my_capture", "out", progress=False, assets=["microwave:1", "microwave:2"])

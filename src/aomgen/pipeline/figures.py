@@ -1,4 +1,4 @@
-"""How the figures of a stage are read: their names, units, digits, and what is good."""
+"""Presentation of a stage's metrics: their names, units, digits, and limits of good values."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -9,7 +9,7 @@ Verdict = Literal["good", "poor", ""]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Figure:
-    """How one figure of a stage is shown.
+    """Presentation of one metric of a stage.
 
     Attributes:
         name: What it is, in words.
@@ -69,7 +69,7 @@ class Reading:
 
 
 # Limits: what the gates of the stages ask for is passed by every finished stage, so "good" is stricter.
-# The README's table of measured figures gives what is wanted, and where it does, that is the limit.
+# Where the README's table of measured metrics gives a requirement, that is the limit.
 FIGURES: Final[dict[str, dict[str, Figure]]] = {
     "structure": {
         # Every image that is left out leaves a gap in the scan; the gate is 0.8.
@@ -105,7 +105,7 @@ FIGURES: Final[dict[str, dict[str, Figure]]] = {
     "motion": {
         "direction": Figure(name="direction"),
         "joint": Figure(name="joint"),
-        # What verification in physics asks of an episode.
+        # Verification in physics requires these of an episode.
         "moved_deg": Figure(name="moved by", unit="deg", digits=1, above=30.0),
         "moved_mm": Figure(name="moved by", unit="mm", above=100.0),
         "start_s": Figure(name="from", unit="s", digits=2),

@@ -1,4 +1,4 @@
-"""What a result was made from and what was made, so that it can be trusted again; and by which command."""
+"""Inputs and files of a result, so that it can be verified and kept; and the command that made it."""
 
 import hashlib
 from dataclasses import asdict, dataclass, field
@@ -39,7 +39,7 @@ class Manifest:
 
     @property
     def identity(self) -> Identity:
-        """What the result was made from."""
+        """Version, inputs and parameters of the result."""
         return self.version, self.inputs, self.parameters
 
 
@@ -89,7 +89,7 @@ def read_manifest(folder: Path) -> Manifest | None:
 
 
 def files_present(folder: Path, manifest: Manifest) -> bool:
-    """Whether every file is there with its size."""
+    """Return whether every file exists with its size."""
     return all(
         (folder / name).is_file() and (folder / name).stat().st_size == size
         for name, (_, size) in manifest.files.items()

@@ -20,15 +20,15 @@ from aomgen.pipeline.runner import STARTED, Stage, stage_states
 from aomgen.robots.robot import RobotModel
 from aomgen.version import __version__
 
-# Beside the results: what was checked last, so that a finished run is looked through at once.
+# File in the folder of the results: digest and warnings of the last check, so that a finished run is checked at once.
 CHECKED_FILE = "checked.json"
-# Width of the images of episodes where nobody chose one, [px].
+# Default width of the images of episodes, [px].
 IMAGE_WIDTH = 320
-# An image this much wider or narrower than the camera's shows round things as visibly oval.
+# An image this much wider or narrower than the camera's shows circles as visibly oval.
 MAX_STRETCH = 0.05
-# The paper's alignment takes a box around the robot on so many images.
+# Number of images with a box around the robot that the paper's alignment requires.
 PAPER_ROBOT_BOXES = 2
-# What diffusers writes beside the networks of a pipeline.
+# File that diffusers writes in the folder of a pipeline.
 DIFFUSION_INDEX = "model_index.json"
 # Made to learn how a category opens; one that opens both ways shows it within these.
 CATEGORY_SEEDS = range(4)
@@ -39,7 +39,7 @@ def check_project(project: Project, capture: Recording) -> tuple[str, ...]:
     """Check a project and its capture, but not the machine; warnings of what is doubtful, and what to do.
 
     Raises:
-        AomgenError: The first thing that would stop the run, in one sentence.
+        AomgenError: The first problem that would stop the run, in one sentence.
     """
     _check_cameras(project, capture)
     assets = open_assets(project.assets)
@@ -88,7 +88,7 @@ def preflight(
 
 
 def machine_warnings(segmenter: str, capture: Recording, *, diffusion: bool = False) -> tuple[str, ...]:
-    """What this machine lacks for a run; another machine may have it, so nothing is refused."""
+    """Warnings on requirements of a run that this machine lacks; another machine may have them, so nothing is refused."""
     try:
         require_environment(EVERYTHING, segmenter, has_masks=bool(capture.mask_folders), diffusion=diffusion)
     except BackendError as error:
@@ -97,7 +97,7 @@ def machine_warnings(segmenter: str, capture: Recording, *, diffusion: bool = Fa
 
 
 def category_warnings(capture: Recording) -> tuple[str, ...]:
-    """What a category that cannot be made means for `aomgen init`."""
+    """Warning for `aomgen init` on a category that cannot be made."""
     if is_made(capture.category):
         return ()
     return (

@@ -67,7 +67,7 @@ def read_project(path: Path) -> Project:
 
 
 def write_project(path: Path, project: Project) -> None:
-    """Write a project file with every choice and a comment beside it.
+    """Write a project file with every choice and a comment on it.
 
     What lies below the file's folder is named relative to it, so that both can be moved together.
 

@@ -18,7 +18,7 @@ from aomgen.robots.robot import RobotModel
 from aomgen.twin.twin import TwinModel, TwinState, render_state
 
 TWIN_FOLDER = "06_twin"
-# Where less than half of the light comes from Gaussians, the background is seen.
+# Pixels with less accumulated alpha show the background.
 LABEL_MIN_ALPHA = 0.5
 CAMERA_KEYS = ("T_world_cam", "fx", "fy", "cx", "cy", "width", "height")
 STATE_KEYS = ("joints", "gripper", "theta", "T_world_object")

@@ -1,8 +1,10 @@
-"""What a stage is, and how stages are run: what is up to date is kept, what is not is made anew."""
+"""Stages and their execution: results that are up to date are kept, others are recomputed."""
 
 import fcntl
+import os
+import shutil
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -51,7 +53,7 @@ class Stage:
         function: Does the work.
         incremental: Works in its final folder, committing item by item or leaving checkpoints,
             and continues there after a kill.
-        amount: Those of the settings that say how much is made, and change no item of an incremental
+        amount: Those of the settings that only change the number of items of an incremental
             stage: items that are there stay.
     """
 
@@ -68,7 +70,7 @@ class Stage:
 
 
 class Display(Protocol):
-    """Where the runner tells what it does: a terminal, or nothing (tests)."""
+    """Receiver of the runner's progress: a terminal, or nothing (tests)."""
 
     def begin(self, stage: Stage, *, fresh: bool) -> None: ...
 
@@ -99,13 +101,13 @@ def run_stages(
     Args:
         project: The choices of this run.
         stages: The pipeline, in an order in which every stage comes after what it needs.
-        display: Hears what happens.
+        display: Receives the progress.
         inputs: Digests of what no stage makes, by the names under which stages need it.
         until: Stop after this stage; all of them when empty.
         machine: See `results_of`.
 
     Returns:
-        Names of the stages that were made anew.
+        Names of the stages that were recomputed.
 
     Raises:
         LockedError: Another process works in the same folder.
@@ -130,6 +132,21 @@ def run_stages(
             if stage.name == until:
                 break
     return made
+
+
+def share_stages(folders: Iterable[Path], out: Path) -> None:
+    """Link finished stages of a run into the folder of another run, which must not change them; those there stay."""
+    for folder in folders:
+        if not (out / folder.name).exists():
+            shutil.copytree(folder, out / folder.name, copy_function=_link)
+
+
+def _link(source: str, target: str) -> None:
+    """Link a file, or copy it to another file system."""
+    try:
+        os.link(source, target)
+    except OSError:
+        shutil.copy2(source, target)
 
 
 def stage_states(project: Project, stages: tuple[Stage, ...]) -> list[tuple[Stage, str]]:

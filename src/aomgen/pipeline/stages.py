@@ -54,7 +54,7 @@ def _by_method(setting: str, functions: Mapping[str, StageFunction]) -> StageFun
 
 
 def _parts(results: Results, folder: Path, progress: Progress) -> dict[str, Any]:
-    """Parts, told by the motion which of them move."""
+    """Parts, with the motion as evidence for which of them move."""
     from aomgen.motion.stage import motion_evidence
 
     project = results.project
@@ -182,9 +182,9 @@ def check_params(project: Project) -> None:
 
 
 def run_pipeline(project: Project, display: Display, *, until: str = "", **machine: Any) -> list[str]:
-    """Check everything that can be known, then bring every stage up to date; the names of those made anew.
+    """Check everything that can be known, then bring every stage up to date; return the names of the recomputed ones.
 
-    `machine` tells where episodes are made, see `Results`: `workers`, `ray`.
+    `machine` states where episodes are made, see `Results`: `workers`, `ray`.
 
     Raises:
         ConfigError: `until` names no stage.
@@ -203,7 +203,7 @@ def run_pipeline(project: Project, display: Display, *, until: str = "", **machi
     for sentence in preflight(project, capture, inputs, wanted):
         # Warnings about the input appear where it is read first.
         display.warn(STAGES[0], sentence)
-    # The choices lie beside the results, so that reports can be made again and questions answered.
+    # The choices are stored with the results, so that reports can be made again.
     with lock(project.out):
         write_project(project.out / PROJECT_FILE, project)
     return run_stages(project, STAGES, display, inputs=inputs, until=until, **machine)
