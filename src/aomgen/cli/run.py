@@ -1,4 +1,4 @@
-"""How the commands run: a project in a terminal, the project that a path means, and ends by a signal or a bug."""
+"""Execution of the commands: a project in a terminal, the project of a path, and ends by a signal or a bug."""
 
 import importlib.resources
 import os
@@ -27,7 +27,7 @@ SAMPLE = "microwave-a"
 INTERRUPTED = "interrupted; run the same command again to continue\n"
 # Back to the line's start, delete it, show the cursor: a progress bar hides it.
 LEAVE_BAR = "\r\x1b[2K\x1b[?25h"
-# What BSD's sysexits.h calls an internal software error.
+# Exit code of an internal software error in BSD's sysexits.h.
 EXIT_BUG = 70
 # Settings of every command line of the repository.
 COMMAND_LINE: Final[dict[str, Any]] = {
@@ -48,7 +48,7 @@ def run_command(app: typer.Typer) -> None:
     sys.excepthook = report_bug
     with stop_at_signals():
         try:
-            # Not `app()`, which sets an excepthook of its own.
+            # Not `app()`, which sets another excepthook.
             typer.main.get_command(app)()
         except AomgenError as error:
             print(f"error: {error}", file=sys.stderr)
@@ -85,7 +85,7 @@ def sample_capture() -> Path:
 
 
 def status_lines(project: "Project") -> tuple[list[str], bool]:
-    """What `aomgen status` says of a run, and whether something is still to be made."""
+    """Lines of `aomgen status` on a run, and whether something is still to be made."""
     from aomgen.episodes.ledger import read_accounts
     from aomgen.pipeline.manifest import read_manifest
     from aomgen.pipeline.runner import stage_states
@@ -158,12 +158,12 @@ def _end(number: int, scratch: str) -> None:
                 os.write(1, LEAVE_BAR.encode())
             os.write(2, INTERRUPTED.encode())
     finally:
-        # Also when nobody reads any more.
+        # Also when no process reads the stream any more.
         os._exit(128 + number)
 
 
 def report_bug(kind: type[BaseException], error: BaseException, trace: TracebackType | None) -> None:
-    """An `excepthook`: one line that says it is a bug and where its traceback lies; exit code 70.
+    """An `excepthook`: print one line with the bug and the path of its traceback; exit code 70.
 
     Raises:
         SystemExit: Always.
