@@ -45,7 +45,7 @@ PATIENCE: Final = 1.5
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SuiteRequest:
-    """What a suite shall be.
+    """Choices of a suite.
 
     Attributes:
         trials: How many; the assets share them evenly, one after the other.
@@ -143,7 +143,7 @@ def _open_drawing(results: Results, request: SuiteRequest) -> Callable[[int], Dr
 
 
 def draw_trial(factory: EpisodeFactory, request: SuiteRequest, number: int) -> DrawnTrial:
-    """A trial of a suite; each has a sequence of draws of its own.
+    """Sample a trial of a suite; each has a separate sequence of random numbers.
 
     Raises:
         NotEnoughEpisodesError: None of its draws passes.

@@ -34,7 +34,7 @@ class OpenEnv(gymnasium.Env[dict[str, Any], NDArray[np.float32]]):
     Args:
         suite: File of a suite, or a world that has been opened.
         visuals: "splat", or "simulator" for MuJoCo's renderer.
-        render_mode: `render` gives the first camera's picture.
+        render_mode: `render` gives the first camera's image.
 
     Attributes:
         task, task_description: The instruction.
@@ -100,7 +100,7 @@ class OpenEnv(gymnasium.Env[dict[str, Any], NDArray[np.float32]]):
         return self._seen, float(info["is_success"]), over and not late, late, info
 
     def render(self) -> NDArray[np.uint8]:
-        """Picture of the first camera."""
+        """Image of the first camera."""
         return self._seen["pixels"][next(iter(self._world.suite.cameras))]
 
     @staticmethod

@@ -23,14 +23,14 @@ from aomgen.io.video import encode_video
 from aomgen.results import Results
 from aomgen.saved_units import SavedUnits
 
-# So many failures are kept as videos.
+# Number of failures that are kept as videos.
 FILMED: Final = 10
 ROLLOUTS_FOLDER, VIDEOS_FOLDER = "rollouts", "failures"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class EvaluationRequest:
-    """Who is judged, and how.
+    """The evaluated policy and its inputs.
 
     Attributes:
         policy: See `policies.open_policy`.
@@ -45,12 +45,12 @@ class EvaluationRequest:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RolloutRecord:
-    """What came of a trial.
+    """Result of a trial.
 
     Attributes:
         trial: Its number.
         fail_reason: Empty where it succeeded.
-        opening_share: Way of the object's joint at the end, over the planned one.
+        opening_share: Travel of the object's joint at the end, over the planned one.
         frames: Actions taken.
     """
 
@@ -86,7 +86,7 @@ def evaluate(
     suite = replace(suite, action_space=request.action_space or suite.action_space)
     # A copy without what has been read.
     opener = partial(_open_rollouts, suite, replace(results), request)
-    # What cannot be opened is told before processes are started.
+    # A policy that cannot be opened is refused before processes are started.
     open_policy(request.policy, World(suite, results, request.visuals))
     parts = SavedUnits(out / ROLLOUTS_FOLDER, identity, RolloutRecord)
     rows = parts.make(range(len(suite.trials)), Processes(opener, workers, TRIAL_S), progress)

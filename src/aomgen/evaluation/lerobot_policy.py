@@ -17,14 +17,14 @@ from aomgen.io.artifact import read_json
 if TYPE_CHECKING:
     from aomgen.evaluation.rollout import Rollout
 
-# What `lerobot-train` leaves behind: below its output folder, the newest weights and what they were trained on.
+# Files of `lerobot-train` below its output folder: the newest weights and their training settings.
 LAST: Final = "checkpoints/last/pretrained_model"
 WEIGHTS, SETTINGS, TRAINING = "model.safetensors", "config.json", "train_config.json"
 STATE, IMAGES = "observation.state", "observation.images."
 
 
 def checkpoint_folder(folder: Path) -> Path:
-    """Where the weights lie: a folder of weights, or of a training.
+    """Folder of the weights, from a folder of weights, or of a training.
 
     Raises:
         MissingFileError: There are none.
@@ -90,7 +90,7 @@ class LerobotPolicy:
         self._policy.reset()
 
     def looks(self, frame: int) -> bool:
-        """When a chunk is used up, and pictures are among what it sees."""
+        """Return whether a chunk is used up and the policy takes images."""
         return bool(self._images) and not self._left
 
     def act(self, observation: Mapping[str, Any]) -> Array:

@@ -7,11 +7,11 @@ import numpy as np
 import pyarrow.parquet as pq
 
 from aomgen.core.plan import EpisodePlan
+from aomgen.core.transforms import quat_from_matrix
 from aomgen.core.values import Array
-from aomgen.datasets.features import feature_columns
+from aomgen.datasets.features import ActionSpace, ee_deltas, feature_columns
 from aomgen.datasets.lerobot_tables import SOURCE
 from aomgen.errors import MissingFileError, UnknownNameError
-from aomgen.evaluation.actions import choose_planned_action
 from aomgen.evaluation.lerobot_policy import WEIGHTS, LerobotPolicy, checkpoint_folder
 from aomgen.evaluation.remote import SCHEMES, RemoteTask, open_remote
 from aomgen.evaluation.rollout import Rollout, World
@@ -37,7 +37,7 @@ class Policy(Protocol):
         ...
 
     def looks(self, frame: int) -> bool:
-        """Whether it wants pictures at a frame; drawing takes most of the time."""
+        """Return whether the policy takes images at a frame; rendering takes most of the time."""
         ...
 
     def act(self, observation: dict[str, Any]) -> Array:
@@ -68,6 +68,17 @@ class OracleReplay:
         action = choose_planned_action(self._plan, self._frame, self._world.suite.action_space)
         self._frame += 1
         return action
+
+
+def choose_planned_action(plan: EpisodePlan, frame: int, space: ActionSpace) -> Array:
+    """The action of a plan at a frame, which names what is to be reached at the next; after the end, where to stay."""
+    now, ahead = (min(row, len(plan) - 1) for row in (frame, frame + 1))
+    target, gripper = plan.Ts_world_ee[ahead], plan.gripper[ahead]
+    if space == "joint":
+        return np.append(plan.joints[ahead], gripper)
+    if space == "ee_delta":
+        return np.append(ee_deltas(plan.Ts_world_ee[now][None], target[None])[0], gripper)
+    return np.concatenate([target[:3, 3], quat_from_matrix(target[:3, :3]), [gripper]])
 
 
 class NearestReplay:
@@ -142,7 +153,7 @@ def open_policy(name: str, world: World) -> Policy:
 
 
 def policy_digest(name: str) -> str:
-    """Of a policy's weights; empty where it has none here."""
+    """SHA-256 of a policy's weights; empty where they are not on this machine."""
     if not name.startswith(LEROBOT):
         return ""
     return file_digest(checkpoint_folder(Path(name.removeprefix(LEROBOT))) / WEIGHTS)

@@ -1,8 +1,8 @@
 """The policy servers of openpi and OpenVLA: how they are spoken to, and what may come back.
 
-openpi's `scripts/serve_policy.py` is a websocket: it sends what it knows about its policy, then answers every
+openpi's `scripts/serve_policy.py` is a websocket: it sends its policy's metadata, then a response to every
 observation. Messages are msgpack; an array is a map of its bytes, dtype and shape. OpenVLA's `vla-scripts/deploy.py` (and
-OpenVLA-OFT's) answers POST /act; messages are JSON, an array is an object with its bytes in base64 (json-numpy).
+OpenVLA-OFT's) responds to POST /act; messages are JSON, an array is an object with its bytes in base64 (json-numpy).
 
 Source: the files named, of openpi 15a9616, openvla c8f03f4 and openvla-oft 213c5ff.
 """
@@ -22,9 +22,9 @@ from numpy.typing import NDArray
 from aomgen.errors import BackendError, PolicyServerError
 from aomgen.executors import CONNECT_S
 
-# A server compiles its model while it makes the first answer, [s].
+# A server compiles its model before its first response, [s].
 ANSWER_S: Final = 300.0
-# A chunk of actions is some kilobytes; more is no answer, [bytes].
+# A chunk of actions takes some kilobytes; a larger message is no response, [bytes].
 MAX_ANSWER: Final = 1 << 20
 # Kinds of dtypes that are numbers.
 NUMBERS: Final = "fiub"
@@ -52,7 +52,7 @@ class OpenpiServer:
         address: HOST:PORT.
 
     Attributes:
-        metadata: What it says about its policy: `policy_metadata` of the training's config.
+        metadata: The server's metadata: `policy_metadata` of the training's config.
 
     Raises:
         BackendError: The libraries are not installed.
@@ -77,7 +77,7 @@ class OpenpiServer:
         # The connection's thread would hold it open.
         weakref.finalize(self, stack.close)
         try:
-            # While it thinks, the server answers no ping.
+            # During inference the server does not respond to pings.
             self._connection = stack.enter_context(
                 connect(
                     f"ws://{address}",
@@ -93,10 +93,10 @@ class OpenpiServer:
         self.metadata = self._receive()
 
     def infer(self, observation: Mapping[str, Any]) -> dict[Any, Any]:
-        """The answer to an observation, whose arrays may be nested.
+        """Return the response to an observation, whose arrays may be nested.
 
         Raises:
-            PolicyServerError: It went away, failed, or answers something else.
+            PolicyServerError: It went away, failed, or sends something else.
         """
         try:
             self._connection.send(self._msgpack.packb(observation, default=_pack))
@@ -144,7 +144,7 @@ class OpenvlaServer:
         address: HOST:PORT.
 
     Raises:
-        PolicyServerError: Nobody listens there.
+        PolicyServerError: No server is there.
     """
 
     def __init__(self, address: str) -> None:
@@ -158,10 +158,10 @@ class OpenvlaServer:
             connection.close()
 
     def act(self, payload: Mapping[str, Any]) -> Any:
-        """The answer to a payload: arrays, numbers and lists of them.
+        """Return the response to a payload: arrays, numbers and lists of them.
 
         Raises:
-            PolicyServerError: It went away, failed, or answers something else.
+            PolicyServerError: It went away, failed, or sends something else.
         """
         connection = http.client.HTTPConnection(self._address, timeout=ANSWER_S)
         try:
@@ -211,5 +211,5 @@ def _no_answer(where: str, want: str, error: Exception) -> PolicyServerError:
 
 
 def _last_line(text: str) -> str:
-    """Of a traceback, what went wrong."""
+    """Last line of a traceback, which names the error."""
     return (text.strip().splitlines() or [""])[-1][:200]

@@ -1,6 +1,6 @@
 """Policies that run on another machine: `openpi://HOST:PORT` and `openvla://HOST:PORT`, trained as `recipes/` says.
 
-A server answers one action or a chunk of them; it is asked again when they are used up.
+A server returns one action or a chunk of them; it is called again when they are used up.
 """
 
 import re
@@ -21,7 +21,7 @@ SCHEMES: Final = ("openpi", "openvla")
 _NAME: Final = re.compile(r"([a-z]+)://([\w.-]+|\[[0-9a-fA-F:.]+\]):([0-9]{1,5})(?:/([\w.+-]+))?")
 # Numbers of OpenVLA's action: a motion and the gripper; joints of its state.
 OPENVLA_ACTION, OPENVLA_JOINTS = 7, 7
-# Names of what the recipes' policies are told, see recipes/pi05_openpi.py.
+# Metadata of the recipes' policies, see recipes/pi05_openpi.py.
 ACTION_SPACE, CAMERAS = "action_space", "cameras"
 Ask = Callable[[Mapping[str, Any]], Array]
 Convert = Callable[[Array, Array], Array]
@@ -29,7 +29,7 @@ Convert = Callable[[Array, Array], Array]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RemoteTask:
-    """What a server has to fit.
+    """Properties of a suite that a server must fit.
 
     Attributes:
         instruction: In words.
@@ -65,14 +65,14 @@ class RemotePolicy:
         self._left.clear()
 
     def looks(self, frame: int) -> bool:
-        """When a chunk is used up."""
+        """Return whether a chunk is used up."""
         return not self._left
 
     def act(self, observation: Mapping[str, Any]) -> Array:
         """The next action.
 
         Raises:
-            PolicyServerError: The server went away, failed, or answers no actions.
+            PolicyServerError: The server went away, failed, or returns no actions.
         """
         if not self._left:
             self._left.extend(self._ask(observation))
@@ -124,7 +124,7 @@ def _open_openpi(address: str, task: RemoteTask) -> RemotePolicy:
 
 
 def _open_openvla(address: str, dataset: str | None, task: RemoteTask) -> RemotePolicy:
-    """OpenVLA's server; a checkpoint of several datasets is told whose statistics scale its actions."""
+    """OpenVLA's server; `dataset` chooses among a checkpoint's statistics, which scale its actions."""
     where = f"openvla://{address}"
     _require_space(where, "ee_delta", task)
     if not task.joints <= OPENVLA_JOINTS:
@@ -151,7 +151,7 @@ def _require_space(where: str, space: str, task: RemoteTask) -> None:
 
 
 def _chunk(where: str, answer: Any, size: int) -> Array:
-    """The actions of an answer (T, size), which may be a single one; not finite ones are for the environment to judge.
+    """Actions (T, size) of a response, which may hold a single one; the environment judges whether they are finite.
 
     Raises:
         PolicyServerError: There are none, or they have another shape.

@@ -8,9 +8,12 @@ import numpy as np
 
 from aomgen.core.demonstration import Trajectory
 from aomgen.core.plan import EpisodePlan, Rejection
+from aomgen.core.transforms import matrix_from_quat, transform
 from aomgen.core.values import Array
+from aomgen.datasets.features import ActionSpace, ee_targets
 from aomgen.episodes.factory import EpisodeFactory
-from aomgen.evaluation.actions import Targets, require_shape
+from aomgen.episodes.ik import IkSolver, converge
+from aomgen.errors import ConfigError
 from aomgen.evaluation.suite import Suite, fixed_cameras
 from aomgen.evaluation.views import KINDS, Images, TrialViews, Visuals
 from aomgen.io.images import resize
@@ -22,6 +25,50 @@ from aomgen.simulation.replay import Simulation
 HELD_S: Final = 0.5
 # Why a trial fails for which the pass rule has no word.
 BAD_ACTION: Final = "bad_action"
+# Tolerances of requested poses, [m] and [rad], and the most iterations. Near a straight elbow 0.2 mm of the end effector are 6 degrees of it:
+# an arm that lags behind by them catches up with all its torque.
+CLOSE, ITERATIONS = (1e-5, 1e-4), 50
+
+
+class Targets:
+    """Targets of the robot in a trial, one after the other.
+
+    Args:
+        space: What actions mean.
+        solver: Of the arm.
+        start: Joints and gripper (J + 1,) at rest.
+
+    Attributes:
+        last: The last target (J + 1,); its branch of the arm is kept.
+    """
+
+    def __init__(self, space: ActionSpace, solver: IkSolver, start: Array) -> None:
+        self._space, self._solver, self.last = space, solver, start
+        # As it was asked for: deltas add up to the path, not to what the solver leaves of it.
+        self._T_world_last = solver.robot.ee_poses(start[None, :-1])[0]
+
+    def take(self, action: Array) -> Array | None:
+        """Arm joints and gripper (J + 1,) of an action, within the joints' limits; None where it is not finite or has no rotation.
+
+        Beyond the arm's reach it comes as near as it can.
+        """
+        if not np.isfinite(action).all():
+            return None
+        low, high = self._solver.robot.joint_limits.T
+        gripper = np.clip(action[-1:], 0.0, 1.0)
+        if self._space == "joint":
+            self.last = np.append(np.clip(action[:-1], low, high), gripper)
+            return self.last
+        if self._space == "ee_delta":
+            T = ee_targets(self._T_world_last[None], action[None, :6])
+        elif action[3:7].any():
+            quat = action[3:7] / np.linalg.norm(action[3:7])
+            T = transform(matrix_from_quat(quat[None]), action[None, :3])
+        else:
+            return None
+        joints = converge(self._solver, T, self.last[None, :-1], ITERATIONS, CLOSE)[0]
+        self.last, self._T_world_last = np.append(joints, gripper), T[0]
+        return self.last
 
 
 class World:
@@ -30,7 +77,7 @@ class World:
     Args:
         suite: The trials.
         results: Of the run that the suite belongs to.
-        visuals: What pictures show.
+        visuals: Renderer of the images.
     """
 
     def __init__(self, suite: Suite, results: Results, visuals: Visuals = "splat") -> None:
@@ -84,7 +131,7 @@ class Rollout:
 
     @property
     def opening_share(self) -> float:
-        """Way of the object's joint so far over the planned one, signed."""
+        """Travel of the object's joint over the planned one, signed."""
         return float((self.reached.thetas[0] - self.fitted.start_theta) / self.fitted.travel)
 
     @cached_property
@@ -95,7 +142,7 @@ class Rollout:
         )
 
     def observation(self, *, pixels: bool = True) -> dict[str, Any]:
-        """What the policy sees: "agent_pos" (J + 1,), float32, and "pixels" by camera where they are wanted."""
+        """Return the observation: "agent_pos" (J + 1,), float32, and optionally "pixels" by camera."""
         state = np.append(self.reached.joints[0], self.reached.gripper).astype(np.float32)
         return {"agent_pos": state, **({"pixels": self._pictures()} if pixels else {})}
 
@@ -114,7 +161,10 @@ class Rollout:
             ConfigError: The action has another shape.
         """
         suite = self.world.suite
-        require_shape(action, suite.action_size)
+        if action.shape != (suite.action_size,):
+            raise ConfigError(
+                "action", f"has shape {action.shape}", f"want ({suite.action_size},), the gripper last"
+            )
         target = self._targets.take(action)
         self.frame += 1
         if target is None:

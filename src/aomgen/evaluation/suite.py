@@ -17,7 +17,6 @@ from aomgen.core.verdict import Setting
 from aomgen.datasets.features import ActionSpace
 from aomgen.episodes.variations import scale_fit
 from aomgen.errors import ConfigError, MalformedFileError
-from aomgen.evaluation.actions import action_size
 from aomgen.io.artifact import load_artifact, read_json, save_artifact
 from aomgen.io.episode_folder import EPISODE_FILE, list_committed
 from aomgen.pipeline.manifest import files_digest
@@ -79,10 +78,10 @@ class Suite:
         assets: Names of the objects.
         joint_names: Of the arm.
         fps: Actions a second.
-        action_space: What actions mean, see `actions`.
+        action_space: Meaning of actions, see `datasets.features`.
         cameras: By name; their size is that of the images. One that the robot carries has its pose on the robot's body.
         drawn_size: Width and height that images of fixed cameras are drawn in, and averaged down from, as datasets are, [px].
-        max_frames: A trial ends after so many actions.
+        max_frames: A trial ends after this number of actions.
         seed: Of the draws.
         redrawn: Draws that were passed over, by reason.
         nearest: Distance of the trial and the committed episode that are nearest to each other; None without episodes.
@@ -107,8 +106,8 @@ class Suite:
 
     @property
     def action_size(self) -> int:
-        """How many numbers an action has."""
-        return action_size(self.action_space, len(self.joint_names))
+        """Number of elements of an action, the gripper's last."""
+        return {"joint": len(self.joint_names), "ee_absolute": 7, "ee_delta": 6}[self.action_space] + 1
 
     def seal(self) -> "Suite":
         """The suite with its digest."""
@@ -122,7 +121,7 @@ def _plain(value: Any) -> Any:
 
 
 def fixed_cameras(cameras: Mapping[str, Camera], robot: RobotModel) -> dict[str, Camera]:
-    """Those that the robot does not carry."""
+    """Cameras that the robot does not carry."""
     return {name: camera for name, camera in cameras.items() if name not in robot.cameras}
 
 

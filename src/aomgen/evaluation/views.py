@@ -1,4 +1,4 @@
-"""What cameras see of a trial: the twin's Gaussians, or MuJoCo's meshes before a picture of the scene, as in the paper."""
+"""Images of a trial: by the twin's Gaussians, or by MuJoCo's meshes before an image of the scene, as in the paper."""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -85,9 +85,9 @@ class SplatViews:
 
 
 class SimulatorViews:
-    """Draws robot, table and object with MuJoCo's renderer; behind them a wall shows the scene's splat picture.
+    """Renders robot, table and object with MuJoCo; behind them a wall shows the scene's Gaussians.
 
-    The wall is as far away as its picture was taken for: each camera sees its own. Source: AOMGen, sec. 5.3.
+    The wall is as far away as its image was rendered for: each camera sees a separate one. Source: AOMGen, sec. 5.3.
     """
 
     def __init__(

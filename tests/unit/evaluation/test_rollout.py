@@ -7,10 +7,9 @@ import pytest
 
 from aomgen.datasets.features import ACTION_SPACES
 from aomgen.errors import ConfigError
-from aomgen.evaluation.actions import Targets, action_size, choose_planned_action
 from aomgen.evaluation.evaluate import roll_out
-from aomgen.evaluation.policies import OracleReplay
-from aomgen.evaluation.rollout import Rollout, World
+from aomgen.evaluation.policies import OracleReplay, choose_planned_action
+from aomgen.evaluation.rollout import Rollout, Targets, World
 from aomgen.simulation.replay import SimulatedRun, simulate
 
 
@@ -62,7 +61,7 @@ def test_planned_actions_mean_the_planned_joints(world: World, space) -> None:
     targets = Targets(space, solver, np.append(plan.joints[0], plan.gripper[0]))
     for frame in range(0, 30):
         action = choose_planned_action(plan, frame, space)
-        assert len(action) == action_size(space, 6)
+        assert len(action) == replace(world.suite, action_space=space).action_size
         target = targets.take(action)
         assert target is not None
         T = solver.robot.ee_poses(target[None, :-1])[0]
