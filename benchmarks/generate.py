@@ -27,12 +27,12 @@ ASSETS: Final = ("microwave:1", "microwave:2")
 IMAGE_SIZE: Final = (256, 256)
 # Memory is looked at this often, [s].
 WATCH_S: Final = 0.1
-# Memory is reported when so many episodes are there, and at the end.
+# Memory is reported when this number of episodes is there, and at the end.
 EARLY_EPISODES: Final = 10
 
 
 class MemoryWatch:
-    """Largest resident memory of this process and its children together so far, [MB]."""
+    """Largest resident memory of this process and its children together, [MB]."""
 
     def __init__(self) -> None:
         self.peak_mb = 0.0
@@ -77,7 +77,7 @@ def run_generate(
     )
     run_project(project, until="replacement")
     folders = results_of(project, STAGES).folders
-    # Beside the run's own results: a bench starts with nothing made.
+    # In a separate folder: a bench starts with nothing made.
     scratch = {name: out / "bench" / folders[name].name for name in ("episodes", "dataset")}
     for folder in scratch.values():
         if folder.exists():
@@ -88,7 +88,7 @@ def run_generate(
 
     def heard(done: Done) -> None:
         if not done.lost:
-            for part, spent in done.value.seconds.items():
+            for part, spent in done.value[1].items():
                 core[part] += spent
         if not early and len(list_committed(scratch["episodes"])) >= EARLY_EPISODES:
             early.append(watch.peak_mb)

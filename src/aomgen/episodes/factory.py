@@ -50,13 +50,13 @@ OPEN_SIZES: Final = 2
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class GenerationParams:
-    """What episodes are made of.
+    """Parameters of the stage "episodes".
 
     Attributes:
         ranges: Of the draws.
         plan: How an episode is planned; its rate is the recording's.
         bolted: The object is fixed to its support; False lets it stand by friction.
-        attempts_per_episode: Draws tried for each wanted episode before giving up.
+        attempts_per_episode: Draws tried for each requested episode before giving up.
         cameras: Names of the scene's cameras that are used; empty for all.
         free_cameras: Cameras added, placed by `ranges.free`.
         images: What is stored of the images, and whether the robot's own cameras are drawn.
@@ -73,16 +73,8 @@ class GenerationParams:
     timeout_s: float = 600.0
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Outcome:
-    """What a worker tells of a unit: whether an episode was committed, and seconds of work by part."""
-
-    committed: bool
-    seconds: Mapping[str, float]
-
-
 class EpisodeFactory:
-    """What a worker holds: robot, demonstration, and the assets that it works on.
+    """State of a worker: robot, demonstration, and the assets that it works on.
 
     Args:
         results: Of the run.
@@ -101,12 +93,12 @@ class EpisodeFactory:
 
     @cached_property
     def solver(self) -> IkSolver:
-        """Of the robot's arm; who only screens draws needs none."""
+        """IK solver of the robot's arm; screening draws does not need it."""
         return ik_solver(self.results.robot)
 
     @cached_property
     def place(self) -> Place:
-        """What draws are held against."""
+        """Criteria of the screening of draws."""
         scene, known = self.results.episode_scene, self.results.episode_scene.cameras
         return Place(
             ranges=self.params.ranges,
@@ -119,7 +111,7 @@ class EpisodeFactory:
 
     @cached_property
     def reach_maps(self) -> tuple[ReachMap, ...]:
-        """Of every asset."""
+        """Reach maps of all assets."""
         return tuple(
             map_reach(fitted, self.results.demonstration, self.params.ranges, self.solver, self.plan_params)
             for fitted in self.results.fitted_assets
@@ -150,8 +142,12 @@ class EpisodeFactory:
             free=self.place.free,
         )
 
-    def make(self, unit: Unit) -> Outcome:
-        """Plan, verify, draw and commit the episode of a unit, or write why there is none."""
+    def make(self, unit: Unit) -> tuple[bool, dict[str, float]]:
+        """Plan, verify, draw and commit the episode of a unit, or write why there is none.
+
+        Returns:
+            Whether the episode was committed, and seconds of work by part.
+        """
         self._seconds = {}
         variation = self.variation(unit)
         opened = self.asset(unit.asset)
@@ -160,7 +156,7 @@ class EpisodeFactory:
             write_rejection(self.folder, unit, variation, verified)
         else:
             self._commit(unit, verified, opened)
-        return Outcome(committed=isinstance(verified, VerifiedEpisode), seconds=self._seconds)
+        return isinstance(verified, VerifiedEpisode), self._seconds
 
     def plan(self, opened: "OpenAsset", variation: Variation) -> EpisodePlan | Rejection:
         """The plan for a variation of an asset."""
@@ -181,7 +177,7 @@ class EpisodeFactory:
         return episode_scene(robot, fitted, demo, place.support, place.obstacles, bolted=self.params.bolted)
 
     def _usual_grasp(self, category: str) -> GraspChoice:
-        """Of all objects of a category; that of the stage where it has chosen."""
+        """Usual grasp of all objects of a category; read from the stage's folder where it has been chosen."""
         chosen = self.folder / GRASPS_FOLDER
         if (chosen / f"{category}.json").is_file():
             return load_artifact(chosen, category, GraspChoice)
@@ -189,7 +185,7 @@ class EpisodeFactory:
         return choose_grasp([grasps for draws in working for grasps in draws])
 
     def working_grasps(self, number: int) -> WorkingGrasps:
-        """Of the first draws of an asset; those of the stage where it has looked."""
+        """Working grasps of the first draws of an asset; read from the stage's folder where they have been found."""
         found = self.folder / GRASPS_FOLDER
         if (found / f"{unit_name(number)}.json").is_file():
             return load_artifact(found, unit_name(number), WorkingGrasps)
@@ -340,10 +336,10 @@ class OpenAsset:
 
 
 def open_grasping(results: Results, folder: Path) -> Callable[[int], WorkingGrasps]:
-    """What a worker calls that looks which grasps work for assets."""
+    """Worker function that finds the working grasps of assets."""
     return EpisodeFactory(results, folder).working_grasps
 
 
 def open_factory(results: Results, folder: Path) -> Work:
-    """What a worker calls first; `results` is what was pickled: the project and its folders, nothing that was read."""
+    """Worker function that makes units; `results` is pickled without what was read: the project and its folders."""
     return EpisodeFactory(results, folder).make

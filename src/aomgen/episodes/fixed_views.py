@@ -1,4 +1,4 @@
-"""What fixed cameras show of an episode: what stands still is drawn once, what moves into it, with the shadows."""
+"""Images of an episode from fixed cameras: static Gaussians are drawn once, moving ones into them, with the shadows."""
 
 from collections.abc import Mapping, Sequence
 from typing import Final
@@ -56,9 +56,9 @@ def crisp_shade(
 
 
 class FixedViews:
-    """What fixed cameras show of an object that stands at a pose: prepared once, then drawn for any states.
+    """Images of an object at a pose from fixed cameras: prepared once, then drawn for any states.
 
-    The pictures of a state do not depend on what else is drawn.
+    The images of a state do not depend on other states.
 
     Args:
         twin, robot, layers, threads: As of `render_episode`.
@@ -114,7 +114,7 @@ class FixedViews:
 
 
 class _StillView:
-    """What a fixed camera sees of all that stands still in an episode.
+    """View of a fixed camera of all that is static in an episode.
 
     Attributes:
         session: Draws into it what moves.
@@ -158,7 +158,7 @@ class _StillView:
         return color_factors(taken).reshape(-1, *shape)
 
     def points_on(self, T_world_plane: Array) -> Array:
-        """What is seen of a surface (N, 3)."""
+        """Visible points of a surface (N, 3)."""
         far = np.minimum(self.layer.depth, FAR).astype(np.float64)
         points, belongs = intersect_surface(T_world_plane, self.layer.camera, far)
         return points[belongs > 0]

@@ -78,7 +78,7 @@ class _Quota:
 
     @property
     def over(self) -> bool:
-        """Whether nothing more will come."""
+        """Return whether no further unit will be made."""
         return not self.running and (
             self.committed >= self.wanted or self.begun >= self.allowed or self.exhausted
         )
@@ -96,11 +96,11 @@ def generate(
 
     Args:
         folder: See `ledger`. It belongs to the same assets, demonstration and parameters.
-        request: What is wanted.
-        executor: Its work commits the episode of a `Unit` or writes its rejection, and tells it as `factory.Outcome`.
+        request: Requested episodes.
+        executor: Its work commits the episode of a `Unit` or writes its rejection, and returns whether it was committed first, see `EpisodeFactory.make`.
         screen: Draws of the assets.
         progress: Called after every unit.
-        on_done: Hears what the executor has done.
+        on_done: Receives every unit that the executor has done.
 
     Raises:
         StorageError: The disk refuses.
@@ -129,7 +129,7 @@ def generate(
         if done.lost:
             lost = Rejection(reason=done.lost, detail=LOST[done.lost])
             write_rejection(folder, done.unit, quota.draws[done.unit.index][0], lost)
-        successful = not done.lost and done.value.committed
+        successful = not done.lost and done.value[0]
         committed |= {done.unit} if successful else set()
         quota.end(committed=successful)
         on_done(done)

@@ -1,4 +1,4 @@
-"""What the arm's joints may do along a path: where, how fast, how abruptly."""
+"""Limits of the arm's joints along a path: position, speed, acceleration and jerk."""
 
 from dataclasses import dataclass
 
@@ -12,7 +12,7 @@ from aomgen.core.values import Array
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class IkLimits:
-    """What a solved path must keep.
+    """Limits that a solved path must keep.
 
     Arms state their largest speeds, few their accelerations: planners of such arms use 5 to 10 rad/s^2, and makers that
     state a limit 7.5 to 20 rad/s^2. From about 7 rad/s^2 on, near a straight elbow, the simulated drives of a UR5e are at
@@ -49,7 +49,7 @@ def check_speed(
 ) -> dict[str, float] | Rejection:
     """Largest speed, acceleration and jerk on a path (T, J) that begins and ends at rest.
 
-    A jump is too fast. `slides` tells which joints (J,) are prismatic.
+    A jump is too fast. `slides` marks the prismatic joints (J,).
 
     Returns:
         `joint_speed`, `joint_acceleration`, `joint_jerk` in [rad/s] and so on; or a Rejection "too_fast" or "too_jerky"

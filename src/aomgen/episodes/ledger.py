@@ -1,4 +1,4 @@
-"""Who was asked for how many episodes, and what has come of it, told by what lies in the stage's folder.
+"""Ledger of the requested episodes and their outcomes, as the files in the stage's folder.
 
 ```
 request.json          how many episodes of which assets
@@ -7,16 +7,21 @@ rejected/100002.json  an attempt that gave none, and why: asset 1, draw 2
 objects/000005/       the object of an episode that has another size than its asset
 draws.json            when all is done: every draw with its outcome, also those that were not tried
 ```
-At any moment, requested = committed + rejected + left.
+At any moment, requested = committed + rejected + left. Distributions follow from the draws.
 """
 
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any, Final
+from typing import Annotated, Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
 
 from aomgen.core.plan import Rejection, Variation
+from aomgen.core.values import Array, freeze_arrays
+from aomgen.episodes.variations import Ranges
 from aomgen.errors import MalformedFileError
 from aomgen.io.artifact import read_json
 from aomgen.io.atomic import write_json
@@ -26,6 +31,8 @@ REQUEST_FILE, DRAWS_FILE = "request.json", "draws.json"
 REJECTED_FOLDER, OBJECTS_FOLDER = "rejected", "objects"
 # Draws of an asset at most: the number of an episode has five digits for them.
 MAX_DRAWS: Final = 100_000
+# Bars of a histogram: each still holds some of a few dozen episodes.
+BINS: Final = 8
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -37,13 +44,13 @@ class Unit:
 
     @property
     def number(self) -> int:
-        """Of its episode."""
+        """Number of its episode."""
         return self.asset * MAX_DRAWS + self.index
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Request:
-    """Episodes wanted of each asset, by name and in the order of their numbers, and attempts allowed for them."""
+    """Requested episodes of each asset, by name and in the order of their numbers, and attempts allowed for them."""
 
     assets: tuple[str, ...]
     episodes: int
@@ -52,7 +59,7 @@ class Request:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Account:
-    """What came of the episodes requested of one asset.
+    """Outcome of the episodes requested of one asset.
 
     Attributes:
         asset: Its name.
@@ -80,7 +87,7 @@ class Account:
 
 
 def write_request(folder: Path, request: Request) -> None:
-    """Say what is wanted before any of it is made.
+    """Store the request before any episode is made.
 
     Raises:
         StorageError: The disk refuses.
@@ -99,12 +106,12 @@ def write_rejection(folder: Path, unit: Unit, variation: Variation, rejection: R
 
 
 def rejection_file(folder: Path, unit: Unit) -> Path:
-    """Where it lies why an attempt gave no episode."""
+    """Path of the file that states why an attempt gave no episode."""
     return folder / REJECTED_FOLDER / f"{unit.number:06d}.json"
 
 
 def object_folder(folder: Path, unit: Unit) -> Path:
-    """Where the USD of an episode's object lies that has another size than its asset."""
+    """Folder with the USD of an episode's object whose size differs from its asset's."""
     return folder / OBJECTS_FOLDER / f"{unit.number:06d}"
 
 
@@ -135,7 +142,7 @@ def unit_of(number: str | int) -> Unit:
 
 
 def read_accounts(folder: Path) -> list[Account]:
-    """What came of the request so far; nothing where there is none.
+    """Current outcome of the request; nothing where there is none.
 
     Raises:
         MalformedFileError: A file is none of ours.
@@ -198,3 +205,74 @@ def read_draws(folder: Path) -> list[dict[str, Any]]:
         return list(content["draws"])
     except (TypeError, KeyError) as error:
         raise MalformedFileError(folder / DRAWS_FILE, "holds no draws", "delete it and run again") from error
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Distribution:
+    """Histograms of one quantity over the requested range.
+
+    Attributes:
+        name, unit: For example "yaw", "deg".
+        edges: Of the bins, in that unit.
+        drawn, tried, delivered: Draws in each bin; those that were planned; those that became episodes.
+    """
+
+    name: str
+    unit: str
+    edges: Annotated[Array, "_"]
+    drawn: Annotated[NDArray[np.int64], "K"]
+    tried: Annotated[NDArray[np.int64], "K"]
+    delivered: Annotated[NDArray[np.int64], "K"]
+
+    __post_init__ = freeze_arrays
+
+
+def distributions(draws: Sequence[Mapping[str, Any]], ranges: Ranges, free: int) -> list[Distribution]:
+    """Histograms of every quantity that has a range, from a ledger's draws; the last `free` cameras were added."""
+    found = []
+    for name, unit, (low, high), values in _quantities([draw["variation"] for draw in draws], ranges, free):
+        if low == high or not draws:
+            continue
+        outcomes = np.array([draw["outcome"] for draw in draws])
+        edges = np.linspace(low, high, BINS + 1, dtype=np.float64)
+        drawn, tried, delivered = (
+            np.histogram(np.asarray(values)[chosen], edges)[0]
+            for chosen in (outcomes != "", outcomes != "skipped", outcomes == "committed")
+        )
+        found.append(
+            Distribution(name=name, unit=unit, edges=edges, drawn=drawn, tried=tried, delivered=delivered)
+        )
+    return found
+
+
+def _quantities(
+    variations: list[Mapping[str, Any]], ranges: Ranges, free: int
+) -> Iterator[tuple[str, str, tuple[float, float], list[float]]]:
+    """Name, unit, range and values of everything that may differ."""
+    x, y = ranges.x_m, ranges.y_m
+    if ranges.polygon:
+        x, y = ((min(axis), max(axis)) for axis in zip(*ranges.polygon, strict=True))
+    degrees = float(np.rad2deg(1.0))
+    yield "x", "m", x, [v["x"] for v in variations]
+    yield "y", "m", y, [v["y"] for v in variations]
+    yield "yaw", "deg", ranges.yaw_deg, [degrees * v["yaw"] for v in variations]
+    yield "scale", "", ranges.scale, [v["scale"] for v in variations]
+    yield "speed", "", ranges.speed, [v["speed"] for v in variations]
+    light, material = [v["light"] for v in variations], [v["material"] for v in variations]
+    yield "light turn", "deg", ranges.light_turn_deg, [degrees * item["turn"] for item in light]
+    yield "light intensity", "", ranges.light_intensity, [item["intensity"] for item in light]
+    yield "color temperature", "K", ranges.light_temperature_k, [item["temperature_k"] for item in light]
+    yield "hue", "deg", ranges.hue_deg, [degrees * item["hue"] for item in material]
+    yield "saturation", "", ranges.saturation, [item["saturation"] for item in material]
+    yield "brightness", "", ranges.brightness, [item["brightness"] for item in material]
+    yield "push", "m", ranges.push_m, [v["push_m"] for v in variations]
+    if variations and any(ranges.start_deg):
+        first = [v["start_offset"][0] for v in variations]
+        yield "start of joint 1", "deg", ranges.start_deg, [degrees * value for value in first]
+    cameras = len(variations[0]["orbits"]) if variations else 0
+    for number in range(cameras):
+        orbits = [v["orbits"][number] for v in variations]
+        orbit = ranges.around if number < cameras - free else ranges.free
+        yield f"camera {number} turn", "deg", orbit.turn_deg, [degrees * item["turn"] for item in orbits]
+        yield f"camera {number} tilt", "deg", orbit.tilt_deg, [degrees * item["tilt"] for item in orbits]
+        yield f"camera {number} distance", "", orbit.distance, [item["distance"] for item in orbits]

@@ -1,4 +1,4 @@
-"""What a camera that moves shows of an episode: nothing stands still before it."""
+"""Images of an episode from a camera that moves: no part of them is static."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -20,7 +20,7 @@ NEAR_PATH: Final = 1.5
 
 
 class MovingView:
-    """What a camera that moves shows of an object that stands at a pose: prepared once, then drawn for any states.
+    """Images of an object at a pose from a camera that moves: prepared once, then drawn for any states.
 
     Args:
         twin, robot, threads: As of `render_episode`.
@@ -81,7 +81,7 @@ class MovingView:
 def _with_dark_things(
     twin: TwinModel, Ts_world_body: Array, eyes_world: Array, shades: Sequence[Shade]
 ) -> TwinModel:
-    """With the object's shadow on walls and things, if it throws one."""
+    """Twin with the object's shadow on walls and clutter, if it casts one."""
     if not shades:
         return twin
     plane, factors = shades[0].T_world_plane, np.ones((len(twin.bodies), 1))

@@ -1,6 +1,6 @@
-"""Pushes that carry the arm off its plan on the way to the object: demonstrations then show how to come back.
+"""Pushes that carry the arm off its plan before the contact: demonstrations then show how to come back.
 
-Only what the simulated arm is told differs; the actions of the episode stay the plan's next targets. A policy that learns
+Only the command of the simulated arm differs; the actions of the episode stay the plan's next targets. A policy that learns
 from plans alone never sees where its own errors lead. Source: Laskey et al., DART (2017), for the idea.
 """
 
@@ -13,14 +13,14 @@ from aomgen.core.values import Array
 from aomgen.episodes.ik import IkSolver
 from aomgen.episodes.retarget import CONTACT
 
-# A push comes and goes within so long; the arm is back on its plan so long before the contact begins, [s].
+# Duration of a push, and the least time between its end and the beginning of the contact, [s].
 PUSH_S, CALM_S = 1.0, 0.5
-# Of the pseudo-inverse that turns a way of the hand into joints, [m]: near singular poses the hand moves less.
+# Damping of the pseudo-inverse that turns a displacement of the end effector into joints, [m]: near singular poses it moves less.
 DAMPING: Final = 0.05
 
 
 def push_joints(plan: EpisodePlan, solver: IkSolver) -> Array:
-    """The plan's joints (T, J) with smooth offsets before the contact, which move the hand by up to `variation.push_m`."""
+    """The plan's joints (T, J) with smooth offsets before the contact, which move the end effector by up to `variation.push_m`."""
     variation, joints = plan.variation, plan.joints.copy()
     frames, each = int(np.argmax(plan.phases == CONTACT)) - round(CALM_S * plan.fps), round(PUSH_S * plan.fps)
     count = max(frames, 0) // each

@@ -1,13 +1,15 @@
-"""Where the arm can hold a handle along the whole contact: a map over the places and turns of an object."""
+"""Reach map: poses of an object at which the arm can hold its handle along the whole contact; drawn as SVG."""
 
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from itertools import chain, product
 from typing import Annotated, Final
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import ConvexHull
 
-from aomgen.core.demonstration import Demonstration
+from aomgen.core.demonstration import Demonstration, EpisodeScene
 from aomgen.core.plan import FittedAsset, Variation
 from aomgen.core.transforms import apply
 from aomgen.core.values import Array, freeze_arrays
@@ -18,14 +20,24 @@ from aomgen.episodes.retarget import DemonstratedMotion
 from aomgen.episodes.variations import Range, Ranges, scale_fit
 from aomgen.robots.robot import longest_reach
 
-# Nodes are so far apart, [m] and [deg], or as far as so many nodes along each axis need.
+# Distance of nodes, [m] and [deg], and the largest number of nodes along each axis.
 PITCH_M, PITCH_DEG, MAX_NODES = 0.05, 15.0, 7
 # Name of an asset's map in the stage's folder, with the asset's number.
 REACH_MAP: Final = "reach_{:02d}"
 # Grasps that are tried with other configurations of the arm: the map is coarse, and they are alike.
 OTHER_GRASPS: Final = 6
-# Poses of the contact that are looked at: some 10 cm of a handle's way apart.
+# Number of poses of the contact: some 10 cm of a handle's path apart.
 POSES: Final = 5
+# Width of a map, [px], and room around what is drawn, [m].
+WIDTH, ROOM_M = 480, 0.08
+# Length of a line in the direction of an object's front, [m].
+LINE_M: Final = 0.06
+OUTCOMES: Final = {"committed": "#2c7a4b", "rejected": "#d1495b", "skipped": "#b9c2cf"}
+TABLE, OBSTACLE, REACHED = "#f3ead9", "#8a8f98", "#57b894"
+# Opacity of a place that the arm reaches in every turn, 0..1.
+REACHED_OPACITY: Final = 0.7
+# Half the side of the square of a place without neighbours, [m].
+LEAST_HALF_M: Final = 0.01
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -48,7 +60,7 @@ class ReachMap:
     __post_init__ = freeze_arrays
 
     def may_reach(self, variation: Variation) -> bool:
-        """Whether the arm can hold the handle at any node about a draw, or the draw lies beside the map."""
+        """Return whether the arm can hold the handle at any node about a draw, or the draw is outside the map."""
         cell = []
         for nodes, value in ((self.x, variation.x), (self.y, variation.y), (self.yaw, variation.yaw)):
             after = int(np.searchsorted(nodes, value))
@@ -74,7 +86,7 @@ def map_reach(
     Args:
         fitted: Its size is the middle of the range of sizes.
 
-    Not checked: collisions, the way to the handle and back, joint margins, speed.
+    Not checked: collisions, the motion to the handle and back, joint margins, speed.
     """
     fitted = scale_fit(fitted, sum(ranges.scale) / 2)
     shown = DemonstratedMotion(demo)
@@ -116,3 +128,83 @@ def _nodes(bounds: Range, pitch: float, most: int) -> Array:
     low, high = bounds
     nodes = np.linspace(low, high, min(1 + int(np.ceil((high - low) / pitch)), most))
     return np.asarray(nodes, np.float64)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Shape:
+    """A polygon (N, 2) or, with `dot`, a line with a dot at its first point; world frame, [m]."""
+
+    points_world: Annotated[Array, "_ 2"]
+    color: str
+    opacity: float = 1.0
+    outline: bool = False
+    dot: bool = False
+
+    __post_init__ = freeze_arrays
+
+
+def scene_shapes(scene: EpisodeScene, maps: Sequence[ReachMap]) -> list[Shape]:
+    """The known table, where the arm reaches (the stronger, the more turns of the object and maps), and obstacles."""
+    shapes = []
+    low, high = scene.support.low_xy, scene.support.high_xy
+    if np.isfinite([low, high]).all():
+        corners = np.array([low, (high[0], low[1]), high, (low[0], high[1])])
+        shapes.append(Shape(points_world=corners, color=TABLE))
+    for found in maps:
+        shapes += _mark_reached_places(found, REACHED_OPACITY / len(maps))
+    for box in scene.obstacles:
+        corners = box.corners()[:, :2]
+        shapes.append(Shape(points_world=corners[ConvexHull(corners).vertices], color=OBSTACLE))
+    return shapes
+
+
+def draw_map(shapes: Iterable[Shape]) -> str:
+    """Shapes in order, the last on top; the robot's base is a cross at the origin, x points to the right, y up."""
+    shapes = list(shapes)
+    points = np.concatenate([np.zeros((1, 2)), *(shape.points_world for shape in shapes)])
+    low, high = points.min(0) - ROOM_M, points.max(0) + ROOM_M
+    scale = WIDTH / (high[0] - low[0])
+    height = scale * (high[1] - low[1])
+
+    def at(point: Array) -> str:
+        return f"{scale * (point[0] - low[0]):.1f},{height - scale * (point[1] - low[1]):.1f}"
+
+    drawn = []
+    for shape in shapes:
+        corners = " ".join(map(at, shape.points_world))
+        if shape.dot:
+            drawn.append(
+                f'<polyline points="{corners}" stroke="{shape.color}" stroke-width="2" fill="none"/>'
+                f'<circle r="3" fill="{shape.color}" transform="translate({at(shape.points_world[0])})"/>'
+            )
+        elif shape.outline:
+            drawn.append(f'<polygon points="{corners}" fill="none" stroke="{shape.color}" stroke-width="2"/>')
+        else:
+            drawn.append(
+                f'<polygon points="{corners}" fill="{shape.color}" fill-opacity="{shape.opacity:.2f}"/>'
+            )
+    return (
+        f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {WIDTH} {height:.0f}" style="max-width:{WIDTH}px">'
+        f'{"".join(drawn)}<path d="M{at(np.zeros(2))}m-7,0h14m-7,-7v14" stroke="#1c2430" stroke-width="2"/></svg>'
+    )
+
+
+def front_line(fitted: FittedAsset, variation: Variation, outcome: str) -> Shape:
+    """From the middle of an object to before its front, in the color of what came of its draw."""
+    ends = np.stack([fitted.middle_asset, fitted.middle_asset - [0.0, LINE_M, 0.0]])
+    return Shape(
+        points_world=apply(variation.place_at(fitted), ends)[:, :2], color=OUTCOMES[outcome], dot=True
+    )
+
+
+def _mark_reached_places(found: ReachMap, opacity: float) -> list[Shape]:
+    """A square about each place that is reached in some turn."""
+    places, shares = found.places_world, found.reached.mean(2)
+    gaps = [np.linalg.norm(np.diff(places, axis=axis), axis=-1).ravel() for axis in (0, 1)]
+    half = min((gap[gap > 0].min() / 2 for gap in gaps if (gap > 0).any()), default=LEAST_HALF_M)
+    square = half * np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
+    return [
+        Shape(points_world=place + square, color=REACHED, opacity=opacity * share)
+        for place, share in zip(places.reshape(-1, 2), shares.ravel(), strict=True)
+        if share > 0
+    ]

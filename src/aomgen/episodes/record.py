@@ -62,7 +62,7 @@ def episode_of(
 
 
 def _ahead(samples: Array) -> Array:
-    """What comes one sample later (T, ...); the last stays."""
+    """Samples (T, ...) shifted by one; the last is repeated."""
     return np.concatenate([samples[1:], samples[-1:]])
 
 

@@ -30,7 +30,7 @@ BATCH: Final = 32
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ImageParams:
-    """What is stored of an episode's images.
+    """Stored images of an episode.
 
     Attributes:
         codec: Of the videos.
@@ -47,7 +47,7 @@ class ImageParams:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CameraFrames:
-    """What a camera shows in an episode.
+    """Images of a camera in an episode.
 
     Attributes:
         images_srgb: Frames.
@@ -75,7 +75,7 @@ def render_episode(
     """Draw an episode from fixed and from moving cameras.
 
     Args:
-        twin: With the object that stands in it.
+        twin: With the object of the episode.
         layers: From `static_layers`, of the same twin.
         T_world_plane: The surface that the object's shadow falls on; None for no shadow.
         threads: As in `splatting.rasterizer.render`.
@@ -105,7 +105,7 @@ def render_episode(
 
 
 def states_of(twin: TwinModel, robot: RobotModel, trajectory: SceneTrajectory) -> States:
-    """Where the twin's bodies are in a trajectory."""
+    """Poses of the twin's bodies in a trajectory."""
     moved = (trajectory.joints, trajectory.gripper, trajectory.thetas)
     Ts = trajectory_body_poses(twin, robot, *moved, trajectory.T_world_object)
     return States(Ts, trajectory.thetas)
@@ -124,7 +124,7 @@ def _frames(
     if params.depth:
         depth = np.concatenate([np.rint(np.clip(1000 * item["median_depth"], 0, 65535)) for item in batches])
     if params.labels:
-        # Where less than half of the light comes from Gaussians, the background is seen.
+        # Pixels with less than half of accumulated alpha show the background.
         parts = np.concatenate(
             [np.where(item["median_depth"] > 0, labels[item["max_id"]], BACKGROUND) for item in batches]
         )
@@ -138,5 +138,5 @@ def _frames(
 def static_layers(
     twin: TwinModel, cameras: Mapping[str, Camera], threads: int | None = None
 ) -> dict[str, StaticLayer]:
-    """What each camera sees of the scene that never moves; the same for all episodes of a scene."""
+    """View of each camera of the static scene; the same for all episodes of a scene."""
     return {name: static_layer(twin, camera, threads) for name, camera in cameras.items()}

@@ -1,4 +1,4 @@
-"""What can be told of a draw before anything is planned: it is on the table, in view and within reach, or why not."""
+"""Screening of a draw before anything is planned: it is on the table, in view and within reach, or the reason why not."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -19,7 +19,7 @@ from aomgen.robots.robot import Reach
 OVERHANG_M: Final = 0.02
 # Share of the object that each camera must show, 0..1: a corner may be cut off.
 LEAST_IN_VIEW: Final = 0.85
-# Part of the longest reach at which an arm can still turn its hand, 0..1.
+# Part of the longest reach at which an arm can still turn its end effector, 0..1.
 USEFUL_REACH: Final = 0.9
 # Joint values at which the held point is looked at, from the first to the last planned one.
 SAMPLED_VALUES: Final = 5
@@ -29,7 +29,7 @@ FREE_CAMERA: Final = "free{}"
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Place:
-    """What draws are held against: ranges, table, what stands there, robot's reach, and cameras that the scene has."""
+    """Criteria for draws: ranges, table, obstacles, the robot's reach, and the scene's cameras."""
 
     ranges: Ranges
     support: SupportPlane
@@ -99,7 +99,7 @@ class Place:
         return None
 
     def _overhang_m(self, fitted: FittedAsset, T_world_object: Array) -> float:
-        """How far the object stands beyond the table; its recorded place belongs to the table, whatever was estimated."""
+        """Distance of the object beyond the table, [m]; its recorded location belongs to the table, whatever was estimated."""
         recorded, corners = (_footprint(fitted, T) for T in (fitted.T_world_asset, T_world_object))
         low = np.minimum(self.support.low_xy, recorded.min(0))
         high = np.maximum(self.support.high_xy, recorded.max(0))
@@ -143,13 +143,13 @@ def _aim_camera(camera: Camera, target_world: Array) -> Array:
 
 
 def _held(fitted: FittedAsset, T_world_object: Array) -> Array:
-    """Where the handle is (N, 3) while the part moves, world frame."""
+    """Positions of the handle (N, 3) while the part moves, world frame."""
     thetas = np.linspace(fitted.start_theta, fitted.target_theta, SAMPLED_VALUES)
     return apply(T_world_object @ fitted.asset.joint.motion(thetas), fitted.contact_asset[None])
 
 
 def _stands_in(fitted: FittedAsset, T_world_object: Array, box: OrientedBox) -> bool:
-    """Whether the static part and an upright box cover the same place: no side of either lies between them."""
+    """Return whether the static part and an upright box overlap: no side of either separates them."""
     sides = np.concatenate([T_world_object[:2, :2], box.T_world_box[:2, :2]], axis=1)
     mine, others = _footprint(fitted, T_world_object) @ sides, box.corners()[:, :2] @ sides
     return bool(((mine.max(0) > others.min(0)) & (others.max(0) > mine.min(0))).all())

@@ -4,30 +4,44 @@ Each is made from start to end by one worker, so that nothing that was made is l
 as there are processors, or Ray has.
 """
 
+from collections import Counter
 from collections.abc import Callable
 from dataclasses import asdict, replace
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
+import numpy as np
+
+from aomgen.core.plan import FittedAsset, Variation
 from aomgen.core.progress import Progress
-from aomgen.episodes.distributions import distributions
 from aomgen.episodes.factory import EpisodeFactory, open_factory, open_grasping
 from aomgen.episodes.generate import generate
 from aomgen.episodes.grasp_choice import GRASPS_FOLDER, WorkingGrasps
-from aomgen.episodes.ledger import Account, Request, read_accounts, read_draws
-from aomgen.episodes.range_check import check_ranges
-from aomgen.episodes.reach_map import REACH_MAP
-from aomgen.errors import NotEnoughEpisodesError
+from aomgen.episodes.ledger import Account, Request, Unit, distributions, read_accounts, read_draws
+from aomgen.episodes.reach_map import REACH_MAP, ReachMap, draw_map, front_line, map_reach, scene_shapes
+from aomgen.episodes.variations import Ranges
+from aomgen.errors import ConfigError, NotEnoughEpisodesError
 from aomgen.executors import Done, Executor, Opener, Processes, RayCluster
 from aomgen.io.artifact import read_json, save_artifact
-from aomgen.io.atomic import write_json
+from aomgen.io.atomic import write_json, write_text
 from aomgen.io.episode_folder import EPISODE_FILE, list_committed
 from aomgen.results import Results
 from aomgen.saved_units import SavedUnits
 
-# How the episodes are spread over what was asked for.
+# Distributions of the episodes over the requested ranges.
 DISTRIBUTIONS_FILE = "distributions.json"
+# Draws of each asset that are looked at: where one in fifty is usable, one is found.
+LOOKED_AT: Final = 200
+# Nodes along each axis of the map of the arm's reach.
+WIDE_NODES: Final = 13
+PICTURE: Final = "reach_map.svg"
+WORDS: Final = {
+    "outside_area": "beside the area",
+    "off_table": "off the table",
+    "blocked": "where something stands",
+    "out_of_reach": "out of the arm's reach",
+}
 
 
 def run(
@@ -90,8 +104,79 @@ def open_executor(results: Results, opener: Opener, timeout_s: float) -> Executo
 
 
 def account_sentence(account: Account) -> str:
-    """What came of an asset's request, in one sentence."""
+    """Outcome of an asset's request, in one sentence."""
     return (
         f"asset {account.asset}: {account.committed} of {account.requested} episodes after {account.attempts} attempts "
         f"({account.why or 'none tried'})"
     )
+
+
+def check_ranges(factory: EpisodeFactory, folder: Path) -> None:
+    """Screen the first draws of the assets until one can be used; where none can, write a map into `folder`.
+
+    An asset that alone finds no place is reported in its account when the others are made.
+
+    Raises:
+        ConfigError: Where the first asset's draws are, and where table and arm are.
+    """
+    homeless = []
+    for number, (fitted, found) in enumerate(
+        zip(factory.results.fitted_assets, factory.reach_maps, strict=True)
+    ):
+        reasons = dict[Variation, str]()
+        for index in range(LOOKED_AT):
+            variation = factory.variation(Unit(asset=number, index=index))
+            reasons[variation] = _reason(factory, variation, fitted, found)
+            if not reasons[variation]:
+                return
+        homeless.append((fitted, reasons))
+    fitted, reasons = homeless[0]
+    raise _refusal(factory, fitted, reasons, folder / PICTURE)
+
+
+def _reason(factory: EpisodeFactory, variation: Variation, fitted: FittedAsset, found: ReachMap) -> str:
+    rejection = factory.place.find_obstruction(variation, fitted)
+    if rejection is not None:
+        return rejection.reason
+    return "" if found.may_reach(variation) else "out_of_reach"
+
+
+def _refusal(
+    factory: EpisodeFactory, fitted: FittedAsset, reasons: dict[Variation, str], picture: Path
+) -> ConfigError:
+    """Error on the ranges for an asset; the map shows it."""
+    scene, place, ranges = factory.results.episode_scene, factory.place, factory.params.ranges
+    (x, y), r = place.reach.shoulder_world[:2], place.reach.reach_m
+    around = ((x - r, y - r), (x + r, y - r), (x + r, y + r), (x - r, y + r))
+    wide = map_reach(
+        fitted,
+        factory.results.demonstration,
+        Ranges(polygon=around, yaw_deg=ranges.yaw_deg, scale=ranges.scale),
+        factory.solver,
+        factory.plan_params,
+        max_nodes=WIDE_NODES,
+    )
+    lines = [front_line(fitted, variation, "rejected") for variation in reasons]
+    write_text(picture, draw_map([*scene_shapes(scene, [wide]), *lines]))
+    places = np.stack([line.points_world[0] for line in lines])
+    counted = ", ".join(
+        f"{count} {WORDS[reason]}" for reason, count in Counter(reasons.values()).most_common()
+    )
+    reached = wide.places_world[wide.reached.any(2)]
+    reach = (
+        f"the arm holds its handle at {_extent(reached)}"
+        if len(reached)
+        else "the arm holds its handle nowhere"
+    )
+    table = np.stack([scene.support.low_xy, scene.support.high_xy])
+    return ConfigError(
+        "episodes.ranges",
+        f"no place for {fitted.asset.name}: of {len(reasons)} draws, at {_extent(places)}, {counted}",
+        f"{reach}, the free table is {_extent(table)}: {picture} shows both",
+    )
+
+
+def _extent(points: np.ndarray) -> str:
+    """The bounds of points (N, 2), in words."""
+    (low_x, low_y), (high_x, high_y) = points.min(0), points.max(0)
+    return f"x {low_x:.2f} to {high_x:.2f} m, y {low_y:.2f} to {high_y:.2f} m"

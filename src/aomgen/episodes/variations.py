@@ -1,4 +1,4 @@
-"""What differs from episode to episode: pure functions of a seed and an index, spread evenly over the ranges asked for.
+"""Variations of the episodes: pure functions of a seed and an index, spread evenly over the requested ranges.
 
 Source: AOMGen, sec. 5.2 (ranges of x, y and yaw); Halton's sequence, scrambled (Owen, 2017).
 """
@@ -35,7 +35,7 @@ COLDEST_K, HOTTEST_K = 1667, 25_000
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class OrbitRanges:
-    """How a camera moves about the point that it looks at.
+    """Ranges of a camera's motion about the point that it looks at.
 
     Attributes:
         turn_deg: About the vertical, [deg].
@@ -50,7 +50,7 @@ class OrbitRanges:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Ranges:
-    """Where every draw lies, uniformly between low and high; pose and size are relative to the fitted asset.
+    """Ranges of every draw, uniform between low and high; pose and size are relative to the fitted asset.
 
     Attributes:
         x_m, y_m: Shift, [m].
@@ -63,7 +63,7 @@ class Ranges:
         start_deg: Offset of every arm joint at the start, [deg].
         light_turn_deg, light_intensity, light_temperature_k: See `LightChange`.
         hue_deg, saturation, brightness: See `MaterialChange`.
-        push_m: Largest way by which the hand is pushed off its plan before it holds, [m]; actions stay the plan's.
+        push_m: Largest displacement of the end effector off its plan before it holds, [m]; actions stay the plan's.
         around: Of every camera that the scene has.
         free: Of the cameras that are added, about the object where it stands.
 
@@ -136,7 +136,7 @@ class Ranges:
 
     @property
     def frame(self) -> VariationFrame:
-        """What x and y of draws mean."""
+        """Meaning of x and y of draws."""
         return "polygon" if self.polygon else self.axes
 
     @property
@@ -157,7 +157,7 @@ def draw(
 
     Args:
         seed: Of the generation.
-        asset: Number of the asset; each has a sequence of its own.
+        asset: Number of the asset; each has a separate sequence.
         index: From 0.
         arm_joints: How many have an offset at the start.
         cameras: How many are moved by `ranges.around`.
@@ -249,7 +249,7 @@ def area(corners: tuple[tuple[float, float], ...]) -> float:
 
 
 def inside(corners: tuple[tuple[float, float], ...], point: Array) -> bool:
-    """Whether a point (2,) lies in a polygon: a ray from it crosses the outline an odd number of times."""
+    """Return whether a point (2,) is in a polygon: a ray from it crosses the outline an odd number of times."""
     a = np.asarray(corners, np.float64)
     b = np.roll(a, -1, 0)
     crosses = (a[:, 1] > point[1]) != (b[:, 1] > point[1])

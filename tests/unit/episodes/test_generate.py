@@ -15,7 +15,7 @@ from aomgen.assets.usd_write import REPLAY_SCRIPT
 from aomgen.core.boxes import OrientedBox
 from aomgen.core.plan import Rejection, Variation
 from aomgen.core.transforms import transform
-from aomgen.episodes.factory import EpisodeFactory, GenerationParams, Outcome
+from aomgen.episodes.factory import EpisodeFactory, GenerationParams
 from aomgen.episodes.generate import generate
 from aomgen.episodes.grasp_choice import GRASPS_FOLDER, GraspChoice
 from aomgen.episodes.ledger import (
@@ -82,10 +82,10 @@ def screen(unit: Unit) -> tuple[Variation, Rejection | None]:
     return variation(unit), rejection
 
 
-def work_in(folder: Path) -> Callable[[Unit], Outcome]:
+def work_in(folder: Path) -> Callable[[Unit]]:
     """Every fourth draw is rejected, of asset b all but one in four."""
 
-    def work(unit: Unit) -> Outcome:
+    def work(unit: Unit) -> tuple[bool, dict[str, float]]:
         good = unit.index % 4 == 3 if unit.asset else unit.index % 4 != 1
         if good:
             cameras = {"front": corner_camera(64, 48)}
@@ -93,7 +93,7 @@ def work_in(folder: Path) -> Callable[[Unit], Outcome]:
             commit_episode(folder, episode, {"front": VIDEO})
         else:
             write_rejection(folder, unit, variation(unit), Rejection(reason="collision", detail="the hand"))
-        return Outcome(committed=good, seconds={})
+        return good, {}
 
     return work
 
@@ -190,8 +190,8 @@ def test_a_unit_whose_worker_was_lost_is_a_rejection(tmp_path):
             done = super().next_done()
             return replace(done, value=None, lost="worker_died") if done.unit.index == 0 else done
 
-    def good(unit: Unit) -> Outcome:
-        return Outcome(committed=True, seconds={})
+    def good(unit: Unit) -> tuple[bool, dict[str, float]]:
+        return True, {}
 
     generate(
         tmp_path,

@@ -10,7 +10,7 @@ from aomgen.core.camera import Camera, look_at
 from aomgen.core.demonstration import SupportPlane
 from aomgen.core.plan import FittedAsset, OrbitChange, Variation
 from aomgen.core.transforms import apply, matrix_from_rotvec, transform
-from aomgen.episodes.distributions import distributions
+from aomgen.episodes.ledger import distributions
 from aomgen.episodes.screening import Place, orbit_camera
 from aomgen.episodes.variations import OrbitRanges, Ranges, area, draw, inside, scale_fit
 from aomgen.errors import ConfigError
