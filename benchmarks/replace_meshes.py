@@ -1,4 +1,4 @@
-"""How well Gaussians stand for a mesh: drawn without light beside MuJoCo's rasterizer, from all around."""
+"""Accuracy of Gaussians for a mesh: rendered without light, against MuJoCo's rasterizer, from all around."""
 
 import tempfile
 import time
@@ -19,7 +19,7 @@ from aomgen.core.gaussians import Gaussians, concatenate
 from aomgen.core.light import hemisphere_light
 from aomgen.core.transforms import apply
 from aomgen.core.values import Array
-from aomgen.replacement.asset_pictures import AssetRenderer
+from aomgen.replacement.asset_renderer import AssetRenderer
 from aomgen.replacement.asset_surfels import asset_surfels
 from aomgen.replacement.light_estimation import SceneLight, ToneCurve
 from aomgen.replacement.reflection import show_in_light
@@ -30,11 +30,11 @@ from benchmarks.other_objects import make_object
 
 VIEWS: Final = 20
 SIZES: Final = (256, 512)
-# The object fills at least this share of every picture.
+# The object fills at least this share of every image.
 FILLED: Final = 0.4
-# Focal length over the picture's width, and how far a camera looks up or down, [rad].
+# Focal length over the image's width, and the elevation of a camera, [rad].
 FOCAL, ELEVATIONS = 1.2, (0.0, 1.1)
-# Colors count inside the silhouette and so far around it, [px].
+# Colors count inside the silhouette and at this distance around it, [px].
 AROUND_PX: Final = 2
 
 
@@ -53,7 +53,7 @@ def _truth(renderer: AssetRenderer, view: MeshView) -> tuple[Array, Array]:
 
 
 def draw_views(asset: ArticulatedAsset, rng: np.random.Generator) -> list[MeshView]:
-    """Views from all around, near enough that the object fills the picture."""
+    """Views from all around, near enough that the object fills the image."""
     views = []
     size = SIZES[0]
     with AssetRenderer(asset, size) as renderer:
@@ -68,7 +68,7 @@ def draw_views(asset: ArticulatedAsset, rng: np.random.Generator) -> list[MeshVi
             way = np.array([np.cos(azimuth) * np.cos(up), np.sin(azimuth) * np.cos(up), np.sin(up)])
             radius = float(np.linalg.norm(points - middle, axis=1).max())
             distance, filled = 3.0 * radius, 0.0
-            # What is flat never fills so much: then as near as the sphere around it.
+            # A flat object never fills the image: then the camera is as near as for the sphere around it.
             while filled < FILLED and distance > radius:
                 distance *= 0.93
                 camera = Camera(
@@ -140,7 +140,7 @@ def run_meshes(assets: list[ArticulatedAsset], seed: int, tell: Callable[[str], 
 
 
 def _other_seconds(asset: ArticulatedAsset, links: tuple[Surfels, Surfels]) -> float:
-    """What reading an asset's USD file and lighting its Gaussians takes."""
+    """Time of reading an asset's USD file and lighting its Gaussians."""
     light = SceneLight(hemisphere_light(np.ones(3), np.full(3, 0.5)), ToneCurve(), "scene")
     with tempfile.TemporaryDirectory() as scratch:
         path = Path(scratch) / "asset.usda"

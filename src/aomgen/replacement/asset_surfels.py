@@ -20,8 +20,8 @@ from aomgen.core.gaussians import SH_C0, Gaussians, concatenate
 from aomgen.core.light import open_transfer
 from aomgen.core.transforms import apply
 from aomgen.core.values import Array
-from aomgen.replacement.asset_pictures import AssetRenderer
-from aomgen.replacement.joint_occlusion import find_occlusion
+from aomgen.replacement.asset_renderer import AssetRenderer
+from aomgen.replacement.joint_occlusion import estimate_link_transfer
 from aomgen.splatting.compute import NativeCompute
 from aomgen.splatting.differentiable import CpuRasterizer, GaussianTensors, PartTensors, RasterOptions
 from aomgen.splatting.optimizer import (
@@ -44,13 +44,13 @@ POINTS: Final = 100_000
 # Discs before the fit, half on each link, and the most there are after it.
 DISCS, MAX_GAUSSIANS = 30_000, 58_000
 # Number of images, and their size, [px]; each is used at full and at half size in turns.
-PICTURES, PICTURE_PX = 40, 512
+IMAGES, IMAGE_PX = 40, 512
 # Passes over all images: twice as many gain 0.7 dB.
 ROUNDS: Final = 8
 # Gaussians are added after these passes, where the error of this number of images is largest.
-GROW_AFTER, ERROR_PICTURES = (0, 1, 2), 12
-# A Gaussian that contributes this area to every other image, [px] of half their size, takes the normal that they show there, if its
-# parts point the same way by so much.
+GROW_AFTER, ERROR_IMAGES = (0, 1, 2), 12
+# A Gaussian that covers this area in every other image, [px] of half their size, takes the normal that they show there, if
+# the mean of the unit normals is at least this long.
 SEEN_PX, ONE_SIDE = 0.5, 0.7
 # Opaque enough to hide what is behind, with a gradient left.
 START_OPACITY: Final = 0.7
@@ -71,7 +71,7 @@ FOCAL: Final = 1.2
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class _Picture:
+class _Image:
     """Image of the meshes; colors and cover (4, H, W), and normals (3, H, W), zero where a pixel shows several faces."""
 
     camera: Camera
@@ -112,29 +112,27 @@ def asset_surfels(asset: ArticulatedAsset, rng: np.random.Generator) -> tuple[Su
     with one_torch_thread():
         normals = np.concatenate([cover.normals for cover in covers])
         surface = _Surface(links=links, normals=normals, opaque=opaque)
-        pictures = _pictures(asset, rng)
-        parameters, sources = _fit(asset, parameters_of(discs, 0), surface, pictures, rng)
+        images = _images(asset, rng)
+        parameters, sources = _fit(asset, parameters_of(discs, 0), surface, images, rng)
     gaussians, count = gaussians_of(parameters), len(covers[0].gaussians)
-    seen = _seen_normals(asset, gaussians, surface.select(sources), pictures)
+    seen = _seen_normals(asset, gaussians, surface.select(sources), images)
     albedo = linear_from_srgb(np.clip(0.5 + SH_C0 * gaussians.sh[:, 0], 0, 1)).astype(np.float32)
+    transfers = estimate_link_transfer(asset, covers, solids, gaussians.means, seen, links[sources])
     fitted = []
-    for link, (cover, occlusion) in enumerate(
-        zip(covers, find_occlusion(asset, covers, solids), strict=True)
-    ):
+    for link, cover in enumerate(covers):
         mine = np.flatnonzero(links[sources] == link)
         of_cover = sources[mine] - count * link
         normals = seen[mine]
         # Normal maps are stored relative to the surface that they were made for.
         same = (normals * cover.normals[of_cover]).sum(-1, keepdims=True) > ONE_SIDE
         bends = cover.bends[of_cover] * same
-        transfer = occlusion.at(gaussians.means[mine], normals)
         fitted.append(
             Surfels(
                 gaussians=gaussians.select(mine),
                 normals=normals,
                 bends=bends,
                 albedo_linear=albedo[mine],
-                transfer=_bend_transfer(transfer, normals, bends),
+                transfer=_bend_transfer(transfers[mine], normals, bends),
                 roughness=cover.roughness[of_cover],
                 metallic=cover.metallic[of_cover],
             )
@@ -156,14 +154,14 @@ def _bend_transfer(
     return (transfer + open_ * change).astype(np.float32)
 
 
-def _pictures(asset: ArticulatedAsset, rng: np.random.Generator) -> list[_Picture]:
+def _images(asset: ArticulatedAsset, rng: np.random.Generator) -> list[_Image]:
     """From all around, over the joint's whole range."""
     static, moving = (
         np.concatenate([m.vertices for m in link.meshes]) for link in (asset.static, asset.moving)
     )
     found = []
-    with AssetRenderer(asset, PICTURE_PX) as renderer:
-        for _ in range(PICTURES):
+    with AssetRenderer(asset, IMAGE_PX) as renderer:
+        for _ in range(IMAGES):
             theta = float(rng.uniform(0.0, asset.joint.upper))
             points = np.concatenate([static, apply(asset.joint.motion(theta), moving)])
             middle = (points.min(0) + points.max(0)) / 2
@@ -171,13 +169,13 @@ def _pictures(asset: ArticulatedAsset, rng: np.random.Generator) -> list[_Pictur
             way = np.array([np.cos(azimuth) * np.cos(up), np.sin(azimuth) * np.cos(up), np.sin(up)])
             radius = float(np.linalg.norm(points - middle, axis=1).max())
             eye = middle + way * radius * 2 * FOCAL / rng.uniform(*FILLED)
-            f, c = FOCAL * PICTURE_PX, PICTURE_PX / 2
+            f, c = FOCAL * IMAGE_PX, IMAGE_PX / 2
             camera = Camera(
-                fx=f, fy=f, cx=c, cy=c, width=PICTURE_PX, height=PICTURE_PX, T_world_cam=look_at(eye, middle)
+                fx=f, fy=f, cx=c, cy=c, width=IMAGE_PX, height=IMAGE_PX, T_world_cam=look_at(eye, middle)
             )
             drawn = (renderer.draw(camera, theta), renderer.draw_normals(camera, theta))
             rgba, normals = (torch.tensor(np.ascontiguousarray(d.transpose(2, 0, 1))) for d in drawn)
-            found.append(_Picture(camera=camera, theta=theta, rgba=rgba, normals=normals))
+            found.append(_Image(camera=camera, theta=theta, rgba=rgba, normals=normals))
     return found
 
 
@@ -185,21 +183,21 @@ def _fit(
     asset: ArticulatedAsset,
     parameters: Parameters,
     surface: _Surface,
-    pictures: list[_Picture],
+    images: list[_Image],
     rng: np.random.Generator,
 ) -> tuple[Parameters, NDArray[np.int64]]:
     """Fitted Gaussians of links 0 and 1 in the asset's frame at joint value 0, and the disc that each comes from."""
     compute, sources = NativeCompute(), np.arange(len(surface.links))
-    small = [_halve(picture) for picture in pictures]
-    distance = float(np.median([np.linalg.norm(item.camera.center) for item in pictures]))
-    step_m = STEP_PX * distance / (FOCAL * PICTURE_PX)
-    steps, added = ROUNDS * len(pictures), MAX_GAUSSIANS - len(parameters)
+    small = [_halve(image) for image in images]
+    distance = float(np.median([np.linalg.norm(item.camera.center) for item in images]))
+    step_m = STEP_PX * distance / (FOCAL * IMAGE_PX)
+    steps, added = ROUNDS * len(images), MAX_GAUSSIANS - len(parameters)
     for turn in range(ROUNDS):
-        for place, index in enumerate(rng.permutation(len(pictures))):
-            step = turn * len(pictures) + place
-            picture = pictures[index] if step % 2 else small[index]
+        for place, index in enumerate(rng.permutation(len(images))):
+            step = turn * len(images) + place
+            image = images[index] if step % 2 else small[index]
             with_normals = step % NORMAL_EVERY == 1
-            gradients = _gradients(asset, parameters, surface.select(sources), picture, with_normals)
+            gradients = _gradients(asset, parameters, surface.select(sources), image, with_normals)
             decay = DECAY ** (step / steps)
             parameters.step(gradients, parameter_rates(RATES, step_m * decay, decay, 0), compute)
             parameters.values["sh"].clamp_(-0.5 / SH_C0, 0.5 / SH_C0)
@@ -213,23 +211,21 @@ def _fit(
     return parameters, sources
 
 
-def _halve(picture: _Picture) -> _Picture:
-    half = PICTURE_PX // 2
-    camera = picture.camera.resize(half, half)
-    return replace(
-        picture, camera=camera, rgba=avg_pool2d(picture.rgba, 2), normals=avg_pool2d(picture.normals, 2)
-    )
+def _halve(image: _Image) -> _Image:
+    half = IMAGE_PX // 2
+    camera = image.camera.resize(half, half)
+    return replace(image, camera=camera, rgba=avg_pool2d(image.rgba, 2), normals=avg_pool2d(image.normals, 2))
 
 
 def _gradients(
     asset: ArticulatedAsset,
     parameters: Parameters,
     surface: _Surface,
-    picture: _Picture,
+    image: _Image,
     with_normals: bool,
 ) -> dict[str, Tensor]:
     """Gradients of the squared error of an image's colors and cover, and optionally of its normals, by name."""
-    leaves, poses = parameters.leaves(), _link_poses(asset, picture.theta)
+    leaves, poses = parameters.leaves(), _link_poses(asset, image.theta)
     parts = PartTensors(
         indices=torch.tensor(surface.links, dtype=torch.int32),
         Ts_world_part=torch.tensor(poses, dtype=torch.float32),
@@ -237,16 +233,16 @@ def _gradients(
     features = None
     if with_normals:
         means = leaves["means"].detach().numpy()
-        to_eye = _to_eye(means, poses[surface.links], surface.normals, picture.camera)
+        to_eye = _to_eye(means, poses[surface.links], surface.normals, image.camera)
         features = torch.tensor(to_eye, dtype=torch.float32)
     drawn = CpuRasterizer()(
-        GaussianTensors(**leaves, features=features), picture.camera, RasterOptions(sh_degree=0), parts=parts
+        GaussianTensors(**leaves, features=features), image.camera, RasterOptions(sh_degree=0), parts=parts
     )
-    error = (drawn.rgb - picture.rgba[:3]).square().mean() + (drawn.alpha - picture.rgba[3]).square().mean()
+    error = (drawn.rgb - image.rgba[:3]).square().mean() + (drawn.alpha - image.rgba[3]).square().mean()
     error = error - OPAQUE * (leaves["logit_opacities"].sigmoid() * torch.tensor(surface.opaque)).mean()
     if drawn.features is not None:
-        one_face = picture.normals.square().sum(0) > 0
-        away = (drawn.features.permute(2, 0, 1) - picture.normals) * one_face
+        one_face = image.normals.square().sum(0) > 0
+        away = (drawn.features.permute(2, 0, 1) - image.normals) * one_face
         error = error + NORMAL * away.square().mean()
     error.backward()
     return {name: leaf.grad for name, leaf in leaves.items() if leaf.grad is not None}
@@ -264,31 +260,31 @@ def _shares(
     asset: ArticulatedAsset,
     parameters: Parameters,
     links: NDArray[np.int64],
-    pictures: list[_Picture],
+    images: list[_Image],
     rng: np.random.Generator,
 ) -> Array:
     """Contribution of each Gaussian to the error of some images."""
     gaussians, shares = gaussians_of(parameters), np.zeros(len(links))
-    for index in rng.choice(len(pictures), ERROR_PICTURES, replace=False):
-        picture = pictures[index]
-        posed = move_bodies(gaussians, links.astype(np.int32), _link_poses(asset, picture.theta))
-        shares += error_shares(posed, [picture.camera], [picture.rgba[:3].numpy()])
+    for index in rng.choice(len(images), ERROR_IMAGES, replace=False):
+        image = images[index]
+        posed = move_bodies(gaussians, links.astype(np.int32), _link_poses(asset, image.theta))
+        shares += error_shares(posed, [image.camera], [image.rgba[:3].numpy()])
     return shares
 
 
 def _seen_normals(
-    asset: ArticulatedAsset, gaussians: Gaussians, surface: _Surface, pictures: list[_Picture]
+    asset: ArticulatedAsset, gaussians: Gaussians, surface: _Surface, images: list[_Image]
 ) -> NDArray[np.float32]:
     """Unit normals (N, 3), link frames, that images show where Gaussians are visible: some have moved over an edge, or
     through a wall. Those that are not seen, or from both sides, keep theirs.
     """
     sums, weights = np.zeros((len(gaussians), 3)), np.zeros(len(gaussians))
-    for picture in map(_halve, pictures[::2]):
-        poses = _link_poses(asset, picture.theta)
+    for image in map(_halve, images[::2]):
+        poses = _link_poses(asset, image.theta)
         posed = move_bodies(gaussians, surface.links.astype(np.int32), poses)
-        normals = picture.normals.numpy()
+        normals = image.normals.numpy()
         masks = np.concatenate([normals, np.linalg.norm(normals, axis=0, keepdims=True)])
-        painted = contribution_weights(posed, picture.camera, masks)
+        painted = contribution_weights(posed, image.camera, masks)
         sums += np.einsum("nji,nj->ni", poses[surface.links][:, :3, :3], painted[:, :3])
         weights += painted[:, 3]
     length = np.linalg.norm(sums, axis=1)

@@ -19,8 +19,7 @@ from aomgen.core.gaussians import Gaussians
 from aomgen.core.values import Array
 from aomgen.errors import BackendError
 from aomgen.replacement.chrome_ball import merge_exposures, unwrap_ball
-from aomgen.replacement.inpainting import continue_smoothly
-from aomgen.replacement.mosaic import Photograph
+from aomgen.replacement.table_texture import Photograph, continue_smoothly
 from aomgen.splatting.rasterizer import render
 
 EXTRA: Final = "pip install 'aomgen[diffusion]'"

@@ -1,7 +1,7 @@
 """Light that the links of an asset block from each other and from themselves, over the joint's range."""
 
 from collections.abc import Sequence
-from typing import Annotated, Final, NamedTuple
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,47 +22,45 @@ THINNED, NEAR, ALIKE_M = 2, 8, 0.2
 CLOSED: Final = 0.02
 
 
-class Occlusion(NamedTuple):
-    """Transfer (N, 9), see `core.light`, of places on a link that look along unit normals (N, 3)."""
+def estimate_link_transfer(
+    asset: ArticulatedAsset,
+    covers: Sequence[Surfels],
+    solids: Sequence[Array],
+    means: NDArray[np.float32],
+    normals: NDArray[np.float32],
+    links: NDArray[np.int64],
+) -> NDArray[np.float32]:
+    """Transfer (N, 9), see `core.light`, of points on an asset's links, mean over the joint's range.
 
-    points: Annotated[Array, "N 3"]
-    normals: Annotated[Array, "N 3"]
-    transfer: Annotated[Array, "N 9"]
+    Surfaces that are closed in are not seen: joint values at which a disc is open to the sky count more. A point gets
+    the mean of the discs near by with a similar normal: a single one's is as rough as the cells in which its occlusion
+    was found.
 
-    def at(self, points: NDArray, normals: NDArray) -> NDArray[np.float32]:
-        """Transfer (M, 9) of other places: the mean of those near by that look the same way.
-
-        A single one's is as rough as the cells in which its occlusion was found.
-        """
-        places = np.column_stack([self.points, ALIKE_M * self.normals])
-        _, near = cKDTree(places).query(
-            np.column_stack([points, ALIKE_M * normals]), k=min(NEAR, len(places))
-        )
-        return self.transfer[near].mean(1).astype(np.float32)
-
-
-def find_occlusion(
-    asset: ArticulatedAsset, links: Sequence[Surfels], solids: Sequence[Array]
-) -> list[Occlusion]:
-    """Occlusion of the static and the moving link, discs and dense points (M, 3) of each, own frame.
-
-    What is closed in is not seen: of several joint values those count more at which a disc is open to the sky.
+    Args:
+        covers: Discs on the static and on the moving link, own frame.
+        solids: Dense points (M, 3) of each.
+        means, normals: The points (N, 3) and their unit normals, frame of their link.
+        links: Link of each point (N,), 0 or 1.
     """
     motions = [asset.joint.motion(share * asset.joint.upper) for share in STATES]
-    found = []
-    for k, link in enumerate(links):
-        points, normals = (
-            part[::THINNED].astype(np.float64) for part in (link.gaussians.means, link.normals)
+    result = np.zeros((len(means), 9), np.float32)
+    for k, cover in enumerate(covers):
+        points, facing = (
+            part[::THINNED].astype(np.float64) for part in (cover.gaussians.means, cover.normals)
         )
         transfers, shares = [], []
         for motion in motions:
             other = apply(motion if k == 0 else invert(motion), solids[1 - k])
-            transfer, seen = estimate_transfer(points, normals, np.concatenate([solids[k], other]))
+            transfer, seen = estimate_transfer(points, facing, np.concatenate([solids[k], other]))
             transfers.append(transfer)
             shares.append(seen)
         opened = np.array(shares) + 1e-9
         outer = opened.max(0) > CLOSED
         outer |= not outer.any()
-        transfer = np.einsum("sn,snk->nk", opened / opened.sum(0), np.array(transfers))
-        found.append(Occlusion(points[outer], normals[outer], transfer[outer]))
-    return found
+        transfer = np.einsum("sn,snk->nk", opened / opened.sum(0), np.array(transfers))[outer]
+        known = np.column_stack([points[outer], ALIKE_M * facing[outer]])
+        mine = links == k
+        wanted = np.column_stack([means[mine], ALIKE_M * normals[mine]])
+        _, near = cKDTree(known).query(wanted, k=min(NEAR, len(known)))
+        result[mine] = transfer[near].mean(1)
+    return result

@@ -19,10 +19,9 @@ from aomgen.conventions import BACKGROUND, MOVING, STATIC
 from aomgen.core.gaussians import SH_C0, Gaussians, gaussians_of
 from aomgen.core.transforms import apply, quat_from_matrix
 from aomgen.core.values import Array
-from aomgen.replacement.inpainting import continue_smoothly
 from aomgen.replacement.light_estimation import LitSamples
-from aomgen.replacement.mosaic import Photograph, photograph_surface
 from aomgen.replacement.old_shadow import ShadowedTable, select_lit_cells, shadow_gain
+from aomgen.replacement.table_texture import Photograph, continue_smoothly, photograph_surface
 from aomgen.robots.robot import RobotModel
 from aomgen.splatting.rasterizer import contribution_weights
 from aomgen.twin.plan_view import PlanView

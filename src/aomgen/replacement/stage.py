@@ -27,14 +27,13 @@ from aomgen.replacement.asset_surfels import asset_surfels
 from aomgen.replacement.correspondence import describe_contact
 from aomgen.replacement.diffusion import choose_photograph, estimate_environment, inpaint_table
 from aomgen.replacement.fitting import FitParams, fit_asset
-from aomgen.replacement.inpainting import inpaint
 from aomgen.replacement.light_estimation import SceneLight, estimate_light, light_of_map
-from aomgen.replacement.mosaic import Photograph
 from aomgen.replacement.obstacles import find_obstacles, support_plane
 from aomgen.replacement.old_shadow import MAX_GAIN
 from aomgen.replacement.original import fit_original, original_twin
 from aomgen.replacement.reflection import show_in_light
 from aomgen.replacement.removal import Cleared, Inpaint, clear_object
+from aomgen.replacement.table_texture import Photograph, inpaint
 from aomgen.replacement.viewpoint import episode_cameras
 from aomgen.results import ASSET_USD, ASSETS_FOLDER, FITTED, Results
 from aomgen.robots.robot import longest_reach

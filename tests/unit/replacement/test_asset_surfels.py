@@ -13,7 +13,7 @@ from aomgen.core.gaussians import Gaussians, concatenate
 from aomgen.core.mesh import sample_surface
 from aomgen.core.transforms import apply
 from aomgen.replacement import asset_surfels as module
-from aomgen.replacement.asset_pictures import AssetRenderer
+from aomgen.replacement.asset_renderer import AssetRenderer
 from aomgen.replacement.asset_surfels import asset_surfels
 from aomgen.splatting.metrics import psnr
 from aomgen.splatting.rasterizer import render
@@ -38,8 +38,8 @@ def small_fit(asset: ArticulatedAsset, pictures: int = 24, size: int = SIZE) -> 
         for name, value in {
             "DISCS": 8000,
             "MAX_GAUSSIANS": 12000,
-            "PICTURES": pictures,
-            "PICTURE_PX": size,
+            "IMAGES": pictures,
+            "IMAGE_PX": size,
         }.items():
             patch.setattr(module, name, value)
         return asset_surfels(asset, np.random.default_rng(0))

@@ -22,7 +22,7 @@ from aomgen.replacement.diffusion import (
     mark_disc,
     measure_nearness,
 )
-from aomgen.replacement.mosaic import Photograph
+from aomgen.replacement.table_texture import Photograph
 from tiny_diffusion import save_inpainting_pipeline, save_light_pipeline
 
 has_diffusers = importlib.util.find_spec("diffusers") is not None

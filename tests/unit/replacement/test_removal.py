@@ -10,9 +10,8 @@ from aomgen.core.camera import Camera, look_at
 from aomgen.core.gaussians import SH_C0, Gaussians, concatenate, gaussians_of
 from aomgen.core.transforms import apply
 from aomgen.errors import ReconstructionError
-from aomgen.replacement.inpainting import inpaint
-from aomgen.replacement.mosaic import Photograph
 from aomgen.replacement.removal import FADE, _hardly_seen, clear_object, renew_surface
+from aomgen.replacement.table_texture import Photograph, inpaint
 from aomgen.splatting.rasterizer import render
 from aomgen.twin.plan_view import PlanView
 from aomgen.twin.support import Support
