@@ -17,8 +17,7 @@ from aomgen.core.transforms import apply, invert
 from aomgen.motion.estimate import estimate_motion
 from aomgen.motion.stage import OnCurve, motion_input, recover_motion
 from aomgen.paper.affinity_features import AffinityParams
-from aomgen.paper.affinity_parts import affinity_evidence
-from aomgen.paper.automatic_masks import MASKS_FOLDER, segment_views
+from aomgen.paper.affinity_parts import MASKS_FOLDER, affinity_evidence, segment_views
 from aomgen.paper.icp_alignment import align_as_paper
 from aomgen.paper.mask_keyframes import part_masks
 from aomgen.paper.motion_estimate import PaperMotionParams, estimate_motion_paper

@@ -21,11 +21,13 @@ from aomgen.paper.affinity_features import (
     relative_sizes,
     train_affinity,
 )
-from aomgen.paper.affinity_parts import affinity_evidence, best_threshold, query_part
-from aomgen.paper.automatic_masks import (
+from aomgen.paper.affinity_parts import (
+    affinity_evidence,
     best_masks,
+    best_threshold,
     grid_points,
     load_masks,
+    query_part,
     save_masks,
     segment_views,
     spread_views,
