@@ -1,4 +1,4 @@
-"""When the arm is where: the timed script of a demonstration."""
+"""Timed commands of the arm in a demonstration."""
 
 from dataclasses import dataclass
 from typing import Annotated
@@ -21,10 +21,10 @@ BEFORE_MOTION_S = 0.4
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CommandedTrajectory:
-    """What the robot is told to do every CONTROL_STEP_S from 0: joints [rad] and closing of the gripper, 0..1.
+    """Commands of the robot every CONTROL_STEP_S from 0: joints [rad] and closing of the gripper, 0..1.
 
     Attributes:
-        grip: Share of its force with which the hand closes.
+        grip: Share of its force with which the gripper closes.
         theta_start: Joint value of the object before, [rad] or [m].
         motion_s: Beginning and end of the commanded motion of the part.
         film_s: What may be recorded.

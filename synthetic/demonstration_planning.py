@@ -1,4 +1,4 @@
-"""How the robot of a synthetic capture moves the object: grasp, joint path, what it may touch."""
+"""Plan of the robot's motion in a synthetic capture: grasp, joint path, allowed contacts."""
 
 from dataclasses import dataclass
 
@@ -16,13 +16,13 @@ from synthetic.grasp_selection import choose_grasp, draw_usual_style
 from synthetic.layout import SceneLayout
 from synthetic.style import DemonstrationStyle
 
-# The hand approaches on a straight line of this length, [m]: longer than fingers are. Gestures in the air stay
+# The end effector approaches on a straight line of this length, [m]: longer than fingers are. Gestures in the air stay
 # the second length before the handle.
 PREGRASP_M, AIR_M = 0.09, 0.12
 # Joints that jump by more from knot to knot have changed their branch, [rad].
 MAX_KNOT_STEP_RAD = 0.20
 KNOTS, REACH_KNOTS, SLACK_KNOTS = 40, 10, 4
-# Closing of the hand with which a pinch is checked, and how deep a pressing hand may seem to be, [m].
+# Closing of the gripper with which a pinch is checked, and the depth that a pressing gripper may seem to be, [m].
 PINCHING, PRESS_M = 0.6, 0.003
 # Starts of the inverse kinematics that are tried before a layout is given up. They end in few different
 # configurations; the same one, [rad], is not followed twice.
@@ -30,7 +30,7 @@ SEEDS, SAME_RAD = 14, 0.02
 # Damping of the least squares: small against squared lever arms of 0.1 to 1 m, large against rounding. Largest
 # change of a joint in one step, [rad]: the linear model holds that far.
 DAMPING, MAX_STEP_RAD = 1e-4, 0.25
-# Where solutions are looked for first, [rad]; elsewhere anywhere within the limits.
+# Joint values where solutions are searched first, [rad]; then anywhere within the limits.
 CONFIGURATIONS = {
     "ur5e_2f85": ([-np.pi, -2.4, 0.8, -2.5, -2.6, -np.pi], [np.pi, -0.7, 2.5, 1.0, 2.6, np.pi]),
 }
@@ -46,7 +46,7 @@ class IkSolution:
 
     @property
     def exact(self) -> bool:
-        """Whether the target is met within 0.5 mm and 0.2 degrees."""
+        """Return whether the target is met within 0.5 mm and 0.2 degrees."""
         return self.position_error < 5e-4 and self.rotation_error < np.deg2rad(0.2)
 
 
@@ -140,7 +140,7 @@ class _HandPath:
 def _hand_path(
     robot: RobotModel, layout: SceneLayout, grasp: DemonstratedGrasp, style: DemonstrationStyle
 ) -> _HandPath:
-    """Where the hand goes; a hand that does not close comes off the part by its slack before it leaves."""
+    """Poses of the end effector; one whose gripper does not close comes off the part by its slack before it leaves."""
     asset = layout.asset
     shares = np.zeros(KNOTS) if style.outcome == "touch" else np.linspace(0.0, 1.0, KNOTS)
     held = layout.T_world_object @ compute_grasp_poses(asset, grasp, style, shares)
@@ -178,7 +178,7 @@ def _way(rest: Array, to: Array, motion: Array, off: Array, grasp: DemonstratedG
 
 
 def _is_free(scene: Scene, way: PhasePaths, style: DemonstrationStyle) -> bool:
-    """Whether the arm touches nothing on its way but, while it holds, the part with its hand."""
+    """Return whether the arm touches nothing on its path but, while it holds, the part with its gripper."""
     still = style.outcome in ("touch", "nothing")
     values = np.linspace(style.start, style.start if still else style.goal, KNOTS)
     reach = way.rest + np.linspace(0, 1, 12)[:, None] * (way.approach[0] - way.rest)
@@ -194,7 +194,7 @@ def _is_free(scene: Scene, way: PhasePaths, style: DemonstrationStyle) -> bool:
 def _is_path_free(
     scene: Scene, path: Array, gripper: float, values: ArrayLike, *, deepest: float = 0.0
 ) -> bool:
-    """Whether the robot touches nothing along joints (N, J), [rad]; the hand may reach so deep into the part, [m].
+    """Return whether the robot touches nothing along joints (N, J), [rad]; the gripper may reach into the part by a depth, [m].
 
     Joint values of the part: (N,), or one for all (1,).
     """
@@ -245,7 +245,7 @@ def _rest(
     near: Array,
     rng: np.random.Generator,
 ) -> Array | None:
-    """Joints at rest: the hand drawn back towards the robot, higher, looking down a little."""
+    """Joints at rest: the end effector drawn back towards the robot, higher, looking down a little."""
     T = T_world_pregrasp.copy()
     T[:2, 3] *= rng.uniform(0.55, 0.75)
     T[2, 3] = max(T[2, 3], layout.room.table_z + 0.15) + rng.uniform(0.10, 0.22)

@@ -35,12 +35,12 @@ SETTLE_S = 0.3
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TrueContact:
-    """A touch of the hand on the moving part, world frame.
+    """A contact of the gripper with the moving part, world frame.
 
     Attributes:
         finger: "left", "right" or "palm".
         point: (3,), [m].
-        normal: Unit direction (3,) from the hand into the part.
+        normal: Unit direction (3,) from the gripper into the part.
         force: Normal component, [N].
     """
 
@@ -54,7 +54,7 @@ class TrueContact:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SimulatedDemonstration:
-    """What happened, every CONTROL_STEP_S.
+    """Simulated demonstration, every CONTROL_STEP_S.
 
     Attributes:
         times_s: (T,) from 0.
@@ -62,7 +62,7 @@ class SimulatedDemonstration:
         joints: (T, J), [rad].
         gripper: Measured share of its stroke (T,).
         theta: Joint value of the object (T,), [rad] or [m].
-        contacts: For each step, the hand's touches on the moving part.
+        contacts: For each step, the gripper's contacts with the moving part.
         foreign: Whether the arm ever touched anything else of object or table.
         diverged: Whether the simulation warned.
     """
@@ -139,7 +139,7 @@ def find_demonstration(
 
 
 def _succeeded(performance: Performance) -> bool:
-    """Whether what the style says has come of it.
+    """Return whether the demonstration matches its style.
 
     A part that moves reaches at least 90 % of its travel and stays within 10 % after release; one
     that is not gripped may coast on.
@@ -187,7 +187,7 @@ def simulate(scene: Scene, script: CommandedTrajectory) -> SimulatedDemonstratio
 def _sort_touches(
     scene: Scene, touches: Touches, steps: int
 ) -> tuple[tuple[tuple[TrueContact, ...], ...], bool]:
-    """Touches of the hand on the moving part at every step, and whether the robot touches anything else."""
+    """Contacts of the gripper with the moving part at every step, and whether the robot touches anything else."""
     roles, sides = scene.roles, _name_sides(scene.model, scene.robot)
     near = touches.distances <= 0
     wanted = roles.moving[touches.other_geoms] & roles.gripper[touches.robot_geoms]

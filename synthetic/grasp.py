@@ -1,4 +1,4 @@
-"""The hand on a part: how it holds, where it is as the part moves, how large its closed tips are."""
+"""Grasp of a part: how the gripper holds, its pose as the part moves, the size of its closed tips."""
 
 from dataclasses import dataclass
 from typing import Final
@@ -20,14 +20,14 @@ _CORNERS: Final = np.array(np.meshgrid([-1.0, 1.0], [-1.0, 1.0], [-1.0, 1.0])).r
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class GraspStyle:
-    """What a style leaves open about the hand.
+    """Details of a grasp that a style leaves open.
 
     Attributes:
         flip: Whether the fingers are exchanged.
         tilt_rad: Downward tilt of the approach direction.
-        side: -1 or 1: from which side the hand hooks, or on which side of the bar it pushes.
-        slant_rad: Angle between a hooking hand and the front's normal.
-        beside_m: How far beside the bar a hand pushes on the front.
+        side: -1 or 1: from which side the gripper hooks, or on which side of the bar it pushes.
+        slant_rad: Angle between a hooking gripper and the front's normal.
+        beside_m: Distance from the bar at which a gripper pushes on the front.
     """
 
     flip: bool
@@ -39,11 +39,11 @@ class GraspStyle:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DemonstratedGrasp:
-    """The hand on the part, asset frame at joint value 0.
+    """The gripper on the part, asset frame at joint value 0.
 
     Attributes:
         T_asset_ee: Pose of the end effector in touch with the part.
-        pivot: Point about which the hand turns when it turns less than the part, [m].
+        pivot: Point about which the end effector turns when it turns less than the part, [m].
         slack: Way back to where it does not touch yet, [m]; zero for fingers that close.
         gripper: Closing before and while it holds, 0..1.
     """
@@ -57,7 +57,7 @@ class DemonstratedGrasp:
 
 
 def draw_grasp_style(rng: np.random.Generator, style: DemonstrationStyle) -> GraspStyle:
-    """What the style leaves open."""
+    """Sample the details that the style leaves open."""
     tilt, flip = np.deg2rad(rng.uniform(4, 24)), bool(rng.random() < 0.5)
     if style.touch == "pinch":
         return GraspStyle(flip=flip, tilt_rad=tilt)
@@ -102,7 +102,7 @@ def measure_closed_tips(robot: RobotModel, model: mujoco.MjModel) -> Array:
 def compute_grasp_poses(
     asset: ArticulatedAsset, grasp: DemonstratedGrasp, style: DemonstrationStyle, progress: ArrayLike
 ) -> Array:
-    """Poses (N, 4, 4) of the hand in the asset frame after shares (N,) of the part's way.
+    """Poses (N, 4, 4) of the end effector in the asset frame after shares (N,) of the part's travel.
 
     It turns with its share of the part's turn, and slides along the bar as the style says.
     """
@@ -124,6 +124,6 @@ def compute_grasp_poses(
 
 
 def gripper_axes(robot: RobotModel) -> Array:
-    """Axes (3, 3) of the hand in the end effector's frame: width of the fingers, closing, approach."""
+    """Axes (3, 3) of the gripper in the end effector's frame: width of the fingers, closing, approach."""
     width = np.cross(robot.closing_ee, robot.approach_ee)
     return np.array([width, robot.closing_ee, robot.approach_ee], np.float64).T

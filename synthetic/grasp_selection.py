@@ -1,4 +1,4 @@
-"""Where a hand pinches, hooks or pushes a part."""
+"""Choice of the point where a gripper pinches, hooks or pushes a part."""
 
 from dataclasses import replace
 from typing import Final
@@ -25,17 +25,17 @@ from synthetic.style import DemonstrationStyle, GraspType
 
 # Reach of the finger tips beyond the held point of a rim, and free distance of each before it closes, [m].
 RIM_ROOM_M: Final = 0.004
-# A push beside the bar begins this far before it touches, [m].
+# A push on the front begins this far before it touches, [m].
 PUSH_SLACK_M: Final = 0.008
 # A hooking finger stays this far off the front, [m].
 HOOK_ROOM_M: Final = 0.002
 # Cosine beyond which a push goes against the front, and not along it.
 PUSH_LIMIT: Final = 0.5
-# Share of a lid's turn by which the hand begins flatter: an arm looks down easily, hardly up.
+# Share of a lid's turn by which the end effector begins flatter: an arm looks down easily, hardly up.
 NOD_SHARE: Final = 0.25
 # A lid that is held at its rim is found closed in this share of the cases, else ajar by so much, [rad].
 CLOSED_SHARE, AJAR_RAD = 0.4, (np.deg2rad(3.0), np.deg2rad(12.0))
-# Downward tilt of the hand at a rim, [rad]: its knuckles stay above the table; and the style's share in it.
+# Downward tilt of the end effector at a rim, [rad]: its knuckles stay above the table; and the style's share in it.
 RIM_TILT_RAD, RIM_TILT_SHARE = np.deg2rad(30.0), 0.5
 
 
@@ -59,14 +59,14 @@ def draw_usual_style(
 def _pinch(
     robot: RobotModel, asset: ArticulatedAsset, grasp_style: GraspStyle, style: DemonstrationStyle
 ) -> DemonstratedGrasp:
-    """The hand approaches the front from a little above; its fingers close across the bar.
+    """The end effector approaches the front from a little above; its fingers close across the bar.
 
-    A lid turns the hand further down as it opens, so that the hand begins by as much flatter.
+    A lid turns the end effector further down as it opens, so that it begins by as much flatter.
     """
     approach = -outward_normal(asset)
     along = asset.handle_axis * (-1.0 if grasp_style.flip else 1.0)
     R = np.stack([along, np.cross(approach, along), approach], 1)
-    # The hand comes from above: turn about the horizontal axis of the front, right of approach.
+    # The end effector comes from above: turn about the horizontal axis of the front, right of approach.
     sideways = np.cross(approach, [0.0, 0.0, 1.0])
     tilt = grasp_style.tilt_rad
     if asset.joint.type == "revolute":
@@ -89,7 +89,7 @@ def _pinch_rim(
     across = np.cross(outward, along)
     tilt = RIM_TILT_RAD + RIM_TILT_SHARE * grasp_style.tilt_rad
     if style.direction == "closing":
-        # The hand turns less than the lid, and must be as steep once it is closed.
+        # The end effector turns less than the lid, and must be as steep once it is closed.
         tilt -= (1.0 - style.follow) * style.travel
     approach = matrix_from_rotvec(-tilt * np.cross(-outward, [0.0, 0.0, 1.0])) @ -outward
     width = along * (-1.0 if grasp_style.flip else 1.0)
@@ -108,7 +108,7 @@ def _pinch_rim(
 
 
 def list_grasp_types(asset: ArticulatedAsset, direction: Direction) -> tuple[GraspType, ...]:
-    """In which ways a hand can move a part: what opens against the hand is hooked, the rest pushed."""
+    """Grasp types with which a gripper can move a part: what opens against the gripper is hooked, the rest pushed."""
     facing = _facing(asset, direction)
     bare = asset.handle_bar is None or find_handle_mount(asset) is None
     if facing > PUSH_LIMIT:
@@ -123,7 +123,7 @@ def choose_grasp(
     grasp_style: GraspStyle,
     style: DemonstrationStyle,
 ) -> DemonstratedGrasp | None:
-    """Where the hand touches the part in a style; None where that style leaves no room.
+    """Contact of the gripper with the part in a style; None where that style leaves no room.
 
     Args:
         model: Any compiled model that holds the robot.
@@ -176,7 +176,7 @@ def _push_bar(
     style: DemonstrationStyle,
     tips: Array,
 ) -> DemonstratedGrasp | None:
-    """Closed fingers beside the bar push it along the front."""
+    """Closed fingers next to the bar push it along the front."""
     bar = asset.handle_bar
     if bar is None:
         return None
@@ -194,7 +194,7 @@ def _push_bar(
 def _push_front(
     robot: RobotModel, asset: ArticulatedAsset, grasp_style: GraspStyle, tips: Array
 ) -> DemonstratedGrasp | None:
-    """Closed finger tips push on the front, beside the bar.
+    """Closed finger tips push on the front, next to the bar.
 
     None where the front ends there, or the push is nearer to the hinge than half the handle is.
     """
@@ -247,17 +247,17 @@ def _first_motion(asset: ArticulatedAsset) -> Array:
 
 
 def _facing(asset: ArticulatedAsset, direction: Direction) -> float:
-    """Cosine between the handle's first way and the front's normal: 1 opens against the hand."""
+    """Cosine between the handle's first motion and the front's normal: 1 opens against the gripper."""
     return float(outward_normal(asset) @ _first_motion(asset)) * (1.0 if direction == "opening" else -1.0)
 
 
 def _support(bar: BoxCollider, direction: ArrayLike) -> float:
-    """How far a bar reaches from its middle along a unit direction (3,), [m]."""
+    """Distance that a bar reaches from its middle along a unit direction (3,), [m]."""
     return float(np.abs(bar.T_asset_box[:3, :3].T @ np.asarray(direction, np.float64)) @ bar.half_extents)
 
 
 def _on_part(asset: ArticulatedAsset, point: ArrayLike, margin: ArrayLike) -> bool:
-    """Whether a point (3,) and both neighbors at a margin (3,) lie inside one box of the part."""
+    """Return whether a point (3,) and both neighbors at a margin (3,) lie inside one box of the part."""
     point, margin = np.asarray(point, np.float64), np.asarray(margin, np.float64)
     for box in asset.moving.colliders:
         local = apply(invert(box.T_asset_box), np.array([point - margin, point, point + margin]))

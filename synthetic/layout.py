@@ -1,4 +1,4 @@
-"""Where everything stands in a synthetic capture, and the MuJoCo model of it."""
+"""Poses of all objects in a synthetic capture, and the MuJoCo model of it."""
 
 from dataclasses import dataclass
 
@@ -15,18 +15,18 @@ from aomgen.robots.silhouette import add_robot_visuals
 from aomgen.simulation.scene import Scene, describe_scene
 from synthetic.room import FRONT_M, Room, add_room
 
-# How finely the robot is drawn, [m]: less than a pixel in these pictures.
+# Resolution of the robot's meshes, [m]: less than a pixel in these images.
 ROBOT_CELL_M = 0.0025
 # The passive joint: (damping, dry friction) in [N m s/rad], [N m] or [N s/m], [N].
 RESISTANCE = {"revolute": (0.35, 0.25), "prismatic": (4.0, 2.0)}
 # The arm follows the handle over about this much of the joint, [rad] or [m].
 FOLLOWED = {"revolute": np.deg2rad(60.0), "prismatic": 0.2}
-# Yaw of the object, [deg], and distance of the handle before the robot, [m]. A lid leads the hand up,
+# Yaw of the object, [deg], and distance of the handle before the robot, [m]. A lid leads the end effector up,
 # over and away from the robot: the arm has room for 90 degrees of that where the object stands near and
 # is turned with its front across the robot's middle (searched over 360 places of three toolboxes and
 # three laptops).
 BEFORE, LIFTED = ((-18.0, 18.0), (0.56, 0.70)), ((-8.0, 52.0), (0.38, 0.52))
-# An object this low lies where people work, [m]: on a mat, with things beside it.
+# An object this low lies where people work, [m]: on a mat, with clutter around it.
 LOW_M = 0.05
 
 
@@ -51,7 +51,7 @@ class SceneLayout:
 
 
 def draw_layout(asset: ArticulatedAsset, rng: np.random.Generator) -> SceneLayout:
-    """A random place for the object within the robot's reach; whether it is enough, planning tells."""
+    """A random pose of the object within the robot's reach; planning decides whether it is enough."""
     heading = rng.uniform(-np.pi, np.pi)
     T_world_room = transform(matrix_from_rotvec([0.0, 0.0, heading]), np.zeros(3))
     table_z = rng.uniform(-0.08, 0.04)

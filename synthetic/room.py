@@ -24,9 +24,9 @@ from synthetic.tabletop_objects import (
 
 # Room for the gripper before an object, [m]; part of what is kept free.
 FRONT_M: Final = 0.25
-# How far beyond what is kept free things beside an object may lie, and a mat may reach, [m].
+# Distance beyond the free area within which clutter around an object may lie, and a mat may reach, [m].
 BESIDE_M, MAT_BEYOND_M = 0.17, 0.15
-# Of the tables with a low object, so many have a mat; others are bare.
+# Share of the tables with a low object that have a mat; others are bare.
 MAT_SHARE: Final = 0.85
 
 
@@ -39,7 +39,7 @@ class Room:
         table: (x0, x1, y0, y1) of the table top.
         keep_free: (x0, x1, y0, y1) of the table that stays without clutter; the first FRONT_M of y
             are the gripper's.
-        desk: Whether the object lies on a mat or on the bare table with small things beside it.
+        desk: Whether the object lies on a mat or on the bare table with small clutter around it.
     """
 
     T_world_room: Matrix4
@@ -54,7 +54,7 @@ class Room:
 
 
 def add_room(spec: mujoco.MjSpec, room: Room, rng: np.random.Generator, *, visual: bool) -> None:
-    """Add the room to a model: table top and things beside the object as colliders, else only when `visual`."""
+    """Add the room to a model: table top and clutter around the object as colliders, else only when `visual`."""
     T = room.T_world_room
     body = spec.worldbody.add_body(name="room", pos=T[:3, 3], quat=quat_from_matrix(T[:3, :3]))
     x0, x1, y0, y1 = room.table
@@ -68,7 +68,7 @@ def add_room(spec: mujoco.MjSpec, room: Room, rng: np.random.Generator, *, visua
         return
     for mesh in make_room_meshes(room, things, rng):
         add_visual_mesh(spec, body, mesh, f"room_{mesh.name}")
-    # A steep lamp casts the shadows; the others only shade, so that every picture sees one light.
+    # A steep light casts the shadows; the others only shade, so that every image shows one light.
     lights = {
         "lamp": ((-0.10, 0.18, -1.0), 0.45, True),
         "window": ((0.8, 0.5, -0.45), 0.26, False),
@@ -93,7 +93,7 @@ def _add_solid(body: mujoco.MjsBody, name: str, middle: ArrayLike, half: ArrayLi
 
 
 def make_room_meshes(room: Room, things: list[TabletopObject], rng: np.random.Generator) -> list[Mesh]:
-    """All visible meshes, room frame, with the things beside the object."""
+    """All visible meshes, room frame, with the clutter around the object."""
     floor = Material(texture_srgb=printed_textures.tiles(rng), tile_m=3.0)
     wall = Material(texture_srgb=printed_textures.plaster(rng), tile_m=3.0)
     top = Material(texture_srgb=printed_textures.table_top(rng), tile_m=1.5, roughness=0.5)
@@ -186,7 +186,7 @@ def _beside(room: Room, rng: np.random.Generator) -> list[TabletopObject]:
 
 
 def _mat_area(room: Room, rng: np.random.Generator) -> tuple[float, float, float, float]:
-    """What a mat covers of the table: all that the object needs, and some more, up to the table's edge."""
+    """Rectangle of the table under a mat: all that the object needs, and some more, up to the table's edge."""
     x0, x1, y0, y1 = room.keep_free
     left, right, front, back = rng.uniform(0.0, MAT_BEYOND_M, 4)
     table = room.table

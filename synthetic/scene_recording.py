@@ -33,7 +33,7 @@ READ_NOISE, PHOTON_NOISE = 0.9, 1.6
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Conditions:
-    """Cameras and their flaws.
+    """Cameras and their errors.
 
     Attributes:
         size: Width and height of stills and video, [px].
@@ -54,7 +54,7 @@ class Conditions:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RecordingSchedule:
-    """When the camera runs, and the robot's noisy log with a clock of its own.
+    """Times of the camera, and the robot's noisy log with a separate clock.
 
     Attributes:
         steps: Simulation step of each frame.
@@ -68,7 +68,7 @@ class RecordingSchedule:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RecordedVideo:
-    """What the fixed camera recorded: frames (H, W, 3), and the part labels (H, W) of each."""
+    """Recording of the fixed camera: frames (H, W, 3), and the part labels (H, W) of each."""
 
     schedule: RecordingSchedule
     camera: Camera
@@ -234,7 +234,7 @@ def render_frames(
 def expose(
     picture: NDArray[np.uint8], gain: float, noise: float, rng: np.random.Generator
 ) -> NDArray[np.uint8]:
-    """The picture (H, W, 3) as a sensor records it: exposure gain, photon and read-out noise."""
+    """The image (H, W, 3) as a sensor records it: exposure gain, photon and read-out noise."""
     signal = picture.astype(np.float64) * gain
     spread = noise * np.sqrt(READ_NOISE**2 + PHOTON_NOISE**2 * signal / 255.0)
     noisy = signal + spread * rng.standard_normal(picture.shape)

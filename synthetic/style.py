@@ -1,4 +1,4 @@
-"""In which style a robot demonstrates: how far, how held, how fast, how much of it is recorded."""
+"""Style of a demonstration: travel, grasp, speed, and the recorded interval."""
 
 from dataclasses import dataclass
 from typing import Final, Literal
@@ -11,7 +11,7 @@ from aomgen.core.motion import Direction
 from aomgen.core.values import Array
 
 GraspType = Literal["pinch", "hook", "push"]
-# "moves": the part is moved. The others are videos from which no joint can be told: the arm moves in
+# "moves": the part is moved. The others are videos that determine no joint: the arm moves in
 # the air, touches and lets go, pulls at a locked part, or the video ends before the motion.
 Outcome = Literal["moves", "nothing", "touch", "locked", "cut"]
 
@@ -21,16 +21,16 @@ TRAVEL: Final = {"revolute": (np.deg2rad(20.0), np.deg2rad(100.0)), "prismatic":
 RANGE_SHARE: Final = 0.95
 # The part's value has left its ends when it differs by this much, [rad] or [m].
 MOVED: Final = {"revolute": np.deg2rad(0.5), "prismatic": 0.002}
-# How fast a person lets a robot move a handle: peak speed, [m/s].
+# Speed with which a person lets a robot move a handle: peak, [m/s].
 SPEED: Final = (0.02, 0.50)
 # Length of a demonstration's video that is aimed at, [s], and share of it in which the part moves: from a blink to
 # nearly all of it.
 FILM_S, MOVING_SHARE = (8.0, 12.0), (0.03, 0.85)
-# What the random cut of a video takes off on average, [s].
+# Mean duration that the random cut of a video removes, [s].
 CUT_S: Final = 0.6
 # Video before and after the motion that is always there, [s].
 LEAST_BEFORE_S, LEAST_AFTER_S = 0.9, 0.5
-# How far a hand slides along a bar at most, [m]: less than half of a short bar; and the share of its force with
+# Largest distance that a gripper slides along a bar, [m]: less than half of a short bar; and the share of its force with
 # which it holds then: with all of it the arm gives way first.
 MAX_SLIP_M, SLIDING_GRIP = 0.015, (0.12, 0.25)
 # Longest standstill within a motion, [s].
@@ -39,7 +39,7 @@ MAX_PAUSE_S: Final = 1.5
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DemonstrationStyle:
-    """How a demonstration is done.
+    """Style of one demonstration.
 
     Attributes:
         travel: How far the part is moved, [rad] or [m], > 0.
@@ -47,9 +47,9 @@ class DemonstrationStyle:
         start: Joint value of the scanned state, [rad] or [m].
         touch: Pinched between the fingers, pulled by closed fingers behind the bar, or pushed by them.
         outcome: What comes of it; see `Outcome`.
-        follow: Share of the part's turn that the hand turns with; the handle pivots by the rest.
-        slip_m: How far the hand slides along the handle's bar while the part moves, signed, [m].
-        grip: Share of its force with which the hand closes; a firm grip hardly slides.
+        follow: Share of the part's turn that the end effector turns with; the handle pivots by the rest.
+        slip_m: Distance that the gripper slides along the handle's bar while the part moves, signed, [m].
+        grip: Share of its force with which the gripper closes; a firm grip hardly slides.
         motion_s: Duration of the commanded motion without the pause, [s].
         cruise: Share of the motion at constant speed; 0 is minimum jerk.
         pause_s, pause_at: Standstill after this share of the motion, [s].
@@ -95,19 +95,19 @@ def draw_style(
     """A random style for an asset, whose joint gives the range and whose handle the lever.
 
     Args:
-        direction, touch, outcome: As in `DemonstrationStyle`; `list_grasp_types` tells which touches a part
+        direction, touch, outcome: As in `DemonstrationStyle`; `list_grasp_types` lists the touches that a part
             allows.
         moving_share: Share of the video in which the part moves, 0.03..0.85; drawn when None. It
             is met but for the random cut of the video (0.2 s at either end), by a longer video where
             the motion would be too quick.
 
-    Not checked: whether the arm can reach it; `find_demonstration` tells.
+    Not checked: whether the arm can reach it; `find_demonstration` does.
     """
     joint = asset.joint
     low, high = TRAVEL[joint.type]
     travel = float(rng.uniform(low, max(low, min(high, RANGE_SHARE * joint.upper))))
     if outcome == "nothing":
-        # In the air the hand stays nearer to the robot, where the arm cannot swing as far.
+        # In the air the end effector stays nearer to the robot, where the arm cannot swing as far.
         travel = max(low, 0.6 * travel)
     start = 0.0
     if direction == "closing":
@@ -186,7 +186,7 @@ def _minimum_jerk(u: Array) -> Array:
 
 
 def _lever(asset: ArticulatedAsset) -> float:
-    """Way of the handle for one unit of the joint, [m]."""
+    """Path length of the handle for one unit of the joint, [m]."""
     if asset.joint.type == "prismatic":
         return 1.0
     return float(np.linalg.norm(np.cross(asset.joint.axis, asset.handle_point - asset.joint.origin)))

@@ -1,4 +1,4 @@
-"""Small things on a synthetic table: cartons, books, what lies beside a laptop, and the mat below it."""
+"""Small objects on a synthetic table: cartons, books, clutter around a laptop, and the mat below it."""
 
 from dataclasses import dataclass
 from itertools import pairwise
@@ -30,7 +30,7 @@ SIZES: Final = {
     "adapter": ((0.05, 0.10, 0.025), (0.065, 0.13, 0.032)),
     "mouse": ((0.056, 0.095, 0.032), (0.066, 0.115, 0.040)),
 }
-# Things stand this far above the table, so that no two surfaces are drawn in one place, [m].
+# Objects stand this far above the table, so that no two surfaces are drawn in one place, [m].
 ABOVE: Final = 0.0005
 # Thickness of a mat, [m]: the laptop's feet are higher; and the edge of its print, [m].
 MAT, MAT_PRINT = 0.0008, 0.9
@@ -38,7 +38,7 @@ MAT, MAT_PRINT = 0.0008, 0.9
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TabletopObject:
-    """One thing on the table: a key of `SIZES`, and the box around it, room frame, [m]."""
+    """One object on the table: a key of `SIZES`, and the box around it, room frame, [m]."""
 
     kind: str
     solid: AlignedBox
@@ -57,7 +57,7 @@ def draw_object_on_table(
     taken: list[tuple[float, float, float, float]],
     rng: np.random.Generator,
 ) -> TabletopObject | None:
-    """A thing of a kind between low and high x and y; None where it finds no free place in a few tries.
+    """An object of a kind between low and high x and y; None where it finds no free place in a few tries.
 
     Areas (x0, x1, y0, y1) that are taken stay free, [m].
     """
@@ -73,7 +73,7 @@ def draw_object_on_table(
 
 
 def make_object_meshes(name: str, thing: TabletopObject, rng: np.random.Generator) -> list[Mesh]:
-    """What is seen of a thing; every mesh's name starts with `name`."""
+    """Meshes of an object; every mesh's name starts with `name`."""
     if thing.kind in ("mug", "adapter", "mouse"):
         return {"mug": _mug, "adapter": _adapter, "mouse": _mouse}[thing.kind](name, thing.solid, rng)
     return _printed_box(name, thing, rng)

@@ -36,9 +36,9 @@ from synthetic.style import MOVED, DemonstrationStyle, GraspType, draw_style
 DEFAULT_ROBOT = "ur5e_2f85"
 # A robot file may name meshes in folders beside its own, as packages do.
 PACKAGE_DEPTH = 3
-# What a capture of a category shows, where it is not the asset of that name.
+# Asset of a category's capture, where it is not the asset of that name.
 SHOWN = {"drawer": "dresser"}
-# Of that asset; objects of all styles replace it.
+# Style of that asset; objects of all styles replace it.
 SHOWN_STYLE = "classic"
 CAMERA = "front"
 VERBS = {"opening": "open", "closing": "close"}
@@ -59,17 +59,17 @@ def make_capture(
     """Write a complete capture with `truth/`: a robot moves a made asset in a made room.
 
     The object moves by contact alone. The same arguments give the same files on one class of
-    machine (pictures come from the OpenGL driver).
+    machine (images come from the OpenGL driver).
 
     Args:
         folder: Created or replaced.
         category: One of `assets.choice.MAKERS`.
         seed: Chooses asset, room, places, path, cameras, noise and clock.
-        conditions: Cameras and their flaws; those of `Conditions` when None.
+        conditions: Cameras and their errors; those of `Conditions` when None.
         robot_file: URDF or MJCF of another robot, copied into the capture with all it refers to.
         style: How the robot demonstrates; a random pinch that opens the object when None.
-        renderer: Draws the pictures of a compiled scene up to a size.
-        progress: Told about pictures.
+        renderer: Draws the images of a compiled scene up to a size.
+        progress: Receives the progress of the images.
 
     Raises:
         ConfigError: Unknown category, or no setting of this seed can be reached.
@@ -96,7 +96,7 @@ def make_capture(
 
 
 def capture_rng(category: str, seed: int) -> np.random.Generator:
-    """What chooses everything of a capture but its object, the layout first."""
+    """Random generator of everything of a capture but its object, the layout first."""
     return np.random.default_rng([seed, *category.encode(), 1])
 
 
@@ -257,7 +257,7 @@ def _clearest(labels: list[NDArray[np.uint8]], label: int) -> tuple[int, int]:
 
 
 def make_prompt(mask: NDArray[np.bool_]) -> tuple[list[float], list[float]]:
-    """What a person would click: the pixel deepest inside a mask (H, W), and the mask's box, [px]."""
+    """Click of a person: the pixel deepest inside a mask (H, W), and the mask's box, [px]."""
     depth = np.asarray(distance_transform_edt(np.pad(mask, 1)))[1:-1, 1:-1]
     row, column = np.unravel_index(int(np.argmax(depth)), mask.shape)
     rows, columns = np.flatnonzero(mask.any(1)), np.flatnonzero(mask.any(0))
