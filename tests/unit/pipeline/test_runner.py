@@ -10,7 +10,7 @@ from aomgen.core.project import Project
 from aomgen.errors import AomgenError, InputError, LockedError
 from aomgen.io.atomic import write_bytes, write_text
 from aomgen.pipeline.manifest import MANIFEST, read_manifest
-from aomgen.pipeline.runner import WARNINGS, Stage, run_stages, stage_states
+from aomgen.pipeline.runner import WARNINGS, Stage, run_stages, share_stages, stage_states
 from aomgen.results import Results
 
 
@@ -196,3 +196,19 @@ def test_items_stay_when_only_their_number_changes(tmp_path):
     assert make(4) == [2, 3]
     assert make(4) == []
     assert make(4, seed=1) == [0, 1, 2, 3]
+
+
+@pytest.mark.parametrize("linked", [True, False])
+def test_stages_are_shared_with_another_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, linked: bool):
+    for name in ("01_structure", "02_gaussians"):
+        (tmp_path / "run" / name).mkdir(parents=True)
+        (tmp_path / "run" / name / "data").write_text(name)
+    (tmp_path / "other" / "02_gaussians").mkdir(parents=True)
+    if not linked:
+        monkeypatch.setattr(os, "link", lambda *_: (_ for _ in ()).throw(OSError("another file system")))
+    share_stages(sorted((tmp_path / "run").iterdir()), tmp_path / "other")
+    shared = tmp_path / "other" / "01_structure" / "data"
+    assert shared.read_text() == "01_structure"
+    assert shared.samefile(tmp_path / "run" / "01_structure" / "data") == linked
+    # A stage that the other run has stays.
+    assert not list((tmp_path / "other" / "02_gaussians").iterdir())
