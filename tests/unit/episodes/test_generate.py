@@ -82,7 +82,7 @@ def screen(unit: Unit) -> tuple[Variation, Rejection | None]:
     return variation(unit), rejection
 
 
-def work_in(folder: Path) -> Callable[[Unit]]:
+def work_in(folder: Path) -> Callable[[Unit], tuple[bool, dict[str, float]]]:
     """Every fourth draw is rejected, of asset b all but one in four."""
 
     def work(unit: Unit) -> tuple[bool, dict[str, float]]:
