@@ -13,14 +13,12 @@ from scipy.sparse.csgraph import connected_components
 from aomgen.capture.scan_images import read_grey
 from aomgen.conventions import linear_from_srgb
 from aomgen.core.values import Array, freeze_arrays
-from aomgen.structure.mapping import ImageSet, Workspace
+from aomgen.structure.mapping import Workspace
 from aomgen.structure.outlier_rejection import duplicates
 from aomgen.structure.sparse_model import Pair
 
 # Features of an image: 64 images take about ten seconds on two cores.
 MAX_FEATURES: Final = 512
-# SIFT contrast threshold, as in the reconstruction.
-PEAK_THRESHOLD: Final = 0.0035
 # All pairs up to so many images; of longer scans, neighbours and a coarse grid.
 EXHAUSTIVE_LIMIT: Final = 70
 # Two images overlap if geometry confirms so many matches, as in COLMAP's mapper.
@@ -114,7 +112,7 @@ def measure_overlap(images: Sequence[Path]) -> ScanOverlap:
         work = Workspace(folder=Path(folder), seed=0)
         colored = (np.repeat(grey.astype(np.uint8)[..., None], 3, axis=2) for grey in greys)
         items = iter(zip(names, colored, strict=True))
-        work.extract(ImageSet(group="scan", images=items, intrinsics=None), MAX_FEATURES, PEAK_THRESHOLD)
+        work.extract("scan", items, None, MAX_FEATURES)
         work.match(EXHAUSTIVE_LIMIT)
         pairs = work.pairs("scan", work.lens("scan"))
     order = {name: index for index, name in enumerate(names)}
