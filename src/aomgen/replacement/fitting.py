@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.optimize import least_squares
 
 from aomgen.core.asset import ArticulatedAsset
@@ -130,8 +131,8 @@ def _fit_scale(
     # A gripper may hold a bar anywhere.
     bar, bar_m = R @ asset.handle_axis, ratio * bar_reach(asset)
 
-    def noise_along(direction: Array, noise_m: float) -> float:
-        return float(np.hypot(noise_m, bar_m * (direction @ bar)))
+    def noise_along(direction: ArrayLike, noise_m: float) -> float:
+        return float(np.hypot(noise_m, bar_m * (np.asarray(direction, np.float64) @ bar)))
 
     world_noise = np.array([noise_along(axis, params.noise_m) for axis in np.eye(3)])
 
@@ -238,7 +239,7 @@ def _weigh_slide(
     point: Array,
     moved: Array,
     path: Array,
-    noise_along: Callable[[Array, float], float],
+    noise_along: Callable[[ArrayLike, float], float],
     params: FitParams,
 ) -> Array:
     """Distances (K, 2) over their noise: across the motion, and along the face, where a gripper slides.
