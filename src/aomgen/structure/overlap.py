@@ -109,7 +109,7 @@ def measure_overlap(images: Sequence[Path]) -> ScanOverlap:
     names = tuple(path.name for path in images)
     greys = [read_grey(path) for path in images]
     with tempfile.TemporaryDirectory(prefix="aomgen-overlap-") as folder:
-        work = Workspace(folder=Path(folder), seed=0)
+        work = Workspace(folder=Path(folder), seed=0, threads=-1)
         colored = (np.repeat(grey.astype(np.uint8)[..., None], 3, axis=2) for grey in greys)
         items = iter(zip(names, colored, strict=True))
         work.extract("scan", items, None, MAX_FEATURES)
