@@ -86,7 +86,7 @@ def read_log_table(path: Path, required: Sequence[str]) -> LogTable:
     """Read a table in any of the dialects above.
 
     Args:
-        required: Columns that must be there.
+        required: Columns that must be there; empty where the layout is not known.
 
     Raises:
         MissingFileError, LimitExceededError: As their names say.
@@ -128,20 +128,21 @@ def _find_header(
 ) -> tuple[int, list[str], str]:
     """Index of the header line, column names and separator.
 
-    The header is the first line that is no comment, unless the comment before it contains the required names.
+    The header is the first line that is no comment, unless the comment before it contains the required names, or the
+    line has no names at all.
     """
     first = next((k for k, (_, line) in enumerate(lines) if not line.startswith(COMMENTS)), len(lines))
     found: tuple[int, list[str], str] = (first, [], ",")
     best = -1
     for at in (first, first - 1):
-        if not 0 <= at < len(lines):
+        if not 0 <= at < len(lines) or (best > 0 and not required):
             continue
         line = lines[at][1]
         for mark in COMMENTS:
             line = line.removeprefix(mark)
         for separator in SEPARATORS:
             names = [name.strip() for name in next(_split([line.strip()], separator), [])]
-            score = sum(name in names for name in required)
+            score = sum(name in names for name in required) if required else _count_names(names, separator)
             if score > best:
                 best, found = score, (at, names, separator)
     missing = [name for name in required if name not in found[1]]
@@ -158,6 +159,21 @@ def _find_header(
     if repeated:
         raise MalformedFileError(path, f"has two columns '{repeated[0]}'", "rename one of them")
     return found
+
+
+def _count_names(names: Sequence[str], separator: str) -> int:
+    """Number of names in a header whose names are not known; they may contain spaces next to another separator."""
+    if separator == " " and any(mark in name for name in names for mark in SEPARATORS if mark != " "):
+        return 0
+    return sum(bool(name) and not _is_number(name) for name in names)
+
+
+def _is_number(text: str) -> bool:
+    try:
+        read_number(text)
+    except ValueError:
+        return False
+    return True
 
 
 def _split(lines: Sequence[str], separator: str) -> Iterator[list[str]]:

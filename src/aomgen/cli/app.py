@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from aomgen.cli.evaluate_commands import evaluate_app
+from aomgen.cli.import_commands import import_app
 from aomgen.cli.model_commands import assets_app, robot_app
 from aomgen.cli.prompting import prompts
 from aomgen.cli.run import COMMAND_LINE, run_command, run_project, sample_capture
@@ -23,6 +24,7 @@ SHOWN_FAULTS = 10
 app = typer.Typer(**COMMAND_LINE)
 app.add_typer(assets_app, name="assets")
 app.add_typer(evaluate_app, name="evaluate")
+app.add_typer(import_app, name="import")
 app.add_typer(robot_app, name="robot")
 app.command()(prompts)
 

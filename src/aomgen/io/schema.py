@@ -173,3 +173,17 @@ def _number(text: str) -> bool | int | float | str:
         except ValueError:
             continue
     return text
+
+
+def format_toml_value(value: Any) -> str:
+    """A text, a number or a list of them in TOML, whose strings are JSON's but for the delete character.
+
+    Raises:
+        ConfigError: A text that UTF-8 cannot hold.
+    """
+    text = json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
+    try:
+        text.encode()
+    except UnicodeEncodeError as error:
+        raise ConfigError(ascii(value), "is not a Unicode name", "rename the file or folder") from error
+    return text

@@ -87,7 +87,7 @@ def probe_video(path: Path) -> VideoInfo:
     Raises:
         MissingFileError, MalformedFileError, LimitExceededError: As their names say.
     """
-    with _open(path) as (container, stream):
+    with open_stream(path) as (container, stream):
         try:
             stamps = [
                 packet.pts for packet in container.demux(stream) if packet.size and not packet.is_discard
@@ -127,7 +127,7 @@ def decode_frames(path: Path) -> Iterator[tuple[float, av.VideoFrame]]:
 
 def _decode(path: Path) -> Iterator[tuple[float, av.VideoFrame, FrameDisplay]]:
     count, last, display = 0, -np.inf, None
-    with _open(path) as (container, stream):
+    with open_stream(path) as (container, stream):
         declared = stream.frames
         try:
             for frame in container.decode(stream):
@@ -160,7 +160,7 @@ def _decode(path: Path) -> Iterator[tuple[float, av.VideoFrame, FrameDisplay]]:
 
 def _count_stored(path: Path) -> int:
     """Number of the frames in a file, also of those that its edit list does not show."""
-    with _open(path, ignore_editlist="1") as (container, stream):
+    with open_stream(path, ignore_editlist="1") as (container, stream):
         return sum(1 for packet in container.demux(stream) if packet.size and not packet.is_corrupt)
 
 
@@ -196,8 +196,12 @@ def read_frames(path: Path, numbers: Sequence[int]) -> list[NDArray[np.uint8]]:
 
 
 @contextmanager
-def _open(path: Path, **options: str) -> Iterator[tuple[InputContainer, VideoStream]]:
-    """Open a container and its video stream; cover images are not considered."""
+def open_stream(path: Path, **options: str) -> Iterator[tuple[InputContainer, VideoStream]]:
+    """Open a container and its video stream; cover images are not considered.
+
+    Raises:
+        MissingFileError, MalformedFileError: No such file, or it holds no video.
+    """
     if not path.is_file():
         raise MissingFileError(path, "is missing", "copy the video or correct capture.toml")
     try:

@@ -1,6 +1,5 @@
 """The project file: every choice of a run, spelled out, on disk."""
 
-import json
 import tomllib
 from pathlib import Path
 from typing import Any
@@ -10,7 +9,7 @@ from pydantic import ValidationError
 from aomgen.core.project import Project, split_light
 from aomgen.errors import ConfigError, MissingFileError
 from aomgen.io.atomic import write_text
-from aomgen.io.schema import complaint, flatten
+from aomgen.io.schema import complaint, flatten, format_toml_value
 
 TEMPLATE = """\
 # AOMGen project: what to make out of one capture. Run it with `aomgen run project.toml`.
@@ -85,25 +84,13 @@ def write_project(path: Path, project: Project) -> None:
     values["light"] = head + _below(base, Path(light)) if light else head
     values["inpainter"] = project.inpainter and _below(base, Path(project.inpainter))
     params = flatten(values.pop("params"))
-    text = TEMPLATE.format(**{name: _toml(value) for name, value in values.items()})
+    text = TEMPLATE.format(**{name: format_toml_value(value) for name, value in values.items()})
     if params:
-        text += "\n[params]\n" + "".join(f"{name} = {_toml(value)}\n" for name, value in params.items())
+        text += "\n[params]\n" + "".join(
+            f"{name} = {format_toml_value(value)}\n" for name, value in params.items()
+        )
     write_text(path, text)
 
 
 def _below(base: Path, path: Path) -> str:
     return path.relative_to(base).as_posix() if path.is_relative_to(base) else str(path)
-
-
-def _toml(value: Any) -> str:
-    """A text, a number or a list of them in TOML, whose strings are JSON's but for the delete character.
-
-    Raises:
-        ConfigError: A text that UTF-8 cannot hold.
-    """
-    text = json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
-    try:
-        text.encode()
-    except UnicodeEncodeError as error:
-        raise ConfigError(ascii(value), "is not a Unicode name", "rename the file or folder") from error
-    return text

@@ -1,0 +1,84 @@
+"""Names of cameras, made from topics and features, and the choice among the videos of an episode."""
+
+import re
+from collections.abc import Sequence
+from functools import partial
+from pathlib import Path
+from typing import Final
+
+from aomgen.errors import ConfigError, IncompleteCaptureError, UnknownNameError
+from aomgen.importers.recorded import RecordedVideo
+from aomgen.importers.video_writing import copy_file
+
+# Parts of topics and features that name the kind of message and not the camera.
+_GENERIC: Final = re.compile(
+    r"^(observation|observations|images?|image_raw|image_color|image_rect|image_rect_color|raw|rgb|color|compressed|"
+    r"video|h264|camera)$"
+)
+# Cameras with such names move with the arm; a capture needs fixed ones.
+_MOVING: Final = re.compile(r"wrist|hand|gripper|eef|end_effector", re.IGNORECASE)
+
+
+def make_camera_name(source: str) -> str:
+    """Name of a camera from a topic or a feature.
+
+    Example:
+        >>> make_camera_name("/front/color/image_raw/compressed"), make_camera_name("observation.images.top")
+        ('front', 'top')
+    """
+    parts = [part for part in re.split(r"[/.]", source) if part and not _GENERIC.match(part.lower())]
+    return re.sub(r"[^A-Za-z0-9_-]+", "_", "_".join(parts)) or "camera"
+
+
+def choose_videos(
+    videos: Sequence[RecordedVideo], stated: Sequence[str], where: object
+) -> list[RecordedVideo]:
+    """The videos that become cameras of the capture.
+
+    Args:
+        stated: Entries `NAME` or `NAME=SOURCE`; a source is a topic, a feature or a video file. Empty takes every
+            video of a camera that does not move with the arm.
+        where: The recording, for messages.
+
+    Raises:
+        IncompleteCaptureError: There is no video.
+        ConfigError: An entry that names a camera twice, or all cameras move with the arm.
+        UnknownNameError: An entry names no video; those that exist are listed.
+    """
+    if stated:
+        chosen = [_find_stated(videos, entry) for entry in stated]
+        names = [video.name for video in chosen]
+        if len(set(names)) != len(names):
+            raise ConfigError("--camera", f"names two cameras alike ({', '.join(names)})", "give NAME=SOURCE")
+        return chosen
+    if not videos:
+        raise IncompleteCaptureError(where, "holds no video", "give a video file: --camera front=FILE")
+    fixed = [video for video in videos if not _MOVING.search(video.source)]
+    if not fixed:
+        listed = ", ".join(video.source for video in videos)
+        raise ConfigError(
+            where, f"holds only videos whose names are those of cameras on the arm: {listed}",
+            "choose one that does not move with --camera NAME=SOURCE",
+        )  # fmt: skip
+    names = [video.name for video in fixed]
+    if len(set(names)) != len(names):
+        listed = ", ".join(video.source for video in fixed)
+        raise ConfigError(
+            where, f"holds several videos of one camera: {listed}", "choose with --camera NAME=SOURCE"
+        )
+    return fixed
+
+
+def _find_stated(videos: Sequence[RecordedVideo], entry: str) -> RecordedVideo:
+    name, equals, source = (part.strip() for part in entry.partition("="))
+    wanted = source if equals else name
+    if not re.fullmatch(r"[A-Za-z0-9_-]+", name):
+        raise ConfigError(
+            "--camera", f"'{name}' is no name", "use letters, digits, _ and -, as in front=SOURCE"
+        )
+    for video in videos:
+        if wanted in (video.source, video.name):
+            return RecordedVideo(name=name, source=video.source, write=video.write)
+    if equals and Path(source).is_file():
+        return RecordedVideo(name=name, source=source, write=partial(copy_file, Path(source)))
+    raise UnknownNameError("--camera", wanted, [video.source for video in videos])

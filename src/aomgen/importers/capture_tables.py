@@ -1,0 +1,207 @@
+"""The tables of `capture.toml` that a demonstration determines: a new file, or the demo tables of an existing one."""
+
+import re
+import tomllib
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+from pydantic import BaseModel, ConfigDict
+
+from aomgen.capture.capture_schema import RobotSection
+from aomgen.errors import MalformedFileError
+from aomgen.io.schema import format_toml_value, read_toml
+
+JOINTS_FILE: Final = "demo/joints.csv"
+# A line that begins a table or an element of an array of tables, and its name.
+_HEADER: Final = re.compile(r"\s*\[\[?\s*([A-Za-z0-9_\-\"'][A-Za-z0-9_.\-\"' ]*?)\s*\]\]?\s*(#.*)?$")
+_VIDEO: Final = re.compile(r"^(\s*video\s*=\s*)(\"[^\"\n]*\"|'[^'\n]*')", re.MULTILINE)
+SKELETON: Final = """\
+format = 1
+name = {name}
+category = "TODO"                     # TODO: category of the object, for example "microwave"; it chooses assets
+instruction = {instruction}           # {instruction_note}
+
+{robot}
+[scan]
+images = "scan"                       # TODO: folder of 40 to 100 stills from a walk around the scene, or a video
+# intrinsics = [fx, fy, cx, cy]       # optional, in px
+
+{demo}
+# TODO: prompts; each part needs a box on two scan images:
+# [[prompts]]
+# part = "moving"                     # robot, moving or static
+# image = "0003.jpg"
+# points = [[312.0, 220.0, 1]]        # x, y [px], 1 on the part or 0 not on it
+# box = [250.0, 150.0, 380.0, 300.0]  # x0, y0, x1, y1 [px]
+"""
+ROBOT: Final = """\
+[robot]
+model = {model}
+joints = {joints}
+gripper = "gripper"                   # 0 open .. 1 closed
+scan_state = "first_row"              # TODO: the joint values during the scan, unless the log starts in that state
+"""
+
+
+class _RobotTable(BaseModel):
+    """The part of a `capture.toml` that an import reads; the file may still lack all other parts."""
+
+    model_config = ConfigDict(extra="ignore", frozen=True)
+
+    robot: RobotSection | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DemoTables:
+    """What an import knows of the demonstration.
+
+    Attributes:
+        cameras: Names of the cameras; each has the video `demo/NAME.mp4`.
+        clock_offset_s: Time of the first frame on the clock of the log by the stamps of the recording, [s]; None where
+            it is unknown. The latency of the camera is not part of it, so it becomes a comment.
+        robot_model: Robot known by name, of a file without a table [robot].
+        joints: Names of the robot's joints.
+        instruction: Language instruction, or "".
+    """
+
+    cameras: Sequence[str]
+    clock_offset_s: float | None
+    robot_model: str
+    joints: Sequence[str]
+    instruction: str
+
+
+def read_robot_table(path: Path) -> RobotSection | None:
+    """The table [robot] of a capture.toml; None where it has none.
+
+    Raises:
+        MalformedFileError, LimitExceededError: As `io.schema.read_toml`.
+    """
+    return read_toml(path, _RobotTable, "").robot
+
+
+def write_new_capture(name: str, tables: DemoTables) -> str:
+    """Text of a capture.toml with what is known, and comments that begin with TODO for the rest."""
+    known = "language instruction of the demonstration"
+    return SKELETON.format(
+        name=format_toml_value(name),
+        instruction=format_toml_value(tables.instruction or "TODO"),
+        instruction_note=known if tables.instruction else f"TODO: {known}",
+        robot=_write_robot(tables),
+        demo=_write_demo(tables, {}),
+    )
+
+
+def replace_demo_tables(path: Path, tables: DemoTables) -> str:
+    """Text of an existing capture.toml with other demo tables; all other bytes stay.
+
+    Cameras that keep their names keep their intrinsics and comments.
+
+    Raises:
+        MalformedFileError: Its demo tables are written in a form that cannot be replaced.
+    """
+    text = path.read_bytes().decode("utf-8")
+    blocks = _split_blocks(text)
+    is_demo = [_is_demo(header) for header, _ in blocks]
+    kept = {}
+    for header, block in blocks:
+        if header == "demo.cameras":
+            kept |= _read_camera(path, block)
+    new = _write_demo(tables, kept) + "\n"
+    before = tomllib.loads(text.removeprefix("\ufeff"))
+    if sum(header == "demo.cameras" for header, _ in blocks) != len(
+        before.get("demo", {}).get("cameras", [])
+    ):
+        raise _cannot_edit(path)  # cameras in one line, whose intrinsics would be lost
+    if "robot" not in before:
+        new = f"{_write_robot(tables)}\n{new}"
+    at = is_demo.index(True) if any(is_demo) else len(blocks)
+    head = "".join(block for (_, block), demo in zip(blocks[:at], is_demo, strict=False) if not demo)
+    tail = "".join(block for (_, block), demo in zip(blocks[at:], is_demo[at:], strict=True) if not demo)
+    gap = (
+        ""
+        if not head or head.endswith("\n\n") or head.endswith("\r\n\r\n")
+        else "\n" * (2 - head.endswith("\n"))
+    )
+    result = f"{head}{gap}{new}{tail}" if tail else f"{head}{gap}{new}".rstrip("\n") + "\n"
+    _check_others(path, before, result)
+    return result
+
+
+def _split_blocks(text: str) -> list[tuple[str, str]]:
+    """Name of the table and text of each table; comments directly above a header belong to it."""
+    blocks: list[tuple[str, list[str]]] = [("", [])]
+    for line in text.splitlines(keepends=True):
+        found = _HEADER.match(line)
+        if not found:
+            blocks[-1][1].append(line)
+            continue
+        previous, above = blocks[-1][1], []
+        while previous and previous[-1].lstrip().startswith("#"):
+            above.insert(0, previous.pop())
+        if previous and previous[-1].strip():  # the comments follow a key, not an empty line
+            previous.extend(above)
+            above = []
+        blocks.append((re.sub(r"[\"' ]", "", found[1]), [*above, line]))
+    return [(header, "".join(lines)) for header, lines in blocks]
+
+
+def _is_demo(header: str) -> bool:
+    return header == "demo" or header.startswith("demo.")
+
+
+def _read_camera(path: Path, block: str) -> dict[str, str]:
+    """Text of a table of a camera by the camera's name."""
+    try:
+        (camera,) = tomllib.loads(block)["demo"]["cameras"]
+        return {str(camera["name"]): block.strip() + "\n"}
+    except (tomllib.TOMLDecodeError, KeyError, TypeError, ValueError) as error:
+        raise _cannot_edit(path) from error
+
+
+def _write_robot(tables: DemoTables) -> str:
+    return ROBOT.format(
+        model=format_toml_value(tables.robot_model), joints=format_toml_value(list(tables.joints))
+    )
+
+
+def _write_demo(tables: DemoTables, kept: dict[str, str]) -> str:
+    parts = [_write_camera(name, kept.get(name, "")) for name in tables.cameras]
+    demo = f'[demo]\njoints = "{JOINTS_FILE}"\n'
+    if tables.clock_offset_s is not None:
+        demo += (
+            f"# clock_offset_s = {tables.clock_offset_s:.6f}   # by the stamps of the recording, without the latency of "
+            "the camera; estimated when absent\n"
+        )
+    return "\n".join([*parts, demo])
+
+
+def _write_camera(name: str, kept: str) -> str:
+    video = format_toml_value(f"demo/{name}.mp4")
+    if kept:
+        return _VIDEO.sub(lambda found: found[1] + video, kept, count=1)
+    return (
+        f"[[demo.cameras]]\nname = {format_toml_value(name)}\nvideo = {video}\n"
+        "# intrinsics = [fx, fy, cx, cy]       # optional, in px\n"
+    )
+
+
+def _check_others(path: Path, before: dict[str, Any], result: str) -> None:
+    """Refuse a replacement that changed another table or lost a camera."""
+    try:
+        after = tomllib.loads(result.removeprefix("\ufeff"))
+    except tomllib.TOMLDecodeError as error:
+        raise _cannot_edit(path) from error
+    added: Iterable[str] = {"demo", "robot"} - ({"robot"} & before.keys())
+    others = [{key: value for key, value in table.items() if key not in added} for table in (before, after)]
+    if others[0] != others[1]:
+        raise _cannot_edit(path)
+
+
+def _cannot_edit(path: Path) -> MalformedFileError:
+    return MalformedFileError(
+        path, "writes its demo tables in a form that cannot be replaced",
+        "write them as [demo] and [[demo.cameras]], as docs/capture.md does",
+    )  # fmt: skip

@@ -1,0 +1,64 @@
+"""Episodes in tables of text: CSV files of any layout, and recordings of Universal Robots' RTDE."""
+
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from aomgen.capture.log_clock import find_time_column, read_times
+from aomgen.capture.log_table import LogTable, read_log_table, read_number
+from aomgen.core.values import Array
+from aomgen.errors import IncompleteCaptureError, MalformedFileError
+from aomgen.importers.recorded import JointTable, RecordedEpisode
+
+# Measured joint angles in a recording of RTDE, in the order of the arm from base to flange, [rad].
+RTDE_COLUMNS: Final = tuple(f"actual_q_{number}" for number in range(6))
+# Names that the ROS driver and the models of every Universal Robots arm give these joints.
+UR_JOINTS: Final = (
+    "shoulder_pan_joint", "shoulder_lift_joint", "elbow_joint", "wrist_1_joint", "wrist_2_joint", "wrist_3_joint",
+)  # fmt: skip
+
+
+def read_episode(path: Path) -> RecordedEpisode:
+    """Read every numeric column of a table; columns of text are left out.
+
+    Raises:
+        MissingFileError, LimitExceededError, MalformedFileError: As `capture.log_table.read_log_table`; or no
+            column of times or of numbers.
+        IncompleteCaptureError: No rows.
+    """
+    table = read_log_table(path, ())
+    if not table.rows:
+        raise IncompleteCaptureError(path, "has no rows", "export the log again")
+    name, _ = find_time_column(table.header)
+    # A column that is named twice would be ambiguous.
+    once = [column for column in table.header if column and table.header.count(column) == 1]
+    numeric = [column for column in once if column != name and _is_number(table, column)]
+    times, notes = read_times(table, numeric)
+    columns = {column: np.array(table.column(column, read_number)) for column in numeric}
+    if not columns:
+        raise MalformedFileError(path, "has no columns of numbers", "export the joint values in columns")
+    kind, unit = "CSV", ""
+    if all(column in columns for column in RTDE_COLUMNS):
+        columns = _rename_rtde(columns)
+        kind, unit = "RTDE recording", "rad"
+    return RecordedEpisode(
+        kind=kind,
+        tables=(JointTable(name=path.name, times_s=times, columns=columns, unit=unit),),
+        notes=(*table.notes, *notes),
+    )
+
+
+def _is_number(table: LogTable, column: str) -> bool:
+    """Whether the first row has a number in a column; later rows that have none are refused by name."""
+    at = table.header.index(column)
+    try:
+        read_number(table.rows[0][at])
+    except (ValueError, IndexError):
+        return False
+    return True
+
+
+def _rename_rtde(columns: dict[str, Array]) -> dict[str, Array]:
+    names = dict(zip(RTDE_COLUMNS, UR_JOINTS, strict=True))
+    return {names.get(column, column): values for column, values in columns.items()}

@@ -1,0 +1,231 @@
+"""Importing one recorded episode as the demonstration of a capture."""
+
+import csv
+import io
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Final
+
+import av.error
+import numpy as np
+
+from aomgen.capture.capture_schema import RobotSection
+from aomgen.capture.joint_log import check_log, read_joint_log
+from aomgen.core.values import Array
+from aomgen.errors import ConfigError, InputError, MalformedFileError, NonFiniteError
+from aomgen.importers.camera_names import choose_videos
+from aomgen.importers.capture_tables import (
+    DemoTables,
+    read_robot_table,
+    replace_demo_tables,
+    write_new_capture,
+)
+from aomgen.importers.gripper_column import find_gripper, read_share
+from aomgen.importers.joint_columns import UNITS, choose_table, parse_joint_map, read_joints
+from aomgen.importers.recorded import JointTable, RecordedEpisode, RecordedVideo
+from aomgen.importers.sources import read_source
+from aomgen.io.atomic import stage_folder, write_text
+from aomgen.robots.description import find_known_description, read_description
+from aomgen.robots.loading import load_robot
+
+# The robot of a capture that does not name one.
+DEFAULT_ROBOT: Final = "ur5e_2f85"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ImportOptions:
+    """What a person states of a recording; empty or None where it is recognised.
+
+    Attributes:
+        robot: Robot known by name, of a capture that names none.
+        unit: Unit of the joints: "rad", "deg" or "normalized".
+        gripper_open, gripper_closed: Values of the gripper's column.
+        gripper_column: Name of that column.
+        joint_map: Entries `JOINT=COLUMN` or `PREFIX*`.
+        topic: Topic of the joint states.
+        cameras: Entries `NAME` or `NAME=SOURCE`.
+        replace: Replace a demonstration that the capture has already.
+    """
+
+    robot: str = ""
+    unit: str = ""
+    gripper_open: float | None = None
+    gripper_closed: float | None = None
+    gripper_column: str = ""
+    joint_map: tuple[str, ...] = ()
+    topic: str = ""
+    cameras: tuple[str, ...] = ()
+    replace: bool = False
+
+
+def import_demo(
+    source: Path, capture: Path, episode: int = 0, options: ImportOptions = ImportOptions()
+) -> tuple[str, ...]:
+    """Write `demo/` and the demo tables of `capture.toml`; nothing of it when anything fails.
+
+    Args:
+        source: A LeRobot dataset, a bag, an MCAP file or a table of text.
+        capture: Folder of the capture; created where it is missing.
+        episode: Number of the episode, from 0.
+
+    Returns:
+        Sentences about what was recognised, assumed or skipped.
+
+    Raises:
+        ConfigError: An option is wrong or missing, or the capture has a demonstration already.
+        InputError: The source is damaged, incomplete, or in units that cannot be recognised.
+        BackendError: The library of the format is not installed.
+        StorageError: The capture cannot be written.
+    """
+    if options.unit not in ("", *UNITS):
+        raise ConfigError("--unit", f"is '{options.unit}'", f"want {', '.join(UNITS)}")
+    demo, manifest = capture / "demo", capture / "capture.toml"
+    if capture.exists() and not capture.is_dir():
+        raise ConfigError(capture, "is a file", "give the folder of a capture")
+    if demo.exists() and any(demo.iterdir()) and not options.replace:
+        raise ConfigError(demo, "exists already", "replace it with --replace, or give another capture")
+    robot = read_robot_table(manifest) if manifest.is_file() else None
+    if robot is not None and options.robot:
+        raise ConfigError("--robot", f"is given, but {manifest} names its robot", "leave it out")
+    names = _list_joints(robot, options)
+    recorded = read_source(source, episode)
+    videos = choose_videos(recorded.videos, options.cameras, source)
+    log, notes = _write_log(recorded, names, robot, options, capture, source)
+    new_folder = not capture.exists()
+    with stage_folder(capture if new_folder else demo) as staging:
+        folder = staging / "demo" if new_folder else staging
+        folder.mkdir(exist_ok=True)
+        (folder / "joints.csv").write_text(log, "utf-8")
+        start_s, lengths, video_notes = _write_videos(videos, folder, source)
+        notes += video_notes + _check_log(folder / "joints.csv", names, robot, lengths, source)
+        tables = DemoTables(
+            cameras=list(lengths),
+            clock_offset_s=start_s,
+            robot_model=options.robot or DEFAULT_ROBOT,
+            joints=names,
+            instruction=recorded.instruction,
+        )
+        if manifest.is_file():
+            text = replace_demo_tables(manifest, tables)
+        else:
+            text = write_new_capture(capture.resolve().name, tables)
+        if new_folder:
+            (staging / manifest.name).write_text(text, "utf-8")
+    if not new_folder:
+        write_text(manifest, text)
+    frames = ", ".join(f"{video.name} from {video.source}" for video in videos)
+    rows = log.count("\n") - 1
+    return (f"{recorded.kind}: {rows} rows of joints; cameras: {frames}", *recorded.notes, *notes)
+
+
+def _list_joints(robot: RobotSection | None, options: ImportOptions) -> list[str]:
+    """Names of the joints that the capture's log needs."""
+    if robot is not None:
+        return list(robot.joints)
+    return list(read_description(find_known_description(options.robot or DEFAULT_ROBOT)).joints)
+
+
+def _write_log(
+    recorded: RecordedEpisode,
+    names: Sequence[str],
+    robot: RobotSection | None,
+    options: ImportOptions,
+    capture: Path,
+    source: Path,
+) -> tuple[str, list[str]]:
+    """Text of joints.csv, on the clock of the recording, and sentences about units and columns."""
+    mapped = parse_joint_map(options.joint_map, names)
+    arm, columns = choose_table(recorded.tables, names, mapped, options.topic, source)
+    holder, column = find_gripper(recorded.tables, arm, columns, options.gripper_column, source)
+    for table, name in [*((arm, name) for name in columns), (holder, column)]:
+        _check_finite(table, name, source)
+    limits = partial(_read_limits, robot, options, capture)
+    joints, unit_note = read_joints(arm, columns, options.unit, limits, source)
+    share, grip_note = read_share(
+        holder.columns[column], column, options.gripper_open, options.gripper_closed, source
+    )
+    if holder is not arm:
+        order = np.argsort(holder.times_s, kind="stable")
+        share = np.interp(arm.times_s, holder.times_s[order], share[order])
+        grip_note += f", from {holder.name}"
+    opened, closed = (robot.gripper_range if robot is not None else None) or (0.0, 1.0)
+    rows = np.column_stack([arm.times_s, joints, opened + share * (closed - opened)])
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(["time_s", *names, "gripper" if robot is None else robot.gripper])
+    writer.writerows([f"{value:.9f}" for value in row] for row in rows)
+    pairs = [f"{name} = {found}" for name, found in zip(names, columns, strict=True) if name != found]
+    mapping = [f"joints are taken from other columns: {', '.join(pairs)}"] if pairs else []
+    return text.getvalue(), [*mapping, unit_note, grip_note]
+
+
+def _check_finite(table: JointTable, column: str, source: Path) -> None:
+    finite = np.isfinite(table.columns[column]) & np.isfinite(table.times_s)
+    if not finite.all():
+        row = int(np.argmin(finite))
+        raise NonFiniteError(
+            source,
+            f"row {row} of {table.name}, column '{column}' or its time is not finite",
+            "record it again",
+        )
+
+
+def _read_limits(robot: RobotSection | None, options: ImportOptions, capture: Path) -> Array:
+    """Limits (J, 2) of the robot's joints, [rad]."""
+    if robot is None:
+        return load_robot(options.robot or DEFAULT_ROBOT).joint_limits
+    file = robot.urdf or robot.mjcf
+    return load_robot(capture / file if file else robot.model, joints=robot.joints, root=capture).joint_limits
+
+
+def _write_videos(
+    videos: Sequence[RecordedVideo], folder: Path, source: Path
+) -> tuple[float | None, dict[str, float], list[str]]:
+    """Write all videos; time of the first one's first frame, lengths by camera, [s], and notes."""
+    start_s: float | None = None
+    lengths: dict[str, float] = {}
+    notes: list[str] = []
+    for video in videos:
+        with _name_source(f"{source}, {video.source}", folder):
+            written = video.write(folder / f"{video.name}.mp4")
+        start_s = written.start_s if not lengths else start_s
+        lengths[video.name] = float(written.times_s[-1] - written.times_s[0])
+        notes += written.notes
+    return start_s, lengths, notes
+
+
+def _check_log(
+    path: Path, names: Sequence[str], robot: RobotSection | None, lengths: dict[str, float], source: Path
+) -> list[str]:
+    """Read the written log as a run does, and compare it with the videos.
+
+    Raises:
+        InputError: The log cannot be one, in words that name the source.
+    """
+    gripper, stated = ("gripper", ()) if robot is None else (robot.gripper, tuple(robot.gripper_range or ()))
+    with _name_source(source, path):
+        log, found = read_joint_log(path, names, gripper, stated)
+        warnings = [*found, *check_log(log, path, lengths, None)]
+    return [warning.removeprefix(f"{path}: ") for warning in warnings]
+
+
+@contextmanager
+def _name_source(source: object, staged: Path) -> Iterator[None]:
+    """Errors about what is being written name the source instead.
+
+    Raises:
+        InputError: As the block, or its video library failed.
+    """
+    try:
+        yield
+    except InputError as error:
+        if str(staged) not in error.where:
+            raise
+        raise type(error)(source, error.problem, error.remedy) from error
+    except av.error.FFmpegError as error:
+        raise MalformedFileError(
+            source, f"has a video that cannot be written ({error})", "record it again"
+        ) from error

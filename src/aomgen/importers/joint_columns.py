@@ -1,0 +1,229 @@
+"""Which columns of a recording are the joints of the robot, and their conversion to radians."""
+
+import re
+from collections.abc import Callable, Mapping, Sequence
+from typing import Final, Literal, get_args
+
+import numpy as np
+
+from aomgen.capture.joint_log import MAX_ANGLE_RAD
+from aomgen.core.values import Array
+from aomgen.errors import (
+    ConfigError,
+    IncompleteCaptureError,
+    MalformedFileError,
+    UnitsError,
+    UnknownNameError,
+    suggest,
+)
+from aomgen.importers.recorded import JointTable
+
+Unit = Literal["rad", "deg", "normalized"]
+UNITS: Final[tuple[Unit, ...]] = get_args(Unit)
+# Joints of LeRobot's calibrated arms are -100 .. 100 over their range; drivers overshoot by some per cent.
+MAX_NORMALIZED: Final = 102.0
+# Degrees of a joint that turns by up to a whole turn; the same slack as for radians.
+MAX_ANGLE_DEG: Final = float(np.degrees(MAX_ANGLE_RAD))
+# Units that stand at the end of a column's name: `elbow [deg]`, `elbow_rad`, `q1 (degrees)`.
+_UNIT_SUFFIX: Final = re.compile(r"[ _.]*[\[( _](deg|degs|degree|degrees|°|rad|rads|radian|radians)[\])]?$")
+# What programs append to the name of a joint.
+_POSITION_SUFFIX: Final = re.compile(r"[ _./](pos|position|positions|joint|q|angle)$")
+
+
+def read_column_unit(column: str) -> str:
+    """Unit that a column's name states: "rad", "deg", or "" without one.
+
+    Example:
+        >>> read_column_unit("elbow [deg]"), read_column_unit("elbow_joint")
+        ('deg', '')
+    """
+    found = _UNIT_SUFFIX.search(column.strip().lower())
+    return "" if found is None else "rad" if found[1].startswith("rad") else "deg"
+
+
+def _make_key(name: str) -> str:
+    """A name without case, unit and suffix, so that `Elbow.pos` and `elbow_joint [deg]` are equal."""
+    key = _UNIT_SUFFIX.sub("", name.strip().lower())
+    while (shorter := _POSITION_SUFFIX.sub("", key)) != key:
+        key = shorter
+    return re.sub(r"[ _.\-/]+", "_", key).strip("_")
+
+
+def find_columns(joint: str, columns: Sequence[str]) -> list[str]:
+    """Columns that may hold a joint: those of its name, or else those whose names end with it.
+
+    Example:
+        >>> find_columns("elbow_joint", ["left_elbow_joint", "right_elbow_joint", "wrist_1_joint"])
+        ['left_elbow_joint', 'right_elbow_joint']
+    """
+    if joint in columns:
+        return [joint]
+    key = _make_key(joint)
+    keys = {column: _make_key(column) for column in columns}
+    return [column for column in columns if keys[column] == key] or [
+        column for column in columns if keys[column].endswith(f"_{key}")
+    ]
+
+
+def parse_joint_map(entries: Sequence[str], joints: Sequence[str]) -> dict[str, str]:
+    """Column by joint from entries `JOINT=COLUMN`, several of them with commas between, or `PREFIX*`.
+
+    Raises:
+        ConfigError: An entry of another form.
+        UnknownNameError: The robot has no such joint.
+    """
+    mapped: dict[str, str] = {}
+    for entry in [part.strip() for item in entries for part in item.split(",")]:
+        joint, equals, column = (part.strip() for part in entry.partition("="))
+        if not equals and entry.count("*") == 1:
+            mapped |= {name: entry.replace("*", name) for name in joints}
+            continue
+        if not (equals and joint and column):
+            raise ConfigError(
+                "--joint-map", f"'{entry}' is not JOINT=COLUMN", "as in elbow_joint=q3, or left_*"
+            )
+        if joint not in joints:
+            raise UnknownNameError("--joint-map", joint, joints)
+        mapped[joint] = column
+    return mapped
+
+
+def choose_table(
+    tables: Sequence[JointTable], joints: Sequence[str], mapped: Mapping[str, str], topic: str, where: object
+) -> tuple[JointTable, tuple[str, ...]]:
+    """Find the table that holds every joint of the robot.
+
+    Args:
+        joints: Names of the robot's J joints.
+        mapped: Columns by joint that were stated.
+        topic: Name of the table; empty where none was stated.
+        where: The source, for messages.
+
+    Returns:
+        The table, and the column of each joint.
+
+    Raises:
+        UnknownNameError: `topic` is not one of the tables.
+        ConfigError: Two tables, or two columns of one table, fit.
+        MalformedFileError: No table holds all joints; near names are suggested.
+    """
+    if not tables:
+        raise MalformedFileError(where, "holds no joint states", "choose a recording with the robot's joints")
+    if topic:
+        names = [table.name for table in tables]
+        if topic not in names:
+            raise UnknownNameError("--topic", topic, dict.fromkeys(names))
+        tables = [table for table in tables if table.name == topic]
+    found = [{joint: _find(joint, table, mapped) for joint in joints} for table in tables]
+    complete = [k for k, columns in enumerate(found) if all(columns.values())]
+    if len(complete) > 1:
+        listed = ", ".join(tables[k].name for k in complete)
+        raise ConfigError(
+            where, f"holds joint states of {len(complete)} robots: {listed}", "choose one with --topic"
+        )
+    if not complete:
+        _refuse_incomplete(tables, found, where)
+    table, columns = tables[complete[0]], found[complete[0]]
+    for joint, candidates in columns.items():
+        if len(candidates) > 1:
+            prefix = candidates[0].removesuffix(joint)
+            raise ConfigError(
+                where,
+                f"holds {len(candidates)} columns for '{joint}': {', '.join(candidates)}",
+                f"choose with --joint-map {joint}=COLUMN for each joint, or --joint-map '{prefix}*'",
+            )
+    return table, tuple(candidates[0] for candidates in columns.values())
+
+
+def _find(joint: str, table: JointTable, mapped: Mapping[str, str]) -> list[str]:
+    if joint in mapped:
+        return [mapped[joint]] if mapped[joint] in table.columns else []
+    return find_columns(joint, list(table.columns))
+
+
+def _refuse_incomplete(
+    tables: Sequence[JointTable], found: Sequence[Mapping[str, list[str]]], where: object
+) -> None:
+    best = max(range(len(tables)), key=lambda k: sum(map(bool, found[k].values())))
+    missing = [joint for joint, columns in found[best].items() if not columns]
+    columns = list(tables[best].columns)
+    raise MalformedFileError(
+        where,
+        f"has no column for joint '{missing[0]}'"
+        + (f" and {len(missing) - 1} more" if len(missing) > 1 else "")
+        + f" (columns of {tables[best].name}: {', '.join(columns[:20]) or 'none'})",
+        f"{suggest(missing[0], columns)} State it with --joint-map {missing[0]}=COLUMN",
+    )
+
+
+def read_joints(
+    table: JointTable, columns: Sequence[str], stated: str, read_limits: Callable[[], Array], where: object
+) -> tuple[Array, str]:
+    """Joint angles of a table in radians.
+
+    Args:
+        columns: Columns of the J joints.
+        stated: Their unit, one of `UNITS`; empty to recognise it.
+        read_limits: Returns the limits (J, 2) of the robot's joints, [rad]; called for normalized joints only.
+        where: The source, for messages.
+
+    Returns:
+        Angles (T, J), [rad], and a sentence about the unit.
+
+    Raises:
+        IncompleteCaptureError: No rows.
+        UnitsError: The unit cannot be determined, or the values contradict it.
+    """
+    values = np.column_stack([table.columns[column] for column in columns])
+    if not len(values):
+        raise IncompleteCaptureError(
+            where, f"holds no joint states on {table.name}", "choose another recording"
+        )
+    unit, reason = (stated, "--unit") if stated else _recognise(table, values, columns, where)
+    largest, column = float(np.nanmax(np.abs(values), initial=0.0)), _name_largest(values, columns)
+    limit = {"rad": MAX_ANGLE_RAD, "deg": MAX_ANGLE_DEG, "normalized": MAX_NORMALIZED}[unit]
+    if not largest <= limit:
+        raise UnitsError(
+            where, f"'{column}' reaches {largest:.1f}, limit {limit:.2f} for {unit} ({reason})",
+            f"state the unit: --unit {' or '.join(name for name in UNITS if name != unit)}",
+        )  # fmt: skip
+    note = f"joints are read as {unit} ({reason}; largest value {largest:.4g})"
+    if unit == "deg":
+        return np.radians(values), note
+    if unit == "normalized":
+        low, high = np.asarray(read_limits()).T
+        return low + (values + 100) / 200 * (
+            high - low
+        ), f"{note}; -100 .. 100 are the limits of the robot's model"
+    return values, note
+
+
+def _name_largest(values: Array, columns: Sequence[str]) -> str:
+    return columns[int(np.argmax(np.nan_to_num(np.abs(values)).max(0)))]
+
+
+def _recognise(table: JointTable, values: Array, columns: Sequence[str], where: object) -> tuple[str, str]:
+    """Unit of joint values, and its evidence.
+
+    Raises:
+        UnitsError: Degrees and normalized joints explain the values equally well.
+    """
+    units = {read_column_unit(column) for column in columns}
+    if len(units) > 1:
+        raise UnitsError(
+            where, f"names columns in several units ({', '.join(columns)})", "state it: --unit rad or deg"
+        )
+    if units != {""}:
+        return units.pop(), "the columns' names"
+    if table.unit:
+        return table.unit, "the format's unit"
+    largest = float(np.nanmax(np.abs(values), initial=0.0))
+    if largest <= MAX_ANGLE_RAD:
+        return "rad", "all values are within a turn"
+    if MAX_NORMALIZED < largest <= MAX_ANGLE_DEG:
+        return "deg", "values exceed 102"
+    raise UnitsError(
+        where,
+        f"'{_name_largest(values, columns)}' reaches {largest:.1f}: degrees, or normalized to -100 .. 100?",
+        "state the unit: --unit deg or --unit normalized",
+    )

@@ -1,0 +1,235 @@
+"""Episodes of ROS 1 bags, ROS 2 bags (SQLite and MCAP) and MCAP files, read with `rosbags`.
+
+Messages are decoded by the definitions that `rosbags` ships, and not by those in the file, which it would turn into
+code.
+"""
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import cache, partial
+from pathlib import Path
+from typing import Any, Final, Literal
+
+import numpy as np
+
+from aomgen.core.values import Array
+from aomgen.errors import (
+    AomgenError,
+    BackendError,
+    IncompleteCaptureError,
+    LimitExceededError,
+    MalformedFileError,
+)
+from aomgen.importers.camera_names import make_camera_name
+from aomgen.importers.recorded import JointTable, RecordedEpisode, RecordedVideo, WrittenVideo
+from aomgen.importers.ros_images import read_image_message
+from aomgen.importers.video_writing import encode_frames, write_h264
+
+BagKind = Literal["ROS 1 bag", "ROS 2 bag", "MCAP", "ROS 2 database"]
+JOINT_STATE: Final = "sensor_msgs/msg/JointState"
+IMAGES: Final = ("sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage")
+H264: Final = "foxglove_msgs/msg/CompressedVideo"
+# Messages of one number, as some grippers publish.
+NUMBERS: Final = tuple(
+    f"std_msgs/msg/{kind}"
+    for kind in ("Float32", "Float64", "Int16", "Int32", "Int64", "UInt8", "UInt16", "UInt32")
+)
+# Foxglove's message; it belongs to no ROS distribution.
+_H264_DEFINITION: Final = "builtin_interfaces/Time timestamp\nstring frame_id\nuint8[] data\nstring format\n"
+# Half an hour at 1 kHz, far above any demonstration.
+MAX_ROWS: Final = 2_000_000
+# Letters of a library's message that an error shows.
+MAX_SHOWN: Final = 120
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class OpenBag:
+    """A bag that is open for reading.
+
+    Attributes:
+        reader: Reader of `rosbags`.
+        decode: Message of its bytes and type.
+        topics: Type by topic, of the topics that hold messages.
+        empty: The same of the topics without any.
+    """
+
+    reader: Any
+    decode: Callable[[bytes, str], Any]
+    topics: dict[str, str]
+    empty: dict[str, str]
+
+    def read_messages(self, *topics: str) -> Iterator[tuple[str, float, float, Any]]:
+        """Topic, time stamp and time of recording, [s], and message of each message of some topics.
+
+        The time stamp is that of the header; 0 where the type has none.
+        """
+        wanted = [item for item in self.reader.connections if item.topic in topics]
+        for connection, recorded_ns, data in self.reader.messages(connections=wanted):
+            message = self.decode(data, connection.msgtype)
+            header = getattr(message, "header", None)
+            stamp = getattr(message, "timestamp", None) if header is None else header.stamp
+            stamp_s = 0.0 if stamp is None else stamp.sec + stamp.nanosec / 1e9
+            yield connection.topic, stamp_s, recorded_ns / 1e9, message
+
+
+@cache
+def _load_types(ros1: bool) -> Any:
+    """The message types of ROS 1 or ROS 2, whose definitions take a second to compile."""
+    from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+    types = get_typestore(Stores.ROS1_NOETIC if ros1 else Stores.ROS2_HUMBLE)
+    types.register(get_types_from_msg(_H264_DEFINITION, H264))
+    return types
+
+
+@contextmanager
+def open_bag(path: Path, kind: BagKind) -> Iterator[OpenBag]:
+    """Open a bag; what goes wrong inside `rosbags` becomes one error.
+
+    Raises:
+        BackendError: `rosbags` is not installed.
+        MalformedFileError: The bag is damaged, also when it is noticed while the block reads.
+        IncompleteCaptureError: It has no messages.
+    """
+    try:
+        from rosbags.rosbag1 import Reader as Reader1
+        from rosbags.rosbag2 import Reader as Reader2
+    except ImportError as error:
+        raise BackendError("rosbags", "is not installed", "pip install 'aomgen[ros]'") from error
+    ros1 = kind == "ROS 1 bag"
+    types = _load_types(ros1)
+    # The kind is known from the content, and a file may have another suffix.
+    plugin: Any = {
+        "ROS 1 bag": Reader1,
+        "ROS 2 bag": Reader2.STORAGE_PLUGINS["dir"],
+        "MCAP": Reader2.STORAGE_PLUGINS[".mcap"],
+        "ROS 2 database": Reader2.STORAGE_PLUGINS[".db3"],
+    }[kind]
+    try:
+        reader = plugin(path)
+        reader.open()
+        try:
+            topics = {item.topic: item.msgtype for item in reader.connections if item.msgcount}
+            empty = {item.topic: item.msgtype for item in reader.connections if item.topic not in topics}
+            if not topics:
+                raise IncompleteCaptureError(path, "holds no messages", "record the demonstration again")
+            yield OpenBag(
+                reader=reader,
+                decode=types.deserialize_ros1 if ros1 else types.deserialize_cdr,
+                topics=topics,
+                empty=empty,
+            )
+        finally:
+            reader.close()
+    except (AomgenError, GeneratorExit, PermissionError):
+        raise
+    # Damaged bags make the library raise whatever its parsers, SQLite and the decompressors raise.
+    except Exception as error:
+        words = " ".join(f"{type(error).__name__}: {error}".split())[:MAX_SHOWN]
+        raise MalformedFileError(
+            path, f"is not readable as {kind} ({words})", "copy or record it again"
+        ) from error
+
+
+def read_episode(path: Path, kind: BagKind) -> RecordedEpisode:
+    """Read the joint states of a bag; its videos are written later.
+
+    Raises:
+        BackendError, MalformedFileError, IncompleteCaptureError: As `open_bag`.
+        LimitExceededError: More joint states than are read without asking.
+    """
+    with open_bag(path, kind) as bag:
+        tables, notes = _read_tables(bag, path)
+        notes += [
+            f"topic {topic} is taken as depth and skipped" for topic in bag.topics if "depth" in topic.lower()
+        ]
+        if not tables:
+            listed = ", ".join(f"{topic} ({kind})" for topic, kind in list(bag.topics.items())[:20])
+            raise IncompleteCaptureError(
+                path, f"holds no joint states (topics: {listed})", f"record a {JOINT_STATE}"
+            )
+        videos = _list_videos(bag.topics, path, kind) or _list_videos(bag.empty, path, kind)
+    return RecordedEpisode(kind=kind, tables=tuple(tables), videos=videos, notes=tuple(notes))
+
+
+def _list_videos(topics: dict[str, str], path: Path, kind: BagKind) -> tuple[RecordedVideo, ...]:
+    """Videos of some topics; one without messages is refused when it is written."""
+    return tuple(
+        RecordedVideo(
+            name=make_camera_name(topic), source=topic, write=partial(_write_video, path, kind, topic)
+        )
+        for topic, message_type in topics.items()
+        if message_type in (*IMAGES, H264) and "depth" not in topic.lower()
+    )
+
+
+def _read_tables(bag: OpenBag, path: Path) -> tuple[list[JointTable], list[str]]:
+    """A table for each topic and each set of joint names on it: arm and gripper may share a topic."""
+    groups: dict[tuple[str, ...], list[tuple[float, float, list[float]]]] = {}
+    wanted = [topic for topic, kind in bag.topics.items() if kind in (JOINT_STATE, *NUMBERS)]
+    for count, (topic, stamp_s, recorded_s, message) in enumerate(
+        bag.read_messages(*wanted) if wanted else ()
+    ):
+        if not count < MAX_ROWS:
+            raise LimitExceededError(path, f"has more than {MAX_ROWS} joint states", "cut the recording")
+        if bag.topics[topic] in NUMBERS:
+            names, values = [topic], [float(message.data)]
+        else:
+            names, values = (
+                [str(name) for name in message.name],
+                np.asarray(message.position, np.float64).tolist(),
+            )
+            if not names or not values:
+                continue  # a message of velocities or efforts alone
+            if len(set(names)) != len(names) or len(names) != len(values):
+                raise MalformedFileError(
+                    path,
+                    f"has {len(values)} positions for the joints {names} on {topic}",
+                    "correct its publisher",
+                )
+        ordered = sorted(zip(names, values, strict=True))
+        row = stamp_s, recorded_s, [value for _, value in ordered]
+        groups.setdefault((topic, *(name for name, _ in ordered)), []).append(row)
+    tables, notes = [], []
+    for (topic, *names), rows in groups.items():
+        times, is_stamp = _choose_times(np.array([row[:2] for row in rows]))
+        if not is_stamp:
+            notes.append(f"{topic} has no time stamps; the times of recording are taken")
+        values = np.array([row[2] for row in rows])
+        columns = dict(zip(names, values.T, strict=True))
+        unit = "rad" if bag.topics[topic] == JOINT_STATE else ""
+        tables.append(JointTable(name=topic, times_s=times, columns=columns, unit=unit))
+    return tables, notes
+
+
+def _choose_times(times: Array) -> tuple[Array, bool]:
+    """Time stamps of messages where they have some, and otherwise the times of recording.
+
+    Args:
+        times: (T, 2), time stamps and times of recording, [s].
+    """
+    stamped = bool(np.ptp(times[:, 0]) > 0)
+    return times[:, 0 if stamped else 1], stamped
+
+
+def _write_video(path: Path, kind: BagKind, topic: str, target: Path) -> WrittenVideo:
+    """Write the images or H.264 packets of a topic."""
+    with open_bag(path, kind) as bag:
+        source = f"{path}, {topic}"
+        # The first message decides; a camera with a clock of its own stamps all messages.
+        messages = (
+            (stamp_s if stamp_s > 0 else recorded_s, message)
+            for _, stamp_s, recorded_s, message in bag.read_messages(topic)
+        )
+        if (bag.topics | bag.empty)[topic] == H264:
+            return write_h264(_list_packets(messages, source), target, source)
+        frames = ((time_s, read_image_message(message, source)) for time_s, message in messages)
+        return encode_frames(frames, target, source)
+
+
+def _list_packets(messages: Iterator[tuple[float, Any]], source: str) -> Iterator[tuple[float, bytes]]:
+    for time_s, message in messages:
+        if message.format.lower() not in ("h264", "avc", "h.264"):
+            raise MalformedFileError(source, f"has video of format '{message.format}'", "record it as h264")
+        yield time_s, bytes(message.data)
