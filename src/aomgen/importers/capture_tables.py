@@ -55,7 +55,7 @@ class _RobotTable(BaseModel):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DemoTables:
-    """What an import knows of the demonstration.
+    """Facts about the demonstration that an import determines.
 
     Attributes:
         cameras: Names of the cameras; each has the video `demo/NAME.mp4`.

@@ -50,7 +50,7 @@ def read_episode(path: Path) -> RecordedEpisode:
 
 
 def _is_number(table: LogTable, column: str) -> bool:
-    """Whether the first row has a number in a column; later rows that have none are refused by name."""
+    """Return whether the first row has a number in a column; later rows without one are refused by name."""
     at = table.header.index(column)
     try:
         read_number(table.rows[0][at])

@@ -37,7 +37,7 @@ DEFAULT_ROBOT: Final = "ur5e_2f85"
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ImportOptions:
-    """What a person states of a recording; empty or None where it is recognised.
+    """Statements of a person about a recording; empty or None where the value is recognised.
 
     Attributes:
         robot: Robot known by name, of a capture that names none.

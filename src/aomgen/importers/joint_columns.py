@@ -1,4 +1,4 @@
-"""Which columns of a recording are the joints of the robot, and their conversion to radians."""
+"""The columns of a recording that hold the joints of the robot, and their conversion to radians."""
 
 import re
 from collections.abc import Callable, Mapping, Sequence
@@ -26,7 +26,7 @@ MAX_NORMALIZED: Final = 102.0
 MAX_ANGLE_DEG: Final = float(np.degrees(MAX_ANGLE_RAD))
 # Units that stand at the end of a column's name: `elbow [deg]`, `elbow_rad`, `q1 (degrees)`.
 _UNIT_SUFFIX: Final = re.compile(r"[ _.]*[\[( _](deg|degs|degree|degrees|°|rad|rads|radian|radians)[\])]?$")
-# What programs append to the name of a joint.
+# Suffixes that programs append to the name of a joint.
 _POSITION_SUFFIX: Final = re.compile(r"[ _./](pos|position|positions|joint|q|angle)$")
 
 

@@ -35,7 +35,7 @@ INFO_FILE: Final = "meta/info.json"
 OLD_VERSIONS: Final = ("v2.0", "v2.1")
 NEW_VERSION: Final = "v3.0"
 REMEDY: Final = "download or export the dataset again"
-# Measured state of the robot; other features beside it are listed with their own names in front.
+# Measured state of the robot; columns of other features have the name of the feature in front.
 STATE: Final = "observation.state"
 # Largest text file that describes a dataset; a million episodes take less, [bytes].
 MAX_BYTES: Final = 512 << 20

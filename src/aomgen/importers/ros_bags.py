@@ -217,7 +217,7 @@ def _write_video(path: Path, kind: BagKind, topic: str, target: Path) -> Written
     """Write the images or H.264 packets of a topic."""
     with open_bag(path, kind) as bag:
         source = f"{path}, {topic}"
-        # The first message decides; a camera with a clock of its own stamps all messages.
+        # Drivers stamp either all of their messages or none.
         messages = (
             (stamp_s if stamp_s > 0 else recorded_s, message)
             for _, stamp_s, recorded_s, message in bag.read_messages(topic)

@@ -154,7 +154,7 @@ def _read_span(container: InputContainer, stream: VideoStream, span: tuple[float
 
 
 def _starts_alone(packets: Sequence[Packet]) -> bool:
-    """Whether the first packet is a key frame and the first one that is shown."""
+    """Return whether the first packet is a key frame and the first one that is shown."""
     return packets[0].is_keyframe and all((packet.pts or 0) >= (packets[0].pts or 0) for packet in packets)
 
 

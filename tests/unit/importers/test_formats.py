@@ -191,6 +191,14 @@ def test_rtde_with_a_video_file(short: Demonstration, tmp_path: Path):
     assert read_log(tmp_path / "capture").times_s[0] == 51_234.5
 
 
+def test_rtde_separated_by_spaces_as_the_vendors_client_writes_it(short: Demonstration, tmp_path: Path):
+    path = write_rtde(tmp_path / "record.csv", short)
+    path.write_text(path.read_text().replace(",", " "))
+    options = ImportOptions(gripper_column="output_int_register_24", cameras=(f"front={short.video}",))
+    import_demo(path, tmp_path / "capture", 0, options)
+    np.testing.assert_allclose(read_log(tmp_path / "capture").joints, short.joints, atol=1e-6)
+
+
 def test_a_table_in_degrees_milliseconds_and_reversed_counts(short: Demonstration, tmp_path: Path):
     header = ["t_ms", *(f"{name} [deg]" for name in JOINTS), "gripper_position"]
     columns = [1000 * short.times_s, np.degrees(short.joints), 255 * (1 - short.gripper)]
