@@ -139,8 +139,7 @@ def _write_info(
     folder: Path, version: str, names: Any, demonstration: Demonstration, paths: Mapping[str, Any]
 ) -> None:
     height, width = demonstration.frames.shape[1:3]
-    elements = next(iter(names.values())) if isinstance(names, dict) else names
-    state = {"dtype": "float32", "shape": [len(elements)], "names": names}
+    state = {"dtype": "float32", "shape": [7], "names": names}
     video = {"dtype": "video", "shape": [height, width, 3], "names": ["height", "width", "channels"]}
     features = {"observation.state": state, "action": state, "observation.images.front": video}
     features |= {"timestamp": {"dtype": "float32", "shape": [1], "names": None}}

@@ -116,6 +116,13 @@ def import_demo(
             (staging / manifest.name).write_text(text, "utf-8")
     if not new_folder:
         write_text(manifest, text)
+    if not options.cameras:
+        used = [video.source for video in videos]
+        notes += [
+            f"{video.source} is left out, because its name is that of a camera on the arm"
+            for video in recorded.videos
+            if video.source not in used
+        ]
     frames = ", ".join(f"{video.name} from {video.source}" for video in videos)
     rows = log.count("\n") - 1
     return (f"{recorded.kind}: {rows} rows of joints; cameras: {frames}", *recorded.notes, *notes)

@@ -146,13 +146,14 @@ def _refuse_incomplete(
 ) -> None:
     best = max(range(len(tables)), key=lambda k: sum(map(bool, found[k].values())))
     missing = [joint for joint, columns in found[best].items() if not columns]
-    columns = list(tables[best].columns)
+    columns, stated = list(tables[best].columns), f"--joint-map {missing[0]}=COLUMN"
+    near = suggest(missing[0], columns)
     raise MalformedFileError(
         where,
         f"has no column for joint '{missing[0]}'"
         + (f" and {len(missing) - 1} more" if len(missing) > 1 else "")
-        + f" (columns of {tables[best].name}: {', '.join(columns[:20]) or 'none'})",
-        f"{suggest(missing[0], columns)} State it with --joint-map {missing[0]}=COLUMN",
+        + f" (columns of {tables[best].name}: {', '.join(columns) or 'none'})",
+        f"{near} State it with {stated}" if near.endswith("?") else f"state it with {stated}",
     )
 
 

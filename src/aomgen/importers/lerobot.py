@@ -165,9 +165,11 @@ def _read_joints(table: pa.Table, features: dict[str, Any], path: Path) -> Joint
 
 
 def _list_names(names: Any, count: int, feature: str) -> list[str]:
-    """Names of a feature's elements: a list, a list in a table such as `{"motors": [...]}`, or none."""
+    """Names of a feature's elements: a list, a list in a table (`{"motors": [...]}`) or in a list, or none."""
     if isinstance(names, dict):
         names = next(iter(names.values()), None)
+    elif isinstance(names, list) and len(names) == 1 and isinstance(names[0], list):
+        names = names[0]
     if isinstance(names, list) and len(names) == count and len(set(map(str, names))) == count:
         return [str(name) for name in names]
     return [feature if count == 1 else f"{feature}.{number}" for number in range(count)]

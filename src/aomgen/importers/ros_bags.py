@@ -142,7 +142,9 @@ def read_episode(path: Path, kind: BagKind) -> RecordedEpisode:
     with open_bag(path, kind) as bag:
         tables, notes = _read_tables(bag, path)
         notes += [
-            f"topic {topic} is taken as depth and skipped" for topic in bag.topics if "depth" in topic.lower()
+            f"{topic} is taken as depth and left out"
+            for topic, message_type in bag.topics.items()
+            if message_type in IMAGES and "depth" in topic.lower()
         ]
         if not tables:
             listed = ", ".join(f"{topic} ({kind})" for topic, kind in list(bag.topics.items())[:20])

@@ -99,7 +99,9 @@ def copy_file(source: Path, target: Path) -> WrittenVideo:
         MissingFileError, MalformedFileError, LimitExceededError: As `io.video.decode_frames`.
     """
     with open_stream(source) as (container, stream):
-        is_mp4 = "mp4" in container.format.name.split(",") and stream.codec_context.name in COPIED
+        is_mp4 = (
+            "mp4" in container.format.name.split(",") and stream.codec_context.codec.canonical_name in COPIED
+        )
     if not is_mp4:
         return copy_span(source, target, -np.inf, np.inf)
     times = [time_s for time_s, _ in decode_frames(source)]
@@ -121,7 +123,7 @@ def copy_span(source: Path, target: Path, start_s: float, end_s: float) -> Writt
         span = start_s - half_s, end_s - half_s
         try:
             packets = _read_span(container, stream, span)
-            if packets and stream.codec_context.name in COPIED and _starts_alone(packets):
+            if packets and stream.codec_context.codec.canonical_name in COPIED and _starts_alone(packets):
                 _mux(packets, stream, target)
                 times = _check_written(target, len(packets), source)
                 return WrittenVideo(start_s=0.0, times_s=times)

@@ -2,7 +2,9 @@
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
+import av
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
@@ -59,7 +61,8 @@ def test_the_bundled_capture_as_lerobot_v3(whole: Demonstration, capture_copy: P
 @pytest.mark.parametrize("write", [write_lerobot_v3, write_lerobot_v21])
 @pytest.mark.parametrize("episode", [0, 1])
 def test_lerobot(short: Demonstration, tmp_path: Path, write, episode: int):
-    names = {"motors": [f"{name.removesuffix('_joint')}.pos" for name in JOINTS] + ["gripper.pos"]}
+    names: Any = [f"{name.removesuffix('_joint')}.pos" for name in JOINTS] + ["gripper.pos"]
+    names = {"motors": names} if episode else [names]
     notes = import_demo(write(tmp_path / "dataset", short, names), tmp_path / "capture", episode)
     compare(tmp_path / "capture", short, IDENTICAL_DB)
     text = (tmp_path / "capture" / "capture.toml").read_text()
@@ -77,6 +80,20 @@ def test_lerobot_with_images_in_its_table(short: Demonstration, tmp_path: Path):
     pq.write_table(pq.read_table(path).append_column("observation.images.front", pa.array(images)), path)
     import_demo(source, tmp_path / "capture")
     compare(tmp_path / "capture", short, ENCODED_DB)
+
+
+def test_av1_is_copied(short: Demonstration, tmp_path: Path):
+    path = tmp_path / "av1.mp4"
+    path.write_bytes(encode_video(short.frames, 10, codec="av1"))
+    coded = replace(short, video=path, frames=read_video(path).frames_srgb)
+    import_demo(write_lerobot_v3(tmp_path / "dataset", coded), tmp_path / "capture", 1)
+    compare(tmp_path / "capture", coded, IDENTICAL_DB)
+    assert probe_codec(tmp_path / "capture/demo/front.mp4") == "av1"
+
+
+def probe_codec(path: Path) -> str:
+    with av.open(str(path)) as container:
+        return container.streams.video[0].codec_context.codec.canonical_name
 
 
 def test_an_episode_that_begins_between_key_frames_is_encoded_again(short: Demonstration, tmp_path: Path):
@@ -119,6 +136,25 @@ def test_files_of_a_bag_alone_under_another_name(
     (file,) = write_bag(tmp_path / "bag", short, kind, "h264").glob(pattern)
     import_demo(file.rename(tmp_path / "recording.dat"), tmp_path / "capture")
     compare(tmp_path / "capture", short, IDENTICAL_DB)
+
+
+def test_depth_and_cameras_on_the_arm_are_left_out(short: Demonstration, tmp_path: Path):
+    packets = read_annex_b(short.video)
+    with BagWriter(tmp_path / "bag", "sqlite") as bag:
+        for k, time_s in enumerate(short.times_s.tolist()):
+            bag.write_joints(
+                "/joint_states", time_s, [*JOINTS, "gripper"], [*short.joints[k], short.gripper[k]]
+            )
+            bag.write_h264("/front/video", time_s, packets[k])
+            bag.write_h264("/wrist/video", time_s, packets[k])
+            bag.write_image("/depth/image_raw", time_s, short.frames[k], "16UC1")
+    notes = import_demo(tmp_path / "bag", tmp_path / "capture")
+    assert [path.name for path in sorted((tmp_path / "capture/demo").iterdir())] == [
+        "front.mp4",
+        "joints.csv",
+    ]
+    assert "/depth/image_raw is taken as depth and left out" in notes
+    assert "/wrist/video is left out, because its name is that of a camera on the arm" in notes
 
 
 def test_h264_that_begins_between_key_frames(short: Demonstration, tmp_path: Path):
