@@ -11,6 +11,8 @@ from typing import Any
 
 # Names that a sentence lists; more of them hide what it says.
 MAX_LISTED = 20
+# Letters that a sentence quotes of another library's message.
+MAX_QUOTED = 120
 
 
 def suggest(word: str, known: Iterable[str]) -> str:
@@ -21,6 +23,11 @@ def suggest(word: str, known: Iterable[str]) -> str:
         return f"did you mean '{near[0]}'?"
     more = f" and {len(words) - MAX_LISTED} more" if len(words) > MAX_LISTED else ""
     return f"known: {', '.join(words[:MAX_LISTED])}{more}"
+
+
+def quote_error(error: Exception) -> str:
+    """Return the kind and message of another library's error as one line of limited length."""
+    return " ".join(f"{type(error).__name__}: {error}".split())[:MAX_QUOTED]
 
 
 class AomgenError(Exception):

@@ -23,6 +23,7 @@ from aomgen.errors import (
     LimitExceededError,
     MalformedFileError,
     MissingFileError,
+    quote_error,
 )
 from aomgen.importers.camera_names import make_camera_name
 from aomgen.importers.recorded import JointTable, RecordedEpisode, RecordedVideo, WrittenVideo
@@ -81,7 +82,9 @@ def read_episode(folder: Path, number: int) -> RecordedEpisode:
         RecursionError,
         pa.ArrowException,
     ) as error:
-        raise MalformedFileError(folder, f"is not a complete LeRobot dataset ({error!r})", REMEDY) from error
+        raise MalformedFileError(
+            folder, f"is not a complete LeRobot dataset ({quote_error(error)})", REMEDY
+        ) from error
 
 
 def _read_text(path: Path) -> str:
@@ -96,7 +99,7 @@ def _read_table(path: Path, **options: Any) -> pa.Table:
     try:
         return pq.read_table(path, **options)
     except (pa.ArrowException, OSError) as error:
-        raise MalformedFileError(path, f"is not readable parquet ({error})", REMEDY) from error
+        raise MalformedFileError(path, f"is not readable parquet ({quote_error(error)})", REMEDY) from error
 
 
 def _resolve(folder: Path, template: str, values: dict[str, Any]) -> Path:
@@ -129,7 +132,7 @@ def _read_names(path: Path) -> list[str]:
     try:
         return pq.read_schema(path).names
     except (pa.ArrowException, OSError) as error:
-        raise MalformedFileError(path, f"is not readable parquet ({error})", REMEDY) from error
+        raise MalformedFileError(path, f"is not readable parquet ({quote_error(error)})", REMEDY) from error
 
 
 def _read_row_v21(folder: Path, info: dict[str, Any], number: int) -> dict[str, Any]:

@@ -20,6 +20,7 @@ from aomgen.errors import (
     IncompleteCaptureError,
     LimitExceededError,
     MalformedFileError,
+    quote_error,
 )
 from aomgen.importers.camera_names import make_camera_name
 from aomgen.importers.recorded import JointTable, RecordedEpisode, RecordedVideo, WrittenVideo
@@ -39,8 +40,6 @@ NUMBERS: Final = tuple(
 _H264_DEFINITION: Final = "builtin_interfaces/Time timestamp\nstring frame_id\nuint8[] data\nstring format\n"
 # Half an hour at 1 kHz, far above any demonstration.
 MAX_ROWS: Final = 2_000_000
-# Letters of a library's message that an error shows.
-MAX_SHOWN: Final = 120
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -126,9 +125,8 @@ def open_bag(path: Path, kind: BagKind) -> Iterator[OpenBag]:
         raise
     # Damaged bags make the library raise whatever its parsers, SQLite and the decompressors raise.
     except Exception as error:
-        words = " ".join(f"{type(error).__name__}: {error}".split())[:MAX_SHOWN]
         raise MalformedFileError(
-            path, f"is not readable as {kind} ({words})", "copy or record it again"
+            path, f"is not readable as {kind} ({quote_error(error)})", "copy or record it again"
         ) from error
 
 

@@ -205,7 +205,8 @@ def open_stream(path: Path, **options: str) -> Iterator[tuple[InputContainer, Vi
     if not path.is_file():
         raise MissingFileError(path, "is missing", "copy the video or correct capture.toml")
     try:
-        container = av.open(str(path), options=options)
+        # Tags are not used, and some cameras write them in another encoding.
+        container = av.open(str(path), options=options, metadata_errors="replace")
     except av.error.FFmpegError as error:
         raise MalformedFileError(
             path, f"is not a video ({error})", "copy or export the video again"
@@ -217,6 +218,8 @@ def open_stream(path: Path, **options: str) -> Iterator[tuple[InputContainer, Vi
         if not streams:
             raise MalformedFileError(path, "holds no video", "copy or export the video again")
         chosen = max(streams, key=lambda item: bool(item.disposition & Disposition.default))
+        if getattr(chosen, "codec_context", None) is None:
+            raise MalformedFileError(path, "has a codec that FFmpeg does not know", "export it as H.264")
         yield container, chosen
 
 

@@ -214,6 +214,9 @@ def test_video_files_without_frames(target: Path, tmp_path: Path, log: Path):
     refuse(log, target, IncompleteCaptureError, "holds no video; give a video file: --camera front=FILE")
     refuse(log, target, MalformedFileError, "broken.mp4: is not a video", cameras=(f"front={broken}",))
     refuse(log, target, MalformedFileError, "empty.mp4: is not a video", cameras=(f"front={empty}",))
+    data = encode_video([np.zeros((32, 32, 3), np.uint8)] * 3, 10)
+    broken.write_bytes(data.replace(b"avc1", b"zzz1").replace(b"isomiso2zzz1", b"isomiso2avc1"))
+    refuse(log, target, MalformedFileError, "a codec that FFmpeg does not know", cameras=(f"front={broken}",))
 
 
 def test_episodes(target: Path, tmp_path: Path, short: Demonstration, log: Path):

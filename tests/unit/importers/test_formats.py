@@ -227,6 +227,15 @@ def test_rtde_with_a_video_file(short: Demonstration, tmp_path: Path):
     assert read_log(tmp_path / "capture").times_s[0] == 51_234.5
 
 
+def test_tags_of_a_video_in_another_encoding(short: Demonstration, tmp_path: Path):
+    path = tmp_path / "front.mp4"
+    path.write_bytes(short.video.read_bytes().replace(b"mp41", b"\xedp41", 1))
+    assert path.read_bytes() != short.video.read_bytes()
+    options = ImportOptions(gripper_column="output_int_register_24", cameras=(f"front={path}",))
+    import_demo(write_rtde(tmp_path / "record.csv", short), tmp_path / "capture", 0, options)
+    compare(tmp_path / "capture", short, IDENTICAL_DB)
+
+
 def test_rtde_separated_by_spaces_as_the_vendors_client_writes_it(short: Demonstration, tmp_path: Path):
     path = write_rtde(tmp_path / "record.csv", short)
     path.write_text(path.read_text().replace(",", " "))

@@ -1,7 +1,6 @@
 """Damaged recordings are refused with a typed error, or read; nothing else escapes, and no file is left."""
 
 import shutil
-from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
@@ -61,7 +60,7 @@ def damage(data: bytes, rng: np.random.Generator) -> bytes:
     ["v3", "v21", "rtde", "ros1-jpeg", "ros1-h264", "sqlite-image", "sqlite-h264", "mcap-h264", "mcap-jpeg"],
 )
 def test_damaged_recordings(kind: str, tiny: Demonstration, tmp_path: Path):
-    rng = np.random.default_rng(len(kind))
+    rng = np.random.default_rng(7)
     source, files = write_source(kind, tmp_path / "source", tiny)
     contents = {file: file.read_bytes() for file in files}
     cameras = (f"front={tiny.video}",) if kind == "rtde" else ()
@@ -70,15 +69,16 @@ def test_damaged_recordings(kind: str, tiny: Demonstration, tmp_path: Path):
     )
     target = tmp_path / "target"
     target.mkdir()
-    refused = 0
+    refused: list[str] = []
     for _ in range(ROUNDS):
         file = files[rng.integers(len(files))]
         file.write_bytes(damage(contents[file], rng))
-        with suppress(AomgenError):
-            refused += 1
+        try:
             import_demo(source, target / "capture", 0, options)
-            refused -= 1
             shutil.rmtree(target / "capture")
+        except AomgenError as error:
+            refused.append(str(error))
         assert list(target.iterdir()) == []
         file.write_bytes(contents[file])
-    assert refused > ROUNDS / 10
+    assert len(refused) > ROUNDS / 10
+    assert not any("\n" in message for message in refused)
