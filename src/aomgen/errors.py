@@ -157,6 +157,61 @@ class CalibrationError(InputError):
     """Intrinsics do not belong to the images."""
 
 
+class SeveralCamerasError(CalibrationError):
+    """Images of a scan do not come from one camera.
+
+    Args:
+        where: Folder or file that names the images.
+        groups: Names of images by a description of their size or focal length.
+    """
+
+    def __init__(self, where: object, groups: Mapping[str, Sequence[str]]) -> None:
+        self.groups = {kind: list(names) for kind, names in groups.items()}
+        kinds = sorted(self.groups.items(), key=lambda item: -len(item[1]))
+        counts = ", ".join(f"{len(names)} of {kind} ({names[0]})" for kind, names in kinds[:MAX_LISTED])
+        super().__init__(
+            where,
+            f"holds images of {len(kinds)} cameras: {counts}",
+            "give images of one camera, size and zoom",
+        )
+
+
+class UnknownCameraModelError(CalibrationError):
+    """A file names a camera model that has no pinhole equivalent, or is unknown.
+
+    Args:
+        where: The file.
+        model: The unknown model.
+        known: Models that are accepted there.
+    """
+
+    def __init__(self, where: object, model: str, known: Iterable[str]) -> None:
+        self.model, self.known = model, tuple(known)
+        super().__init__(where, f"has the camera model '{model}'", suggest(model, self.known))
+
+
+class ScanPoseError(InputError):
+    """The pose of a scan image is not a rotation with a translation.
+
+    Args:
+        where: The file.
+        image: Name of the image.
+        determinant: Determinant of the upper left 3 x 3 block of the matrix; 1 for a rotation, negative for a
+            reflection.
+        deviation: Largest difference between R R^T and the identity.
+    """
+
+    def __init__(self, where: object, image: str, determinant: float, deviation: float) -> None:
+        self.image, self.determinant, self.deviation = image, determinant, deviation
+        kind = "mirrors space" if determinant < 0 else "is not a rotation with a translation"
+        super().__init__(
+            where,
+            f"the pose of {image} {kind} (determinant {determinant:.4f}, R R^T differs from the identity by "
+            f"{deviation:.2g})",
+            "export the poses again, or take them out",
+        )
+
+
 class AssetError(InputError):
     """An articulated asset cannot be used as it is."""
 

@@ -4,7 +4,7 @@ import threading
 import time
 import warnings
 from abc import ABC, abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, Self
 
 from rich.console import Console
@@ -30,8 +30,8 @@ class _StageLines(ABC):
     stage where that is slower: hundreds of episodes take longer than the weight of their stage.
     """
 
-    def __init__(self) -> None:
-        self._left = sum(stage.weight for stage in STAGES)
+    def __init__(self, stages: Sequence[Stage]) -> None:
+        self._left = sum(stage.weight for stage in stages)
         self._spent = self._spent_weight = self._weight = self._began = 0.0
 
     def begin(self, stage: Stage, *, fresh: bool) -> None:
@@ -76,8 +76,8 @@ class _StageLines(ABC):
 class TerminalDisplay(_StageLines):
     """One line a stage, and a bar for the one that runs."""
 
-    def __init__(self) -> None:
-        super().__init__()
+    def __init__(self, stages: Sequence[Stage] = STAGES) -> None:
+        super().__init__(stages)
         self._console = Console(highlight=False)
         self._bars = Progress(
             TextColumn("{task.description}"),
@@ -116,8 +116,8 @@ class TerminalDisplay(_StageLines):
 class PlainDisplay(_StageLines):
     """Lines for a log: what starts, every few seconds how far it is, and what came out."""
 
-    def __init__(self, every_s: float = EVERY_S) -> None:
-        super().__init__()
+    def __init__(self, every_s: float = EVERY_S, stages: Sequence[Stage] = STAGES) -> None:
+        super().__init__(stages)
         self._every_s = every_s
         self._title, self._share, self._note = "", 0.0, ""
         self._over = threading.Event()
@@ -155,9 +155,9 @@ class PlainDisplay(_StageLines):
                 )
 
 
-def display() -> TerminalDisplay | PlainDisplay:
+def display(stages: Sequence[Stage] = STAGES) -> TerminalDisplay | PlainDisplay:
     """The display for where standard output goes."""
-    return TerminalDisplay() if Console().is_terminal else PlainDisplay()
+    return TerminalDisplay(stages) if Console().is_terminal else PlainDisplay(stages=stages)
 
 
 def format_finished_line(stage: Stage, seconds: float, figures: dict[str, Any]) -> Text:

@@ -10,6 +10,7 @@ from aomgen.capture.joint_log import check_log
 from aomgen.capture.label_images import check_masks, read_demo_masks
 from aomgen.capture.prompts import prompt_warnings
 from aomgen.capture.scan_images import check_scan
+from aomgen.capture.scan_poses import SCAN_POSES_FILE
 from aomgen.core.recording import JointLog, Recording
 from aomgen.core.values import Array
 from aomgen.errors import UnitsError
@@ -48,7 +49,7 @@ class CheckedCapture:
         log = capture.joint_log
         lines = [
             f"robot  {self.robot.name}, {len(self.robot.joint_names)} joints, {fingers}",
-            f"scan   {scan}, {capture.scan_size[0]} x {capture.scan_size[1]}",
+            f"scan   {scan}, {capture.scan_size[0]} x {capture.scan_size[1]}{_describe_poses(capture)}",
             *(
                 f"video  {name}: {self.frames[name]} frames, {length:.1f} s"
                 for name, length in self.videos_s.items()
@@ -87,7 +88,12 @@ def check_capture(capture: Recording) -> CheckedCapture:
         doubts += _shown_otherwise(capture.scan_video)
     robot = check_robot(capture)
     doubts += _log_beyond_limits(capture, robot) + list(capture.notes)
-    doubts += _guess_robot(capture) + check_masks(capture) + prompt_warnings(capture.prompts)
+    doubts += (
+        _list_strange_poses(capture)
+        + _guess_robot(capture)
+        + check_masks(capture)
+        + prompt_warnings(capture.prompts)
+    )
     return CheckedCapture(
         robot=robot,
         scan_count=count,
@@ -107,6 +113,24 @@ def _guess_robot(capture: Recording) -> list[str]:
         f"{file}: has no {FILE_NAME} in its folder, so its gripper and end effector are guessed; "
         f"write the guess down with `aomgen robot propose {file} {joints}` and check it"
     ]
+
+
+def _describe_poses(capture: Recording) -> str:
+    poses = capture.scan_poses
+    if poses is None:
+        return ""
+    known = len(poses.Ts_scan_cam.keys() & {path.name for path in capture.scan_images})
+    return f", {known} with a pose" + (" in metres" if poses.metric else "")
+
+
+def _list_strange_poses(capture: Recording) -> list[str]:
+    """A warning that names poses of images that the scan does not hold."""
+    poses = capture.scan_poses.Ts_scan_cam if capture.scan_poses else {}
+    strange = sorted(poses.keys() - {path.name for path in capture.scan_images})
+    if not strange:
+        return []
+    where = capture.scan_images[0].parent / SCAN_POSES_FILE
+    return [f"{where}: has poses of {len(strange)} images that are not in the scan ({strange[0]})"]
 
 
 def check_robot(capture: Recording) -> RobotModel:

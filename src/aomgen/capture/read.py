@@ -14,6 +14,7 @@ from aomgen.capture.capture_schema import (
 from aomgen.capture.joint_log import REST_S, read_joint_log
 from aomgen.capture.prompts import read_prompts
 from aomgen.capture.scan_images import common_size, find_images
+from aomgen.capture.scan_poses import SCAN_POSES_FILE, read_scan_poses
 from aomgen.core.recording import DemoCamera, Intrinsics, JointLog, Recording, RobotChoice, frame_name
 from aomgen.core.values import Array
 from aomgen.errors import (
@@ -58,6 +59,7 @@ def read_capture(folder: Path) -> Recording:
     scan_intrinsics = _intrinsics(manifest.scan, f"{path}: scan")
     if scan_intrinsics:
         check_intrinsics(scan_intrinsics, size, f"{path}: scan.intrinsics")
+    poses_file = scan / SCAN_POSES_FILE
     # A hidden folder is one that is still being written.
     mask_folders = {item.name: item for item in sorted((folder / "masks").glob("[!.]*")) if item.is_dir()}
     return Recording(
@@ -77,6 +79,7 @@ def read_capture(folder: Path) -> Recording:
         prompts=read_prompts(manifest.prompts, names, size, path),
         mask_folders=mask_folders,
         notes=notes,
+        scan_poses=read_scan_poses(poses_file) if video is None and poses_file.is_file() else None,
     )
 
 

@@ -12,6 +12,7 @@ from aomgen.cli.import_commands import import_app
 from aomgen.cli.model_commands import assets_app, robot_app
 from aomgen.cli.prompting import prompts
 from aomgen.cli.run import COMMAND_LINE, run_command, run_project, sample_capture
+from aomgen.cli.splat import splat
 from aomgen.errors import ConfigError, CorruptArtifactError, MissingFileError
 from aomgen.version import __version__
 
@@ -27,6 +28,7 @@ app.add_typer(evaluate_app, name="evaluate")
 app.add_typer(import_app, name="import")
 app.add_typer(robot_app, name="robot")
 app.command()(prompts)
+app.command()(splat)
 
 
 def main() -> None:

@@ -5,9 +5,12 @@ from typing import Annotated
 
 import typer
 
+from aomgen.cli.scan_import import scan
+
 import_app = typer.Typer(
-    no_args_is_help=True, help="Turn recordings of other formats into parts of a capture."
+    no_args_is_help=True, help="Turn scans and recordings of other formats into parts of a capture."
 )
+import_app.command()(scan)
 
 
 @import_app.command("demo")

@@ -152,6 +152,19 @@ class DemoCamera:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class ScanPoses:
+    """Poses of scan images that another program found: a start, which the matches have to confirm.
+
+    Attributes:
+        Ts_scan_cam: Pose (4, 4) by image name, OpenCV axes.
+        metric: Whether they are in metres; else their scale is unknown.
+    """
+
+    Ts_scan_cam: dict[str, Array]
+    metric: bool = False
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Recording:
     """A validated capture, format 1.
 
@@ -170,6 +183,7 @@ class Recording:
         prompts: A person's annotations.
         mask_folders: Folders below `masks/`, by name.
         notes: Sentences about what the readers skipped, sorted, merged or unwrapped.
+        scan_poses: Poses of scan images that came with them, or None.
     """
 
     folder: Path
@@ -188,3 +202,4 @@ class Recording:
     prompts: tuple[Prompt, ...]
     mask_folders: dict[str, Path]
     notes: tuple[str, ...] = ()
+    scan_poses: ScanPoses | None = None

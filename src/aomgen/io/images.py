@@ -44,14 +44,14 @@ def to_eight_bits(image: Image.Image) -> Image.Image:
     return Image.fromarray((np.asarray(image) // SCALE_16_BITS).clip(0, 255).astype(np.uint8))
 
 
-def read_image(path: Path, mode: Mode = "RGB") -> NDArray[np.uint8]:
-    """Image (H, W, 3 or 4) uint8 sRGB, EXIF rotation applied.
+def read_image(path: Path, mode: Mode = "RGB", *, upright: bool = True) -> NDArray[np.uint8]:
+    """Image (H, W, 3 or 4) uint8 sRGB, EXIF rotation applied where `upright`.
 
     Raises:
         MissingFileError, MalformedFileError, LimitExceededError: As their names say.
     """
     with open_image(path) as image:
-        return _pixels(image, path, mode)
+        return _pixels(image, path, mode, upright=upright)
 
 
 def decode_image(data: bytes, where: Path, mode: Mode = "RGB") -> NDArray[np.uint8]:
@@ -64,10 +64,11 @@ def decode_image(data: bytes, where: Path, mode: Mode = "RGB") -> NDArray[np.uin
         return _pixels(image, where, mode)
 
 
-def _pixels(image: Image.Image, where: Path, mode: Mode) -> NDArray[np.uint8]:
+def _pixels(image: Image.Image, where: Path, mode: Mode, *, upright: bool = True) -> NDArray[np.uint8]:
     try:
-        return np.asarray(to_eight_bits(ImageOps.exif_transpose(image)).convert(mode))
-    except (OSError, ValueError) as error:
+        turned = ImageOps.exif_transpose(image) if upright else image
+        return np.asarray(to_eight_bits(turned).convert(mode))
+    except (OSError, ValueError, SyntaxError) as error:
         raise MalformedFileError(where, f"cannot be decoded ({error})", "export it again") from error
 
 

@@ -9,6 +9,7 @@ from typing import Any
 from aomgen.assets.choice import asset_file
 from aomgen.capture.label_images import demo_mask_files
 from aomgen.capture.read import read_capture
+from aomgen.capture.scan_poses import SCAN_POSES_FILE
 from aomgen.core.progress import Progress
 from aomgen.core.project import Project, split_light
 from aomgen.core.recording import Recording
@@ -234,6 +235,8 @@ def capture_digest(capture: Recording) -> str:
     files: list[Path] = [capture.folder / "capture.toml", *capture.scan_images]
     if capture.scan_video is not None:
         files.append(capture.scan_video)
+    if capture.scan_poses is not None:
+        files.append(capture.scan_images[0].parent / SCAN_POSES_FILE)
     files += [camera.video for camera in capture.cameras]
     for camera in capture.cameras:
         files += demo_mask_files(capture, camera)

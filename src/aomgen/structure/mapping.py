@@ -10,6 +10,7 @@ from PIL import Image
 
 from aomgen.core.lens import Lens
 from aomgen.core.recording import Intrinsics
+from aomgen.core.transforms import invert
 from aomgen.core.values import Array
 from aomgen.errors import ReconstructionError
 from aomgen.structure.sparse_model import Links, Pair, SparseModel, adjust, lens_of, read_model, set_camera
@@ -176,11 +177,52 @@ class Workspace:
         for image in list(model.images.values()):
             if image.has_pose and image.name not in keep:
                 model.deregister_frame(image.frame_id)
-        folders = self.folder / "images", self.folder / "remap"
-        options = self._mapper_options("scan")
-        self._model = pycolmap.triangulate_points(model, self.database, *folders, True, options)
-        adjust(self._model)
+        self.triangulate(0.0)
         return self.read_model("scan")
+
+    def place(self, group: str, Ts_recon_cam: dict[str, Array]) -> None:
+        """Make a model of a set from known poses (4, 4) by image name, without points."""
+        model = pycolmap.Reconstruction()
+        files = {file: name for name, file in self._files[group].items()}
+        with pycolmap.Database.open(self.database) as database:
+            model.add_camera_with_trivial_rig(self._camera(database, group))
+            for image in database.read_all_images():
+                T_recon_cam = Ts_recon_cam.get(files.get(image.name, ""))
+                if T_recon_cam is not None:
+                    copy = pycolmap.Image(name=image.name, camera_id=image.camera_id, image_id=image.image_id)
+                    cam_from_recon = pycolmap.Rigid3d(invert(T_recon_cam)[:3])
+                    model.add_image_with_trivial_frame(copy, cam_from_recon)
+        self._model = model
+
+    def triangulate(self, pose_error_px: float) -> None:
+        """Triangulate the points of the current model anew, and adjust it.
+
+        Args:
+            pose_error_px: Reprojection error beyond the usual one that inaccurate poses may cause.
+        """
+        options = self._mapper_options("scan")
+        options.mapper.filter_max_reproj_error += pose_error_px
+        options.triangulation.complete_max_reproj_error += pose_error_px
+        options.triangulation.merge_max_reproj_error += pose_error_px
+        folders = self.folder / "images", self.folder / "remap"
+        self._model = pycolmap.triangulate_points(self.model, self.database, *folders, True, options)
+        adjust(self._model)
+
+    def extend_model(self, group: str) -> SparseModel | None:
+        """Register the images of a set that the current model lacks, incrementally."""
+        if len(self.model.reg_image_ids()) == len(self._files[group]):
+            return self.read_model(group)
+        start = self.folder / "placed"
+        start.mkdir(exist_ok=True)
+        self.model.write(start)
+        models = pycolmap.incremental_mapping(
+            self.database,
+            self.folder / "images",
+            self.folder / "extended",
+            self._mapper_options(group),
+            input_path=start,
+        )
+        return self._take_largest(models, group)
 
     def pairs(self, group: str, lens: Lens) -> list[Pair]:
         """Every pair of a set that was tried, with its verified matches, in undistorted pixels."""

@@ -237,7 +237,9 @@ def epipolar_errors_px(pair: Pair, T_recon_a: Array, T_recon_b: Array, K: Array)
     return np.sqrt(pycolmap.compute_squared_sampson_error(pair.pixels_a, pair.pixels_b, F))
 
 
-def check_registration(Ts_recon_cam: dict[str, Array], K: Array, pairs: list[Pair]) -> dict[str, Agreement]:
+def check_registration(
+    Ts_recon_cam: dict[str, Array], K: Array, pairs: list[Pair], *, max_error_px: float = MAX_ERROR_PX
+) -> dict[str, Agreement]:
     """Check every registered image by the verified matches it has with the accepted ones.
 
     The worst image is dropped first and the rest checked again without it, so that a wrong image
@@ -245,6 +247,7 @@ def check_registration(Ts_recon_cam: dict[str, Array], K: Array, pairs: list[Pai
 
     Args:
         pairs: Verified matches; pairs with unregistered images are ignored.
+        max_error_px: Epipolar error of a match that agrees, [px].
 
     Returns:
         Agreement by image name; those not `accepted` should be dropped.
@@ -256,7 +259,7 @@ def check_registration(Ts_recon_cam: dict[str, Array], K: Array, pairs: list[Pai
     for pair in pairs:
         if pair.a in Ts_recon_cam and pair.b in Ts_recon_cam and len(pair.pixels_a) >= MIN_MATCHES:
             errors = epipolar_errors_px(pair, Ts_recon_cam[pair.a], Ts_recon_cam[pair.b], K)
-            shares[pair.a, pair.b] = (float((errors <= MAX_ERROR_PX).mean()), len(errors))
+            shares[pair.a, pair.b] = (float((errors <= max_error_px).mean()), len(errors))
     verdicts: dict[str, Agreement] = {}
     alive = set(Ts_recon_cam)
     while alive:

@@ -15,9 +15,11 @@ import numpy as np
 from aomgen.core.progress import Progress
 from aomgen.core.recording import Intrinsics, Prompt
 from aomgen.core.structure import Figures, Structure
+from aomgen.core.values import Array
 from aomgen.errors import ReconstructionError
 from aomgen.io.images import read_image
 from aomgen.structure.fixed_cameras import DemoView, PlacedCamera, place_fixed_camera
+from aomgen.structure.given_poses import PoseCheck, check_poses, map_from_poses
 from aomgen.structure.lens_choice import choose_lens, fit_lens, lens_misfit_px, require_lens_fits
 from aomgen.structure.mapping import Workspace
 from aomgen.structure.outlier_rejection import InlierModel, duplicates, is_better, reject_outliers
@@ -32,12 +34,14 @@ class Photographs:
     Attributes:
         images: Scan images by file name; all of one size and one camera.
         prompts: In pixels of the images as recorded.
+        Ts_scan_cam: Poses (4, 4) that came with the scan, by image name; may be wrong or missing.
     """
 
     images: dict[str, Path]
     intrinsics: Intrinsics | None = None
     demo: dict[str, DemoView] = field(default_factory=dict)
     prompts: tuple[Prompt, ...] = ()
+    Ts_scan_cam: dict[str, Array] = field(default_factory=dict)
 
 
 # With more images than this only neighbours and a coarse grid are matched, to bound the time (pairs grow
@@ -91,7 +95,8 @@ def reconstruct_structure(photographs: Photographs, params: StructureParams, pro
         same = duplicates(work.pairs("scan", work.lens("scan")), prompted)
         _require_images(len(names), len(same))
         work.leave_out("scan", set(same))
-        inliers, figures = _solve(work, photographs.intrinsics, len(names) - len(same), progress)
+        given = _check_given_poses(work, photographs.Ts_scan_cam, set(names) - set(same))
+        inliers, figures = _solve(work, photographs.intrinsics, len(names) - len(same), given, progress)
         progress(0.99, "placing the fixed cameras")
         placed = {
             name: place_fixed_camera(work, inliers.mapped, name, view, photographs.intrinsics)
@@ -123,17 +128,25 @@ def _extract(work: Workspace, photographs: Photographs, params: StructureParams,
         work.extract(f"demo:{name}", stills, view.intrinsics, params.max_features)
 
 
+def _check_given_poses(work: Workspace, Ts_scan_cam: dict[str, Array], names: set[str]) -> PoseCheck | None:
+    known = {name: T for name, T in Ts_scan_cam.items() if name in names}
+    return check_poses(work, known) if known else None
+
+
 def _solve(
-    work: Workspace, intrinsics: Intrinsics | None, count: int, progress: Progress
+    work: Workspace, intrinsics: Intrinsics | None, count: int, given: PoseCheck | None, progress: Progress
 ) -> tuple[InlierModel, Figures]:
-    """The better of incremental and global mapping; the second only when the first leaves images out.
+    """The first model that has nearly all images, else the best: from given poses, by incremental and global mapping.
 
     Raises:
-        ReconstructionError: Neither passes the gates.
+        ReconstructionError: None passes the gates.
     """
     progress(0.75, "mapping")
     attempts: dict[str, tuple[InlierModel, Figures]] = {}
-    for mapper, run in (("incremental", work.map), ("global", work.map_globally)):
+    mappers = {"incremental": work.map, "global": work.map_globally}
+    if given is not None and given.usable:
+        mappers = {"given poses": lambda group: map_from_poses(work, given.Ts_scan_cam)} | mappers
+    for mapper, run in mappers.items():
         mapped, lens_figures = _map(work, run, intrinsics)
         if mapped is not None:
             progress(0.97, "checking every image")
@@ -156,7 +169,14 @@ def _solve(
         name: {"registered": item.count, "reprojection_error_px": item.mapped.error_px}
         for name, (item, _) in attempts.items()
     }
-    return inliers, {"mapper": best, "tried": tried, "lens": lens_figures}
+    figures: Figures = {"mapper": best, "tried": tried, "lens": lens_figures}
+    if given is not None:
+        figures["given_poses"] = {
+            "used": len(given.Ts_scan_cam) if best == "given poses" else 0,
+            "contradicted": given.contradicted,
+            "warnings": list(given.describe()),
+        }
+    return inliers, figures
 
 
 def _map(

@@ -42,6 +42,7 @@ def run(results: Results, folder: Path, progress: Progress) -> dict[str, Any]:
         intrinsics=capture.scan_intrinsics,
         demo=_demo_views(capture, results.recorded_videos),
         prompts=capture.prompts,
+        Ts_scan_cam=capture.scan_poses.Ts_scan_cam if capture.scan_poses else {},
     )
     found = reconstruct_structure(
         photographs, results.params("structure", StructureParams()), part(progress, 0.0, 0.97)
@@ -53,7 +54,14 @@ def run(results: Results, folder: Path, progress: Progress) -> dict[str, Any]:
         "of": len(images),
         "reprojection_error_px": round(found.reprojection_error_px, 3),
         "points": len(found.points_recon),
+        "warnings": list_pose_warnings(found),
     }
+
+
+def list_pose_warnings(found: Structure) -> list[str]:
+    """Return sentences about poses that came with the scan and are not used."""
+    given = found.figures.get("given_poses")
+    return list(given["warnings"]) if isinstance(given, dict) else []
 
 
 def _demo_views(capture: Recording, videos: dict[str, Video]) -> dict[str, DemoView]:
@@ -94,13 +102,7 @@ def undistort_scan(
         InputError: An image or mask cannot be read.
         StorageError: The disk refuses.
     """
-    undistort = undistorter(lens)
-    for index, (name, path) in enumerate(sorted(images.items())):
-        progress(index / len(images), "undistorting images")
-        image = undistort(read_image(path))
-        lossy = path.suffix.lower() in (".jpg", ".jpeg")
-        data = encode_jpeg(image, JPEG_QUALITY) if lossy else encode_png(image)
-        write_bytes(folder / IMAGES_FOLDER / name, data)
+    files = write_undistorted(images, lens, folder, progress)
     stems = {Path(name).stem for name in images}
     written = {}
     for masks, source in sorted(capture.mask_folders.items()):
@@ -111,7 +113,26 @@ def undistort_scan(
                 write_bytes(folder / MASKS_FOLDER / masks / path.name, encode_png(labels))
                 written[masks] = f"{MASKS_FOLDER}/{masks}"
     return PinholeScan(
-        images=tuple(f"{IMAGES_FOLDER}/{name}" for name in images),
+        images=files,
         masks=written,
         prompts=undistort_prompts(capture.prompts, lens),
     )
+
+
+def write_undistorted(
+    images: dict[str, Path], lens: Lens, folder: Path, progress: Progress
+) -> tuple[str, ...]:
+    """Write undistorted copies of images below `folder`; their paths from there, in the order of the images.
+
+    Raises:
+        InputError: An image cannot be read.
+        StorageError: The disk refuses.
+    """
+    undistort = undistorter(lens)
+    for index, (name, path) in enumerate(sorted(images.items())):
+        progress(index / len(images), "undistorting images")
+        image = undistort(read_image(path))
+        lossy = path.suffix.lower() in (".jpg", ".jpeg")
+        data = encode_jpeg(image, JPEG_QUALITY) if lossy else encode_png(image)
+        write_bytes(folder / IMAGES_FOLDER / name, data)
+    return tuple(f"{IMAGES_FOLDER}/{name}" for name in images)

@@ -1,4 +1,4 @@
-"""The bundled demonstration, whole and as a short, small one."""
+"""The bundled demonstration, whole and as a short, small one, and a few images of the bundled scan with known cameras."""
 
 from pathlib import Path
 
@@ -9,6 +9,7 @@ from aomgen.capture.read import read_capture
 from aomgen.io.images import resize
 from aomgen.io.video import encode_video, read_video
 from foreign_recordings import Demonstration
+from foreign_scans import KnownScan, known_scan
 
 # The rate of the bundled video, and the frames in which its gripper closes and the arm moves.
 RATE_HZ, FRAMES = 10, slice(38, 62)
@@ -34,3 +35,9 @@ def short(whole: Demonstration, tmp_path_factory: pytest.TempPathFactory) -> Dem
     frames = read_video(path).frames_srgb
     times_s = whole.times_s[: len(frames)]
     return Demonstration(times_s, whole.joints[FRAMES], whole.gripper[FRAMES], frames, path)
+
+
+@pytest.fixture(scope="session")
+def few(sample: Path) -> KnownScan:
+    """Twelve images of 640 x 480."""
+    return known_scan(sorted((sample / "scan").glob("*.jpg"))[:12], width=640, height=480)

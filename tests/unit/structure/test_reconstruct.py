@@ -13,7 +13,7 @@ from aomgen.core.lens import Lens
 from aomgen.core.progress import silent
 from aomgen.core.recording import Intrinsics
 from aomgen.core.structure import Structure
-from aomgen.core.transforms import apply
+from aomgen.core.transforms import apply, matrix_from_rotvec, transform
 from aomgen.errors import ReconstructionError
 from aomgen.io.images import read_image, write_image
 from aomgen.splatting.rasterizer import render
@@ -22,6 +22,7 @@ from aomgen.structure.mapping import Workspace
 from aomgen.structure.outlier_rejection import InlierModel, is_better
 from aomgen.structure.reconstruct import Photographs, StructureParams, reconstruct_structure
 from aomgen.structure.sparse_model import SparseModel
+from aomgen.structure.stage import list_pose_warnings
 from similarity_fit import best_similarity
 
 # Enough for boards full of print, and quick.
@@ -57,8 +58,9 @@ def _run(
     intrinsics: Intrinsics | None = INTRINSICS,
     demo: dict[str, DemoView] | None = None,
     params: StructureParams = FEW_FEATURES,
+    poses: dict[str, np.ndarray] | None = None,
 ) -> Structure:
-    photographs = Photographs(images=images, intrinsics=intrinsics, demo=demo or {})
+    photographs = Photographs(images=images, intrinsics=intrinsics, demo=demo or {}, Ts_scan_cam=poses or {})
     return reconstruct_structure(photographs, params, silent)
 
 
@@ -136,6 +138,62 @@ def test_a_few_places_photographed_again_and_again_are_refused(photographs, tmp_
     few = {f"{i}{name}": path for name, path in list(images.items())[:4] for i in range(3)}
     with pytest.raises(ReconstructionError, match="12 images, 8 of them twice"):
         _run(few)
+
+
+def _given_poses(cameras: dict[str, Camera], error_deg: float = 0.0) -> dict[str, np.ndarray]:
+    """Poses in another frame and unit, each turned by a small angle."""
+    rng = np.random.default_rng(2)
+    T_scan_world = transform(matrix_from_rotvec([0.3, -0.5, 0.2]), [4.0, -2.0, 1.0])
+    poses = {}
+    for name, camera in cameras.items():
+        turn = rng.normal(size=3)
+        turn *= np.radians(error_deg) / np.linalg.norm(turn)
+        poses[name] = T_scan_world @ camera.T_world_cam @ transform(matrix_from_rotvec(turn), [0, 0, 0])
+        poses[name][:3, 3] *= 3.0
+    return poses
+
+
+def _no_mapping(work: Workspace, group: str):
+    raise AssertionError("images were mapped although their poses are known")
+
+
+@pytest.mark.parametrize("error_deg", [0.0, 0.4])
+def test_given_poses_replace_mapping(photographs, monkeypatch, error_deg):
+    images, cameras, *_ = photographs
+    monkeypatch.setattr(Workspace, "map", _no_mapping)
+    monkeypatch.setattr(Workspace, "map_globally", _no_mapping)
+    structure = _run(images, poses=_given_poses(cameras, error_deg))
+    assert structure.figures["mapper"] == "given poses"
+    assert structure.figures["given_poses"] == {"used": 12, "contradicted": {}, "warnings": []}
+    assert structure.dropped == {}
+    assert _errors(structure, cameras).max() < 0.01
+
+
+def test_contradicted_and_missing_poses_are_found_anew(photographs):
+    images, cameras, *_ = photographs
+    poses = _given_poses(cameras)
+    poses["03.png"], poses["08.png"] = poses["08.png"], poses["03.png"]
+    del poses["10.png"]
+    structure = _run(images, poses=poses)
+    assert structure.figures["mapper"] == "given poses"
+    given = structure.figures["given_poses"]
+    assert given["used"] == 9
+    assert set(given["contradicted"]) == {"03.png", "08.png"}
+    (warning,) = list_pose_warnings(structure)
+    assert "2 of 11 poses" in warning
+    assert "03.png, 08.png" in warning
+    assert structure.dropped == {}
+    assert _errors(structure, cameras).max() < 0.01
+
+
+def test_poses_of_other_axes_are_not_used(photographs):
+    images, cameras, *_ = photographs
+    poses = {name: T @ np.diag([1.0, -1.0, -1.0, 1.0]) for name, T in _given_poses(cameras).items()}
+    structure = _run(images, poses=poses)
+    assert structure.figures["mapper"] == "incremental"
+    assert structure.figures["given_poses"]["used"] == 0
+    assert "all images are mapped" in list_pose_warnings(structure)[0]
+    assert _errors(structure, cameras).max() < 0.01
 
 
 def _half_blind(images: dict[str, Path]):

@@ -1,0 +1,44 @@
+"""`aomgen import scan`: a scan of another program or phone into a capture."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+
+def scan(
+    source: Annotated[
+        Path,
+        typer.Argument(
+            help="A folder of photos (JPEG, PNG, HEIC), a video, a COLMAP model, a transforms.json of nerfstudio or "
+            "instant-ngp, or an export of Polycam (raw) or Record3D; recognised from its content."
+        ),
+    ],
+    capture: Annotated[Path, typer.Argument(help="Folder of the capture; made if it does not exist.")],
+    long_side: Annotated[
+        int,
+        typer.Option(min=0, max=16_384, help="Larger images are reduced to this long side [px]; 0: never."),
+    ] = 1600,
+) -> None:
+    """Write a scan that exists already into the folder scan of a capture, and describe it in capture.toml.
+
+    Images are written upright and without lens distortion. Poses that come with them become a start for structure
+    from motion, which checks them. Nothing is written unless the whole scan is usable.
+    """
+    from aomgen.core.progress import silent
+    from aomgen.importers.scan_import import CAPTURE_FILE, import_scan
+
+    done = import_scan(source, capture, long_side, silent)
+    written = done.written
+    lens = f", lens distortion removed from {written.resampled}" if written.resampled else ""
+    print(f"{done.kind}: {len(written.names)} images, {written.width} x {written.height}{lens}")
+    if written.poses:
+        unit = " in metres" if written.poses.metric else ""
+        print(f"  {len(written.poses.Ts_scan_cam)} poses{unit}, to be checked by structure from motion")
+    if written.intrinsics is None:
+        print("  no intrinsics: the focal length will be estimated")
+    for sentence in written.warnings:
+        print(f"  warning: {sentence}")
+    print(f"wrote {capture / 'scan'}")
+    if done.is_new:
+        print(f"next: complete {capture / CAPTURE_FILE} (docs/capture.md), then aomgen check {capture}")

@@ -1,0 +1,44 @@
+"""`aomgen splat`: Gaussians from photos, without a robot and without a GPU."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from aomgen.errors import ConfigError
+
+# Suffixes that `io.gaussian_files` writes.
+TARGET_SUFFIXES = (".ply", ".splat", ".usda", ".usdc")
+
+
+def splat(
+    source: Annotated[
+        Path, typer.Argument(help="A folder of photos, a video, or a scan as for `aomgen import scan`.")
+    ],
+    scene: Annotated[Path, typer.Argument(help="File of Gaussians to write, for example scene.ply.")],
+    long_side: Annotated[
+        int, typer.Option(min=160, max=16_384, help="Images are reduced to this long side [px].")
+    ] = 960,
+    video: Annotated[Path | None, typer.Option(help="Also render a turntable to this MP4.")] = None,
+) -> None:
+    """Reconstruct a scene as 3D Gaussians from photos alone, on a CPU.
+
+    Stop it whenever you like; the same command continues where it was. Finished steps lie in a folder beside the
+    scene (scene.run), which can be deleted afterwards.
+    """
+    if scene.suffix.lower() not in TARGET_SUFFIXES:
+        raise ConfigError(
+            scene, "has no suffix of a file of Gaussians", f"use one of {', '.join(TARGET_SUFFIXES)}"
+        )
+    from aomgen.api.display import display
+    from aomgen.pipeline.splat import SPLAT_STAGES, make_splat
+
+    with display(SPLAT_STAGES) as shown:
+        made = make_splat(source, scene, shown, long_side=long_side, video=video)
+    quality = "too few images to hold some out"
+    if made.psnr_db is not None and made.ssim is not None:
+        quality = f"held-out images: PSNR {made.psnr_db:.1f} dB, SSIM {made.ssim:.3f}"
+    print(f"{made.registered} of {made.images} images, {made.gaussians} Gaussians; {quality}")
+    print(f"scene    {scene}")
+    if video is not None:
+        print(f"video    {video}")

@@ -1,0 +1,135 @@
+"""A folder of photos from a phone or camera: JPEG, PNG or HEIC, with what their EXIF data tell."""
+
+from collections import defaultdict
+from dataclasses import dataclass
+from math import hypot
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+
+from aomgen.capture.scan_images import FOREIGN_SUFFIXES, IMAGE_SUFFIXES
+from aomgen.errors import IncompleteCaptureError, MalformedFileError, SeveralCamerasError
+from aomgen.importers.scan_source import ScanImage, ScanSource
+from aomgen.io.colmap_models import ColmapCamera
+from aomgen.io.heic import HEIC_SUFFIXES, open_heic
+from aomgen.io.images import image_size, open_image, read_image
+
+# EXIF: the block that holds the focal length, and the focal length on 35 mm film with the same field of view.
+EXIF_BLOCK: Final = 0x8769
+FOCAL_35MM: Final = 0xA405
+# Diagonal of 35 mm film, [mm], which "35 mm equivalent" refers to.
+DIAGONAL_35MM: Final = hypot(36.0, 24.0)
+# Focal lengths on 35 mm film are whole millimetres; a larger ratio is another lens or another zoom.
+MAX_FOCAL_RATIO: Final = 1.08
+# Plausible 35 mm equivalents, [mm]; cameras write 0 or 1 where they do not know it.
+FOCAL_RANGE_35MM: Final = (8.0, 400.0)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PhotoHeader:
+    """Width and height of a photo as viewers show it, and its focal length; [px], 0 where it is unknown."""
+
+    width: int
+    height: int
+    focal: float
+
+
+def list_photos(source: Path) -> list[Path]:
+    """Return the photos of a folder by name; of a JPEG or PNG and a HEIC of one name, the former.
+
+    Raises:
+        MalformedFileError: A photo of another format, without a readable one of its name.
+        IncompleteCaptureError: There are none.
+    """
+    files = sorted(item for item in source.iterdir() if item.is_file() and not item.name.startswith("."))
+    plain = [item for item in files if item.suffix.lower() in IMAGE_SUFFIXES]
+    stems = {item.stem for item in plain}
+    photos = plain + [
+        item for item in files if item.suffix.lower() in HEIC_SUFFIXES and item.stem not in stems
+    ]
+    stems = {item.stem for item in photos}
+    foreign = [item for item in files if item.suffix.lower() in FOREIGN_SUFFIXES and item.stem not in stems]
+    if foreign:
+        raise MalformedFileError(
+            foreign[0], "is neither JPEG nor PNG nor HEIC", "export it as JPEG, or take it out"
+        )
+    if not photos:
+        raise IncompleteCaptureError(source, "holds no photos", "give a folder of JPEG, PNG or HEIC files")
+    return sorted(photos)
+
+
+def read_photos(source: Path) -> ScanSource:
+    """Read the headers of a folder of photos.
+
+    The focal length is used where every photo states the same; a photo that was taken with another lens or zoom
+    is refused.
+
+    Raises:
+        InputError: See `list_photos` and `read_header`.
+        SeveralCamerasError: Focal lengths differ.
+    """
+    paths = list_photos(source)
+    headers = [read_header(path) for path in paths]
+    known = [header.focal for header in headers if header.focal]
+    camera_known = len(known) == len(headers)
+    if known and not max(known) <= MAX_FOCAL_RATIO * min(known):
+        groups = defaultdict(list)
+        for path, header in zip(paths, headers, strict=True):
+            groups[f"focal length {header.focal:.0f} px"].append(path.name)
+        raise SeveralCamerasError(source, groups)
+    focal = float(np.median(known)) if known else 0.0
+    images = [
+        ScanImage(name=path.name, path=path, camera=_describe_camera(header, focal) if camera_known else None)
+        for path, header in zip(paths, headers, strict=True)
+    ]
+    return ScanSource(kind="folder of photos", images=tuple(images))
+
+
+def _describe_camera(header: PhotoHeader, focal: float) -> ColmapCamera:
+    return ColmapCamera(
+        model="SIMPLE_PINHOLE",
+        width=header.width,
+        height=header.height,
+        params=(focal, header.width / 2, header.height / 2),
+    )
+
+
+def read_header(path: Path) -> PhotoHeader:
+    """Read size and focal length of a photo.
+
+    Raises:
+        InputError, BackendError: See `open_image` and `open_heic`.
+    """
+    if path.suffix.lower() in HEIC_SUFFIXES:
+        image = open_heic(path)
+        width, height = image.size
+        return PhotoHeader(width=width, height=height, focal=_focal_px(image))
+    width, height = image_size(path)
+    with open_image(path) as image:
+        return PhotoHeader(width=width, height=height, focal=_focal_px(image))
+
+
+def read_photo(path: Path, *, upright: bool = True) -> NDArray[np.uint8]:
+    """Decode a photo (H, W, 3) uint8 sRGB, turned as EXIF says where `upright`; HEIC is always upright.
+
+    Raises:
+        InputError, BackendError: See `read_image` and `open_heic`.
+    """
+    if path.suffix.lower() in HEIC_SUFFIXES:
+        return np.asarray(open_heic(path).convert("RGB"))
+    return read_image(path, upright=upright)
+
+
+def _focal_px(image: Image.Image) -> float:
+    """Focal length of a photo, [px], from its 35 mm equivalent; 0 where it states none."""
+    stated = image.getexif().get_ifd(EXIF_BLOCK).get(FOCAL_35MM, 0)
+    try:
+        focal_mm = float(stated)
+    except (TypeError, ValueError, ZeroDivisionError):
+        return 0.0
+    if not FOCAL_RANGE_35MM[0] <= focal_mm <= FOCAL_RANGE_35MM[1]:
+        return 0.0
+    return focal_mm / DIAGONAL_35MM * hypot(image.width, image.height)

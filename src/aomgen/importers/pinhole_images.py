@@ -1,0 +1,159 @@
+"""The one pinhole camera that a scan's images are resampled to, and the resampling."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+import pycolmap
+
+from aomgen.core.lens import Resample, resampler
+from aomgen.core.values import Array
+from aomgen.errors import CalibrationError, SeveralCamerasError
+from aomgen.io.colmap_models import ColmapCamera
+
+# Images whose pixels all lie this near to those of the pinhole camera are kept as they are, [px].
+SAME_PX: Final = 0.05
+# Points along each side of the image: distortion is smooth.
+BORDER_SAMPLES: Final = 32
+# The focal length of the pinhole camera is searched within this factor of that of the lens.
+FOCAL_SEARCH: Final = 5.0
+# Halvings of that range: to a thousandth of a pixel.
+BISECTIONS: Final = 40
+# Ratio of focal lengths beyond which images are not from one camera; autofocus changes less.
+MAX_FOCAL_RATIO: Final = 1.15
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PinholeTarget:
+    """A pinhole camera: intrinsics and image size, [px]."""
+
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+    width: int
+    height: int
+
+    def resample_from(self, camera: ColmapCamera) -> Resample | None:
+        """Return the resampling of images of a lens, None where there is nothing to change."""
+        return _make_resampler(self, camera)
+
+    def rays(self, pixels: Array) -> Array:
+        """Viewing rays (N, 3) of pixels (N, 2), at depth 1."""
+        return np.column_stack([(pixels - [self.cx, self.cy]) / [self.fx, self.fy], np.ones(len(pixels))])
+
+
+def rescale_camera(camera: ColmapCamera, width: int, height: int) -> ColmapCamera:
+    """Return the optics of an image at another size."""
+    if (width, height) == (camera.width, camera.height):
+        return camera
+    changed = _colmap(camera)
+    changed.rescale(width, height)
+    return ColmapCamera(
+        model=camera.model, width=width, height=height, params=tuple(float(value) for value in changed.params)
+    )
+
+
+def choose_pinhole(cameras: Mapping[str, ColmapCamera], where: Path) -> PinholeTarget:
+    """Choose the pinhole camera that all of several lenses can be resampled to without empty borders.
+
+    One undistorted lens is kept exactly. Otherwise the principal point is that of the lens with the median focal
+    length, and the focal length is the smallest at which every lens has photographed every pixel.
+
+    Args:
+        cameras: Lenses at one image size by image name.
+        where: The source, for errors.
+
+    Raises:
+        SeveralCamerasError: Focal lengths differ too much.
+        CalibrationError: A lens does not cover the image.
+    """
+    lenses = sorted(set(cameras.values()), key=lambda lens: _focals(lens))
+    middle = lenses[len(lenses) // 2]
+    low, high = _focals(lenses[0])[0], _focals(lenses[-1])[0]
+    if not high <= MAX_FOCAL_RATIO * low:
+        groups: dict[str, list[str]] = {}
+        for name, lens in cameras.items():
+            groups.setdefault(f"focal length {_focals(lens)[0]:.0f} px", []).append(name)
+        raise SeveralCamerasError(where, groups)
+    colmap = _colmap(middle)
+    fx, fy = _focals(middle)
+    target = PinholeTarget(
+        fx=fx,
+        fy=fy,
+        cx=float(colmap.principal_point_x),
+        cy=float(colmap.principal_point_y),
+        width=middle.width,
+        height=middle.height,
+    )
+    if all(measure_shift_px(target, lens) <= SAME_PX for lens in lenses):
+        return target
+    low, high = 1 / FOCAL_SEARCH, FOCAL_SEARCH
+    if not _covers(_zoom(target, high), lenses):
+        raise CalibrationError(where, "has a lens that does not cover its images", "check the intrinsics")
+    for _ in range(BISECTIONS):
+        share = (low * high) ** 0.5
+        low, high = (low, share) if _covers(_zoom(target, share), lenses) else (share, high)
+    return _zoom(target, high)
+
+
+def measure_shift_px(target: PinholeTarget, lens: ColmapCamera) -> float:
+    """Largest distance between a pixel of the pinhole camera and the point where a lens shows it, [px]."""
+    pixels = _border(target)
+    shifts = np.linalg.norm(_project(lens, target.rays(pixels)) - pixels, axis=1)
+    return float(np.nan_to_num(shifts, nan=np.inf).max())
+
+
+@lru_cache(maxsize=2)
+def _make_resampler(target: PinholeTarget, lens: ColmapCamera) -> Resample | None:
+    if measure_shift_px(target, lens) <= SAME_PX:
+        return None
+    u, v = np.meshgrid(np.arange(target.width) + 0.5, np.arange(target.height) + 0.5)
+    pixels = _project(lens, target.rays(np.column_stack([u.ravel(), v.ravel()])))
+    return resampler(pixels.reshape(target.height, target.width, 2))
+
+
+def _zoom(target: PinholeTarget, share: float) -> PinholeTarget:
+    return PinholeTarget(
+        fx=share * target.fx,
+        fy=share * target.fy,
+        cx=target.cx,
+        cy=target.cy,
+        width=target.width,
+        height=target.height,
+    )
+
+
+def _covers(target: PinholeTarget, lenses: list[ColmapCamera]) -> bool:
+    rays = target.rays(_border(target))
+    size = np.array([target.width, target.height])
+    # The outermost half pixel is repeated by the resampling.
+    return all(
+        bool(((pixels >= -0.5) & (pixels <= size + 0.5)).all())
+        for pixels in (_project(lens, rays) for lens in lenses)
+    )
+
+
+def _border(target: PinholeTarget) -> Array:
+    """Points on the border and on the diagonals of the image."""
+    share = np.linspace(0.0, 1.0, BORDER_SAMPLES)
+    zero, one = np.zeros_like(share), np.ones_like(share)
+    lines = [(share, zero), (share, one), (zero, share), (one, share), (share, share), (share, 1 - share)]
+    return np.concatenate([np.column_stack(line) for line in lines]) * [target.width, target.height]
+
+
+def _project(lens: ColmapCamera, rays: Array) -> Array:
+    """Image points (N, 2) of rays (N, 3), NaN where the lens shows none."""
+    return np.asarray(_colmap(lens).img_from_cam(rays), np.float64).reshape(-1, 2)
+
+
+def _focals(lens: ColmapCamera) -> tuple[float, float]:
+    camera = _colmap(lens)
+    return float(camera.focal_length_x), float(camera.focal_length_y)
+
+
+def _colmap(lens: ColmapCamera) -> pycolmap.Camera:
+    return pycolmap.Camera(model=lens.model, width=lens.width, height=lens.height, params=list(lens.params))

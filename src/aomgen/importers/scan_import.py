@@ -1,0 +1,71 @@
+"""Bringing a scan into a capture: images, poses and the `[scan]` table of capture.toml."""
+
+import tempfile
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+from aomgen.core.progress import Progress, part
+from aomgen.errors import ConfigError, IncompleteCaptureError
+from aomgen.importers.scan_formats import read_scan_source
+from aomgen.importers.scan_table import change_scan_table
+from aomgen.importers.scan_writing import WrittenScan, write_scan
+from aomgen.io.atomic import stage_folder, write_text
+
+SCAN_FOLDER: Final = "scan"
+CAPTURE_FILE: Final = "capture.toml"
+# Fewer images leave sides of the object that no three views see; a capture with fewer is refused.
+MIN_IMAGES: Final = 12
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ImportedScan:
+    """A scan that was brought into a capture.
+
+    Attributes:
+        kind: Name of the format.
+        is_new: Whether capture.toml was made, which then lacks everything but the scan.
+    """
+
+    kind: str
+    written: WrittenScan
+    is_new: bool
+
+
+def import_scan(source: Path, capture: Path, long_side: int, progress: Progress) -> ImportedScan:
+    """Write a scan of another program into the folder `scan` of a capture, and describe it in capture.toml.
+
+    Nothing is written unless every image could be decoded. Only the keys of `[scan]` change in a capture.toml; other
+    lines and comments stay.
+
+    Args:
+        source: See `read_scan_source`.
+        capture: Folder of the capture; made if it does not exist.
+        long_side: See `write_scan`.
+
+    Raises:
+        ConfigError: The capture has a scan, or its capture.toml cannot be changed line by line.
+        InputError: The source is not usable.
+        StorageError: The disk refuses.
+    """
+    folder, file = capture / SCAN_FOLDER, capture / CAPTURE_FILE
+    if folder.exists() and not (folder.is_dir() and not any(folder.iterdir())):
+        raise ConfigError(folder, "exists already", "move it away")
+    text = file.read_text("utf-8") if file.is_file() else "format = 1\n"
+    new = not capture.exists()
+    with tempfile.TemporaryDirectory() as scratch:
+        found = read_scan_source(source, Path(scratch), part(progress, 0.0, 0.5))
+        if len(found.images) < MIN_IMAGES:
+            raise IncompleteCaptureError(
+                source, f"holds {len(found.images)} images, at least {MIN_IMAGES} are needed", "take more"
+            )
+        with stage_folder(capture if new else folder) as staging:
+            scan = staging / SCAN_FOLDER if new else staging
+            scan.mkdir(exist_ok=True)
+            written = write_scan(found, scan, long_side, source, part(progress, 0.5, 1.0))
+            changed = change_scan_table(text, SCAN_FOLDER, written.intrinsics, file)
+            if new:
+                write_text(staging / CAPTURE_FILE, changed)
+    if not new:
+        write_text(file, changed)
+    return ImportedScan(kind=found.kind, written=written, is_new="[robot]" not in text)

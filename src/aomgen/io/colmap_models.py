@@ -1,0 +1,146 @@
+"""Cameras and posed images of a COLMAP model, checked alike for binary and text files."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from aomgen.core.transforms import invert, matrix_from_quat, transform
+from aomgen.core.values import Matrix4, freeze_arrays
+from aomgen.errors import MalformedFileError, NonFiniteError, UnknownCameraModelError
+
+# Largest file of a model read, [bytes].
+MAX_BYTES: Final = 4 << 30
+# Longest side of an image, [px]: above that of any camera.
+MAX_SIDE: Final = 1 << 16
+# COLMAP's camera models in the order of their numbers, with their numbers of parameters.
+CAMERA_MODELS: Final = {
+    "SIMPLE_PINHOLE": 3,
+    "PINHOLE": 4,
+    "SIMPLE_RADIAL": 4,
+    "RADIAL": 5,
+    "OPENCV": 8,
+    "OPENCV_FISHEYE": 8,
+    "FULL_OPENCV": 12,
+    "FOV": 5,
+    "SIMPLE_RADIAL_FISHEYE": 4,
+    "RADIAL_FISHEYE": 5,
+    "THIN_PRISM_FISHEYE": 12,
+    "RAD_TAN_THIN_PRISM_FISHEYE": 16,
+    "SIMPLE_DIVISION": 4,
+    "DIVISION": 5,
+    "SIMPLE_FISHEYE": 3,
+    "FISHEYE": 4,
+    "EUCM": 6,
+}
+# No usual camera has a parameter beyond this.
+MAX_PARAMETER: Final = 1e9
+# No usual scene has coordinates beyond this.
+MAX_COORDINATE: Final = 1e12
+REMEDY: Final = "export the model again"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ColmapCamera:
+    """Optics of an image, lens distortion included.
+
+    Attributes:
+        model: A key of `CAMERA_MODELS`.
+        width, height: Image size, [px].
+        params: Parameters in COLMAP's order: focal lengths and principal point, [px], then distortion.
+    """
+
+    model: str
+    width: int
+    height: int
+    params: tuple[float, ...]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ColmapImage:
+    """A registered image.
+
+    Attributes:
+        number: Number by which points refer to it.
+        name: Path below the folder of images.
+        T_recon_cam: Pose (4, 4), OpenCV axes.
+    """
+
+    number: int
+    name: str
+    camera: ColmapCamera
+    T_recon_cam: Matrix4
+
+    __post_init__ = freeze_arrays
+
+
+def name_camera_model(path: Path, number: int) -> str:
+    """Return the name of the camera model with a number.
+
+    Raises:
+        UnknownCameraModelError: There is none.
+    """
+    if not 0 <= number < len(CAMERA_MODELS):
+        raise UnknownCameraModelError(path, str(number), CAMERA_MODELS)
+    return list(CAMERA_MODELS)[number]
+
+
+def check_camera(path: Path, key: int, camera: ColmapCamera) -> ColmapCamera:
+    """Return a camera after a check of its values; `path` and `key` say where it was read.
+
+    Raises:
+        UnknownCameraModelError: The model has no pinhole equivalent, or is unknown.
+        MalformedFileError: A size is outside 1..65536 px, or the number of parameters is not the model's.
+        NonFiniteError: A parameter is not finite, or a focal length is not positive.
+    """
+    if camera.model not in CAMERA_MODELS:
+        raise UnknownCameraModelError(path, camera.model, CAMERA_MODELS)
+    want = CAMERA_MODELS[camera.model]
+    if len(camera.params) != want:
+        raise MalformedFileError(
+            path, f"camera {key} has {len(camera.params)} parameters, {camera.model} has {want}", REMEDY
+        )
+    if not (0 < camera.width <= MAX_SIDE and 0 < camera.height <= MAX_SIDE):
+        raise MalformedFileError(path, f"camera {key} has {camera.width} x {camera.height} pixels", REMEDY)
+    params = np.array(camera.params)
+    if not (params[0] > 0 and np.abs(params).max() < MAX_PARAMETER):
+        listed = ", ".join(f"{value:g}" for value in camera.params)
+        raise NonFiniteError(path, f"camera {key} has the intrinsics {listed}", REMEDY)
+    return camera
+
+
+def pose_image(
+    path: Path, number: int, name: str, camera: ColmapCamera | None, pose: tuple[float, ...]
+) -> ColmapImage:
+    """Make an image from its stored pose: quaternion wxyz and translation of T_cam_recon.
+
+    Raises:
+        NonFiniteError: The pose is not finite, or its quaternion has no length.
+        MalformedFileError: The name is empty, or the camera is None: unknown.
+    """
+    quat, t = np.array(pose[:4]), np.array(pose[4:])
+    norm = np.linalg.norm(quat)
+    if not (np.abs(pose).max() < MAX_COORDINATE and norm > 1e-6):
+        raise NonFiniteError(path, f"image {name!r} has the pose {list(pose)}", REMEDY)
+    if camera is None or not name:
+        raise MalformedFileError(path, f"image {name!r} has an unknown camera, or no name", REMEDY)
+    T_cam_recon = transform(matrix_from_quat(quat / norm), t)
+    return ColmapImage(number=number, name=name, camera=camera, T_recon_cam=invert(T_cam_recon))
+
+
+def require_distinct(path: Path, images: list[ColmapImage]) -> list[ColmapImage]:
+    """Return images after a check that names and numbers are unique, and that there are some.
+
+    Raises:
+        MalformedFileError: A name or number stands twice, or there is no image.
+    """
+    if not images:
+        raise MalformedFileError(path, "has no registered image", "reconstruct with more overlap and texture")
+    for kind in ("name", "number"):
+        seen = set()
+        for image in images:
+            if getattr(image, kind) in seen:
+                raise MalformedFileError(path, f"image {image.name!r} stands twice", REMEDY)
+            seen.add(getattr(image, kind))
+    return images

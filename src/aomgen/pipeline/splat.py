@@ -1,0 +1,199 @@
+"""Gaussians from photos alone: the stages structure and gaussians without a capture."""
+
+import tempfile
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from aomgen.core.progress import Progress, part
+from aomgen.core.project import Project
+from aomgen.errors import MissingFileError
+from aomgen.gaussians.stage import METRICS_FILE, train_in
+from aomgen.gaussians.train import GaussiansParams
+from aomgen.gaussians.turntable import plan_turntable
+from aomgen.importers.scan_formats import read_scan_source
+from aomgen.importers.scan_writing import WrittenScan, write_scan
+from aomgen.io.artifact import load_artifact, read_json, save_artifact
+from aomgen.io.atomic import write_bytes
+from aomgen.io.gaussian_files import write_gaussians
+from aomgen.io.ply import read_gaussians
+from aomgen.io.video import encode_video
+from aomgen.pipeline.manifest import files_digest
+from aomgen.pipeline.requirements import require_environment, require_room
+from aomgen.pipeline.runner import Display, Stage, results_of, run_stages
+from aomgen.results import GAUSSIANS_FILE, Results
+from aomgen.splatting.rasterizer import render
+from aomgen.structure.reconstruct import Photographs, StructureParams, reconstruct_structure
+from aomgen.structure.stage import IMAGES_FOLDER, list_pose_warnings, write_undistorted
+
+IMAGES: Final = "images"
+# Long side of the images by default, [px]: the Gaussians of a whole scene do not resolve more.
+LONG_SIDE: Final = 960
+# The turntable lasts 5 s, at this rate.
+VIDEO_FPS, VIDEO_FRAMES = 24, 120
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SplatResult:
+    """Gaussians made from photos.
+
+    Attributes:
+        images: Number of images.
+        registered: Number of those that have a camera.
+        psnr_db, ssim: Mean over the held-out images; None with too few images to hold some out.
+        gaussians: Their number.
+    """
+
+    images: int
+    registered: int
+    psnr_db: float | None
+    ssim: float | None
+    gaussians: int
+
+
+def make_splat(
+    source: Path, target: Path, display: Display, *, long_side: int = LONG_SIDE, video: Path | None = None
+) -> SplatResult:
+    """Reconstruct Gaussians from photos, a video or the scan of another program.
+
+    Finished steps are kept in a folder beside the target (`scene.run` for `scene.ply`); the same call continues there.
+
+    Args:
+        source: See `read_scan_source`.
+        target: PLY, SPLAT or USD file to write; its frame is that of structure from motion, or of poses of the source.
+        long_side: Larger images are reduced to this, [px].
+        video: MP4 file for a turntable.
+
+    Raises:
+        InputError: The source is not usable.
+        ReconstructionError: The images do not give a scene.
+        BackendError, StorageError, LockedError: Library or disk refuse.
+    """
+    work = target.with_name(f"{target.stem}.run")
+    if not source.exists():
+        raise MissingFileError(source, "is missing", "give a folder of photos, or a video")
+    require_room(work)
+    require_environment(["structure", "gaussians"], "auto", has_masks=False)
+    project = Project(capture=source.resolve(), out=work.resolve(), params={"scan": {"long_side": long_side}})
+    run_stages(project, SPLAT_STAGES, display, inputs={"source": _digest_source(source, work)})
+    results = results_of(project, SPLAT_STAGES)
+    gaussians = read_gaussians(results.folders["gaussians"] / GAUSSIANS_FILE)
+    write_gaussians(target, gaussians)
+    if video is not None:
+        write_bytes(video, encode_video(_render_turntable(results), VIDEO_FPS))
+    metrics = read_json(results.folders["gaussians"] / METRICS_FILE)
+    structure = results.structure
+    return SplatResult(
+        images=len(structure.cameras_recon) + len(structure.dropped),
+        registered=len(structure.cameras_recon),
+        psnr_db=metrics["heldout_psnr"],
+        ssim=metrics["heldout_ssim"],
+        gaussians=len(gaussians),
+    )
+
+
+def _digest_source(source: Path, work: Path) -> str:
+    """Digest of the files that a source may be read from."""
+    if source.is_file() and source.suffix.lower() != ".json":
+        return files_digest([source])
+    folder = source if source.is_dir() else source.parent
+    files = sorted(path for path in folder.rglob("*") if path.is_file())
+    return files_digest([path for path in files if work.resolve() not in path.resolve().parents])
+
+
+def _write_images(results: Results, folder: Path, progress: Progress) -> dict[str, Any]:
+    """Stage "scan": the images of the source, reduced."""
+    source = results.project.capture
+    with tempfile.TemporaryDirectory() as scratch:
+        found = read_scan_source(source, Path(scratch), part(progress, 0.0, 0.4))
+        (folder / IMAGES).mkdir()
+        long_side = results.project.params["scan"]["long_side"]
+        written = write_scan(found, folder / IMAGES, long_side, source, part(progress, 0.4, 1.0))
+    save_artifact(folder, "scan", written)
+    return {"warnings": list(written.warnings)}
+
+
+def _reconstruct(results: Results, folder: Path, progress: Progress) -> dict[str, Any]:
+    """Stage "structure": cameras and sparse points."""
+    scan = load_artifact(results.folders["scan"], "scan", WrittenScan)
+    images = _list_images(results, scan)
+    photographs = Photographs(
+        images=images,
+        intrinsics=scan.intrinsics,
+        Ts_scan_cam=scan.poses.Ts_scan_cam if scan.poses else {},
+    )
+    found = reconstruct_structure(photographs, StructureParams(), part(progress, 0.0, 0.97))
+    if found.scan_lens is not None:
+        write_undistorted(images, found.scan_lens, folder, part(progress, 0.97, 1.0))
+    save_artifact(folder, "structure", found)
+    return {
+        "registered": len(found.cameras_recon),
+        "of": len(images),
+        "reprojection_error_px": round(found.reprojection_error_px, 3),
+        "points": len(found.points_recon),
+        "warnings": list_pose_warnings(found),
+    }
+
+
+def _train(results: Results, folder: Path, progress: Progress) -> dict[str, Any]:
+    """Stage "gaussians": the scene."""
+    scan = load_artifact(results.folders["scan"], "scan", WrittenScan)
+    images = _list_images(results, scan)
+    if results.structure.scan_lens is not None:
+        images = {name: results.folders["structure"] / IMAGES_FOLDER / name for name in images}
+    scene = train_in(folder, results.structure, images, progress, GaussiansParams())
+    figures = {key: scene.figures[f"heldout_{key}"] for key in ("psnr", "ssim")}
+    return {"gaussians": len(scene.gaussians_recon)} | {
+        f"heldout_{key}": value for key, value in figures.items() if value is not None
+    }
+
+
+def _list_images(results: Results, scan: WrittenScan) -> dict[str, Path]:
+    return {name: results.folders["scan"] / IMAGES / name for name in scan.names}
+
+
+def _render_turntable(results: Results) -> Iterator[NDArray[np.uint8]]:
+    gaussians = read_gaussians(results.folders["gaussians"] / GAUSSIANS_FILE)
+    cameras = list(results.structure.cameras_recon.values())
+    # Videos halve the resolution of colors, so their sides are even.
+    width, height = (side // 2 * 2 for side in (cameras[0].width, cameras[0].height))
+    for camera in plan_turntable(cameras, VIDEO_FRAMES):
+        drawn = render(gaussians, camera.resize(width, height))
+        yield np.clip(np.rint(drawn.rgb * 255), 0, 255).astype(np.uint8)
+
+
+SPLAT_STAGES: Final = (
+    Stage(
+        name="scan",
+        folder="scan",
+        title="reading images",
+        needs=("source",),
+        version=1,
+        weight=15,
+        function=_write_images,
+    ),
+    Stage(
+        name="structure",
+        folder="structure",
+        title="structure from motion",
+        needs=("scan",),
+        version=1,
+        weight=60,
+        function=_reconstruct,
+        incremental=True,
+    ),
+    Stage(
+        name="gaussians",
+        folder="gaussians",
+        title="training Gaussians",
+        needs=("scan", "structure"),
+        version=1,
+        weight=120,
+        function=_train,
+        incremental=True,
+    ),
+)
