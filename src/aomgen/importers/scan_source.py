@@ -13,8 +13,9 @@ from aomgen.core.values import Array, Matrix4, freeze_arrays
 from aomgen.errors import MalformedFileError
 from aomgen.io.colmap_models import ColmapCamera
 
-# Turns OpenGL's camera axes (x right, y up, z backward) into OpenCV's (x right, y down, z forward).
-OPENCV_FROM_OPENGL = np.diag([1.0, -1.0, -1.0, 1.0])
+# Signs of the columns of a pose that turn OpenGL's camera axes (x right, y up, z backward) into OpenCV's (x right,
+# y down, z forward).
+OPENCV_FROM_OPENGL = np.array([1.0, -1.0, -1.0, 1.0])
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -70,7 +71,7 @@ def read_opengl_pose(matrix: ArrayLike, path: Path, image: str) -> Array:
         T_scan_cam = np.vstack([T_scan_cam, [0.0, 0.0, 0.0, 1.0]])
     if T_scan_cam.shape != (4, 4):
         raise MalformedFileError(path, f"the pose of {image} is not a 4 x 4 matrix", "export it again")
-    return require_pose(T_scan_cam @ OPENCV_FROM_OPENGL, path, image)
+    return require_pose(T_scan_cam * OPENCV_FROM_OPENGL, path, image)
 
 
 def name_images(references: Sequence[str], path: Path) -> list[str]:

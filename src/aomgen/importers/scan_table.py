@@ -27,6 +27,11 @@ def change_scan_table(text: str, images: str, intrinsics: Intrinsics | None, pat
         table["intrinsics"] = [intrinsics.fx, intrinsics.fy, intrinsics.cx, intrinsics.cy]
     lines = text.splitlines(keepends=True)
     start = next((i for i, line in enumerate(lines) if line.split("#")[0].strip() == "[scan]"), None)
+    refusal = ConfigError(
+        path, "has a [scan] that cannot be changed line by line", "take it out, and import again"
+    )
+    if start is None and "scan" in before:
+        raise refusal
     body = [f'images = "{images}"\n']
     if intrinsics:
         body.append(f"intrinsics = {table['intrinsics']}\n")
@@ -39,9 +44,7 @@ def change_scan_table(text: str, images: str, intrinsics: Intrinsics | None, pat
         kept = [line for line in lines[start + 1 : end] if not line.strip() or line.strip().startswith("#")]
         changed = "".join([*lines[: start + 1], *body, *kept, *lines[end:]])
     if _parse(changed, path) != before | {"scan": table}:
-        raise ConfigError(
-            path, "has a [scan] that cannot be changed line by line", "take it out, and import again"
-        )
+        raise refusal
     return changed
 
 

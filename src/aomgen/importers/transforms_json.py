@@ -6,7 +6,7 @@ from typing import Any, Final
 
 from pydantic import BaseModel, ConfigDict, ValidationError
 
-from aomgen.errors import CalibrationError, MalformedFileError, UnknownCameraModelError
+from aomgen.errors import CalibrationError, MalformedFileError, MissingFileError, UnknownCameraModelError
 from aomgen.importers.scan_source import (
     ScanImage,
     ScanSource,
@@ -21,6 +21,8 @@ from aomgen.io.paths import resolve_inside
 from aomgen.io.schema import complaint
 
 TRANSFORMS_FILE: Final = "transforms.json"
+# Exports lose images when people take blurred ones out; with more missing the file belongs to other images.
+MAX_MISSING_SHARE: Final = 0.5
 # Names of images may lack their suffix, as in the synthetic scenes of NeRF.
 SUFFIXES: Final = ("", ".png", ".jpg", ".jpeg")
 # Distortion coefficients of each camera model, in COLMAP's order after fx, fy, cx, cy.
@@ -77,7 +79,7 @@ def read_transforms(path: Path) -> ScanSource:
 
     Raises:
         MalformedFileError: The file does not follow its format.
-        MissingFileError, UnsafePathError: An image is missing, or lies outside the file's folder.
+        MissingFileError, UnsafePathError: Most images are missing, or one lies outside the file's folder.
         UnknownCameraModelError, CalibrationError: Its optics cannot be used.
         NonFiniteError, ScanPoseError: A pose is not rigid.
     """
@@ -88,7 +90,8 @@ def read_transforms(path: Path) -> ScanSource:
         raise MalformedFileError(path, *complaint(error, TransformsFile)) from error
     if not stored.frames:
         raise MalformedFileError(path, "lists no frames", "export the scan again")
-    frames = sorted(stored.frames, key=lambda frame: frame.file_path)
+    listed = sorted(stored.frames, key=lambda frame: frame.file_path)
+    frames, missing = _leave_out_missing(listed, path)
     names = name_images([frame.file_path for frame in frames], path)
     common = _list_fields(stored)
     images = []
@@ -103,7 +106,32 @@ def read_transforms(path: Path) -> ScanSource:
                 T_scan_cam=None if pose is None else read_opengl_pose(pose, path, name),
             )
         )
-    return ScanSource(kind="transforms.json", images=tuple(images), warnings=describe_missing_poses(images))
+    return ScanSource(
+        kind="transforms.json", images=tuple(images), warnings=missing + describe_missing_poses(images)
+    )
+
+
+def _leave_out_missing(
+    frames: list[TransformsFrame], path: Path
+) -> tuple[list[TransformsFrame], tuple[str, ...]]:
+    """Frames whose image is there, and a warning about the others.
+
+    Raises:
+        MissingFileError: Most images are missing.
+    """
+    missing = []
+    for frame in frames:
+        try:
+            _find_image(path, frame.file_path)
+        except MissingFileError as error:
+            missing.append((frame, error))
+    if not missing:
+        return frames, ()
+    if len(missing) > MAX_MISSING_SHARE * len(frames):
+        raise missing[0][1]
+    gone = {id(frame) for frame, _ in missing}
+    sentence = f"{len(missing)} of {len(frames)} images are missing ({missing[0][0].file_path})"
+    return [frame for frame in frames if id(frame) not in gone], (sentence,)
 
 
 def _list_fields(fields: CameraFields) -> dict[str, Any]:

@@ -34,4 +34,5 @@ def open_heic(path: Path) -> Image.Image:
             raise LimitExceededError(path, f"has {width} x {height} pixels, limit {MAX_PIXELS}")
         return found.to_pillow()
     except (ValueError, OSError, EOFError, SyntaxError, RuntimeError, IndexError) as error:
-        raise MalformedFileError(path, f"cannot be decoded ({error})", "copy or export it again") from error
+        reason = " ".join(str(error).split())
+        raise MalformedFileError(path, f"cannot be decoded ({reason})", "copy or export it again") from error
