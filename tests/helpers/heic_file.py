@@ -39,7 +39,10 @@ def _encode(image: np.ndarray) -> tuple[bytes, bytes]:
         stream = container.add_stream("libx265", rate=1)
         stream.height, stream.width = image.shape[:2]
         stream.pix_fmt = "yuv420p"
-        stream.options = {"crf": "8", "x265-params": "log-level=none:bframes=0:keyint=1:rc-lookahead=0:frame-threads=1:pools=1"}
+        stream.options = {
+            "crf": "8",
+            "x265-params": "log-level=none:bframes=0:keyint=1:rc-lookahead=0:frame-threads=1:pools=1",
+        }
         frame = av.VideoFrame.from_ndarray(image, format="rgb24").reformat(format="yuv420p")
         frame.pts = 0
         packets = [*stream.encode(frame), *stream.encode(None)]

@@ -1,4 +1,4 @@
-"""Poses of scan images that another program found: `scan_poses.json` beside the images."""
+"""Poses of scan images that another program found: `scan_poses.json` in the folder of the images."""
 
 from collections.abc import Mapping
 from pathlib import Path

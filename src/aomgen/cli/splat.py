@@ -23,8 +23,8 @@ def splat(
 ) -> None:
     """Reconstruct a scene as 3D Gaussians from photos alone, on a CPU.
 
-    Stop it whenever you like; the same command continues where it was. Finished steps lie in a folder beside the
-    scene (scene.run), which can be deleted afterwards.
+    Stop it whenever you like; the same command continues where it was. Finished steps lie in the folder
+    scene.run next to the scene, which can be deleted afterwards.
     """
     if scene.suffix.lower() not in TARGET_SUFFIXES:
         raise ConfigError(

@@ -27,7 +27,7 @@ def plan_turntable(cameras: list[Camera], frames: int) -> list[Camera]:
         Cameras with the optics of the first one, in the same frame.
     """
     ups = -np.array([camera.T_world_cam[:3, 1] for camera in cameras])
-    up = _normalize(ups.mean(0))
+    up = _normalize(ups.sum(0))
     target = find_target(cameras)
     right = _normalize(np.cross(cameras[0].T_world_cam[:3, 2], up))
     forward = np.cross(up, right)

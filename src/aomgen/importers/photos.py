@@ -1,4 +1,4 @@
-"""A folder of photos from a phone or camera: JPEG, PNG or HEIC, with what their EXIF data tell."""
+"""A folder of photos from a phone or camera: JPEG, PNG or HEIC, with their EXIF data."""
 
 from collections import defaultdict
 from dataclasses import dataclass
@@ -17,12 +17,12 @@ from aomgen.io.colmap_models import ColmapCamera
 from aomgen.io.heic import HEIC_SUFFIXES, open_heic
 from aomgen.io.images import image_size, open_image, read_image
 
-# EXIF: the block that holds the focal length, and the focal length on 35 mm film with the same field of view.
+# EXIF: the block that holds the focal length, and the equivalent focal length of a 35 mm camera.
 EXIF_BLOCK: Final = 0x8769
 FOCAL_35MM: Final = 0xA405
-# Diagonal of 35 mm film, [mm], which "35 mm equivalent" refers to.
+# Diagonal of the image of a 35 mm camera, [mm].
 DIAGONAL_35MM: Final = hypot(36.0, 24.0)
-# Focal lengths on 35 mm film are whole millimetres; a larger ratio is another lens or another zoom.
+# Equivalent focal lengths are whole millimetres; a larger ratio is another lens or another zoom.
 MAX_FOCAL_RATIO: Final = 1.08
 # Plausible 35 mm equivalents, [mm]; cameras write 0 or 1 where they do not know it.
 FOCAL_RANGE_35MM: Final = (8.0, 400.0)

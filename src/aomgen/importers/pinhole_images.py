@@ -139,7 +139,7 @@ def _covers(target: PinholeTarget, lenses: list[ColmapCamera]) -> bool:
 
 def _border(target: PinholeTarget) -> Array:
     """Points on the border and on the diagonals of the image."""
-    share = np.linspace(0.0, 1.0, BORDER_SAMPLES)
+    share: Array = np.linspace(0.0, 1.0, BORDER_SAMPLES, dtype=np.float64)
     zero, one = np.zeros_like(share), np.ones_like(share)
     lines = [(share, zero), (share, one), (zero, share), (one, share), (share, share), (share, 1 - share)]
     return np.concatenate([np.column_stack(line) for line in lines]) * [target.width, target.height]

@@ -16,7 +16,7 @@ from aomgen.io.schema import complaint
 
 METADATA_FILES: Final = ("metadata.json", "metadata")
 FRAME_FOLDERS: Final = ("rgb", "EXR_RGBD/rgb", "rgbd", ".")
-# Frames are recorded at video rate; so many of them, the sharpest of equal spans, describe a scene.
+# Largest number of frames that are used: they are recorded at video rate, and the sharpest of each of equal spans is taken.
 MAX_FRAMES: Final = 120
 
 

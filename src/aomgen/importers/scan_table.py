@@ -36,7 +36,7 @@ def change_scan_table(text: str, images: str, intrinsics: Intrinsics | None, pat
     if intrinsics:
         body.append(f"intrinsics = {table['intrinsics']}\n")
     if start is None:
-        # Tables may stand in any order, but lines before the first header belong to the whole file.
+        # Tables may have any order, but lines before the first header belong to the whole file.
         gap = "" if not text or text.endswith("\n\n") else "\n" if text.endswith("\n") else "\n\n"
         changed = f"{text}{gap}[scan]\n{''.join(body)}"
     else:
@@ -50,6 +50,6 @@ def change_scan_table(text: str, images: str, intrinsics: Intrinsics | None, pat
 
 def _parse(text: str, path: Path) -> dict[str, Any]:
     try:
-        return tomllib.loads(text)
+        return tomllib.loads(text.removeprefix("\ufeff"))
     except (tomllib.TOMLDecodeError, RecursionError) as error:
         raise MalformedFileError(path, f"is not valid TOML ({error})", "correct that line") from error

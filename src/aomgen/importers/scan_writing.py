@@ -48,7 +48,7 @@ class WrittenScan:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Layout:
-    """How an image becomes one of the scan.
+    """Description of how an image becomes one of the scan.
 
     Attributes:
         upright: Whether EXIF's orientation is applied.

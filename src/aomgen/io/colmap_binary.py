@@ -112,14 +112,14 @@ class _Cursor:
         return values
 
     def count(self, smallest: int) -> int:
-        """The next number of records, each of at least so many bytes."""
+        """Return the next number of records, each of at least `smallest` bytes."""
         (count,) = self.take(_COUNT)
         if not count * smallest <= len(self.data) - self.at:
             raise MalformedFileError(self.path, f"promises {count} records and ends before them", REMEDY)
         return count
 
     def records(self, size: int) -> memoryview:
-        """The bytes of a counted list of records of so many bytes."""
+        """Return the bytes of a counted list of records of `size` bytes each."""
         start, length = self.at + _COUNT.size, self.count(size) * size
         self.at += length
         return memoryview(self.data)[start : start + length]

@@ -60,7 +60,7 @@ def make_splat(
 ) -> SplatResult:
     """Reconstruct Gaussians from photos, a video or the scan of another program.
 
-    Finished steps are kept in a folder beside the target (`scene.run` for `scene.ply`); the same call continues there.
+    Finished steps are kept in a folder next to the target (`scene.run` for `scene.ply`); the same call continues there.
 
     Args:
         source: See `read_scan_source`.

@@ -35,7 +35,7 @@ class PoseCheck:
 
     @property
     def usable(self) -> bool:
-        """Whether enough poses are supported to start from."""
+        """Return whether enough poses are supported for a start."""
         given = len(self.Ts_scan_cam) + len(self.contradicted)
         return len(self.Ts_scan_cam) > 1 and len(self.Ts_scan_cam) >= MIN_USED_SHARE * given
 

@@ -227,12 +227,10 @@ def test_capture_with_other_tables_keeps_them(few: KnownScan, tmp_path: Path) ->
     source = write_transforms(tmp_path / "source", few)
     capture = tmp_path / "capture"
     capture.mkdir()
-    text = (
-        'format = 1\nname = "a"  # mine\n\n[scan]\nimages = "old"\n# a note\n\n[robot]\nmodel = "ur5e_2f85"\n'
-    )
-    (capture / "capture.toml").write_text(text, "utf-8")
+    text = 'format = 1\nname = "a"  # mine\r\n\n[scan]\nimages = "old"\n# a note\n\n[robot]\nmodel = "ur5e_2f85"\n'
+    (capture / "capture.toml").write_bytes(text.encode())
     done = import_scan(source, capture, 0, silent)
-    have = (capture / "capture.toml").read_text("utf-8")
+    have = (capture / "capture.toml").read_bytes().decode()
     assert not done.is_new
     scan = 'images = "scan"\nintrinsics = [600.25, 599.5, 320.125, 239.75]\n'
     assert have == text.replace('images = "old"\n', scan)

@@ -63,16 +63,17 @@ def paint(rays: np.ndarray) -> np.ndarray:
     return np.round(127.5 + 100 * np.sin(waves)).astype(np.uint8)
 
 
+# Optics at 160 x 120.
 LENSES = {
-    "SIMPLE_RADIAL": [300, 160, 120, -0.1],
-    "RADIAL": [300, 160, 120, -0.1, 0.02],
-    "OPENCV": [300, 305, 158, 122, 0.1, -0.05, 0.002, -0.001],
-    "FULL_OPENCV": [300, 305, 158, 122, 0.1, -0.05, 0.002, -0.001, 0.01, 0.0, 0.0, 0.0],
-    "FOV": [300, 300, 160, 120, 0.4],
-    "OPENCV_FISHEYE": [200, 202, 160, 120, 0.02, -0.01, 0.0, 0.0],
-    "THIN_PRISM_FISHEYE": [300, 300, 160, 120, 0.01, 0.0, 0.0, 0.0, 0.0, 0.0, 0.001, 0.001],
-    "SIMPLE_DIVISION": [300, 160, 120, -0.1],
-    "EUCM": [300, 300, 160, 120, 0.5, 1.0],
+    "SIMPLE_RADIAL": [150, 80, 60, -0.1],
+    "RADIAL": [150, 80, 60, -0.1, 0.02],
+    "OPENCV": [150, 152, 79, 61, 0.1, -0.05, 0.002, -0.001],
+    "FULL_OPENCV": [150, 152, 79, 61, 0.1, -0.05, 0.002, -0.001, 0.01, 0.0, 0.0, 0.0],
+    "FOV": [150, 150, 80, 60, 0.4],
+    "OPENCV_FISHEYE": [100, 101, 80, 60, 0.02, -0.01, 0.0, 0.0],
+    "THIN_PRISM_FISHEYE": [150, 150, 80, 60, 0.01, 0.0, 0.0, 0.0, 0.0, 0.0, 0.001, 0.001],
+    "SIMPLE_DIVISION": [150, 80, 60, -0.1],
+    "EUCM": [150, 150, 80, 60, 0.5, 1.0],
 }
 
 
@@ -81,16 +82,16 @@ def photograph(folder: Path, cameras: list[pycolmap.Camera]) -> KnownScan:
     folder.mkdir()
     paths = []
     for index, camera in enumerate(cameras):
-        u, v = np.meshgrid(np.arange(320) + 0.5, np.arange(240) + 0.5)
+        u, v = np.meshgrid(np.arange(160) + 0.5, np.arange(120) + 0.5)
         rays = np.asarray(camera.cam_from_img(np.column_stack([u.ravel(), v.ravel()])))
         paths.append(folder / f"{index:03d}.png")
-        write_image(paths[-1], paint(rays).reshape(240, 320, 3))
-    return known_scan(paths, width=320, height=240)
+        write_image(paths[-1], paint(rays).reshape(120, 160, 3))
+    return known_scan(paths, width=160, height=120)
 
 
 @pytest.mark.parametrize("model", LENSES)
 def test_lens_is_removed(model: str, tmp_path: Path) -> None:
-    camera = pycolmap.Camera(model=model, width=320, height=240, params=LENSES[model])
+    camera = pycolmap.Camera(model=model, width=160, height=120, params=LENSES[model])
     scan = photograph(tmp_path / "images", [camera] * 12)
     done = bring(write_colmap(tmp_path / "source", scan, text=False, camera=camera), tmp_path / "capture")
     check_painted(done, tmp_path / "capture" / "scan")
@@ -101,9 +102,9 @@ def check_painted(done: ImportedScan, folder: Path) -> None:
     """Every image shows what a pinhole camera of the stated intrinsics would, with at least 40 dB."""
     found = done.written.intrinsics
     assert found is not None
-    u, v = np.meshgrid(np.arange(320) + 0.5, np.arange(240) + 0.5)
+    u, v = np.meshgrid(np.arange(160) + 0.5, np.arange(120) + 0.5)
     rays = np.column_stack([(u.ravel() - found.cx) / found.fx, (v.ravel() - found.cy) / found.fy])
-    want = paint(rays).reshape(240, 320, 3).astype(float)
+    want = paint(rays).reshape(120, 160, 3).astype(float)
     for name in (done.written.names[0], done.written.names[-1]):
         error = np.mean((read_image(folder / name) - want) ** 2)
         assert 10 * np.log10(255**2 / max(error, 1e-9)) >= 40
@@ -111,7 +112,9 @@ def check_painted(done: ImportedScan, folder: Path) -> None:
 
 def test_focal_lengths_that_vary_become_one(tmp_path: Path) -> None:
     cameras = [
-        pycolmap.Camera(model="PINHOLE", width=320, height=240, params=[300 + i, 300 + i, 160, 120 + 0.2 * i])
+        pycolmap.Camera(
+            model="PINHOLE", width=160, height=120, params=[150 + i / 2, 150 + i / 2, 80, 60 + i / 10]
+        )
         for i in range(12)
     ]
     scan = photograph(tmp_path / "images", cameras)
