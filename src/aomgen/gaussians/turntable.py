@@ -3,6 +3,7 @@
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from aomgen.core.camera import Camera, look_at
 from aomgen.core.values import Array
@@ -27,7 +28,7 @@ def plan_turntable(cameras: list[Camera], frames: int) -> list[Camera]:
         Cameras with the optics of the first one, in the same frame.
     """
     ups = -np.array([camera.T_world_cam[:3, 1] for camera in cameras])
-    up = _normalize(ups.sum(0))
+    up = _normalize(ups.mean(0))
     target = find_target(cameras)
     right = _normalize(np.cross(cameras[0].T_world_cam[:3, 2], up))
     forward = np.cross(up, right)
@@ -69,5 +70,5 @@ def _spread_angles(taken: Array, frames: int) -> Array:
     return low + (high - low) * 0.5 * (1 - np.cos(2 * np.pi * shares))
 
 
-def _normalize(vector: Array) -> Array:
-    return vector / np.linalg.norm(vector)
+def _normalize(vector: NDArray[np.floating]) -> Array:
+    return np.asarray(vector / np.linalg.norm(vector), np.float64)

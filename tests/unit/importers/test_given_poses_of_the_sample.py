@@ -56,18 +56,27 @@ def test_given_poses_give_the_cameras_of_a_run(sample: Path, tmp_path: Path, mon
     monkeypatch.setattr(Workspace, "extend_model", end)
     given = read_scan_poses(folder / SCAN_POSES_FILE).Ts_scan_cam
     again = reconstruct({name: folder / name for name in images}, given)
-    print(f"triangulation of {len(images)} images: {sum(spent):.1f} s")
-    assert again.figures["mapper"] == "given poses"
-    assert len(again.cameras_recon) == len(images)
-    assert again.reprojection_error_px <= run.reprojection_error_px + 0.02
-
     # The alignment sees cameras and points alone, and both are the same up to a similarity.
     have = np.array([camera.center for camera in again.cameras_recon.values()])
     want = np.array([camera.center for camera in run.cameras_recon.values()])
     S = best_similarity(have, want)
-    distance = np.median(np.linalg.norm(want - want.mean(0), axis=1))
-    assert np.linalg.norm(apply(S, have) - want, axis=1).max() <= 1e-3 * distance
+    # Distance of the cameras from the middle of what they see.
+    distance = np.median(np.linalg.norm(want - np.median(run.points_recon, axis=0), axis=1))
+    shift = np.linalg.norm(apply(S, have) - want, axis=1).max() / distance
     _, R, _ = similarity_parts(S)
-    for name, camera in again.cameras_recon.items():
-        turn = R @ camera.T_world_cam[:3, :3] @ run.cameras_recon[name].T_world_cam[:3, :3].T
-        assert np.degrees(np.linalg.norm(rotvec_from_matrix(turn))) <= 0.05
+    turns = [
+        R @ camera.T_world_cam[:3, :3] @ run.cameras_recon[name].T_world_cam[:3, :3].T
+        for name, camera in again.cameras_recon.items()
+    ]
+    turn_deg = np.degrees(np.linalg.norm(rotvec_from_matrix(np.array(turns)), axis=1).max())
+    print(
+        f"{len(images)} images: triangulation {sum(spent):.1f} s; cameras differ by {shift:.2e} of their distance "
+        f"and {turn_deg:.4f} deg; error {again.reprojection_error_px:.3f} px, mapped {run.reprojection_error_px:.3f} px; "
+        f"points {len(again.points_recon)}, mapped {len(run.points_recon)}"
+    )
+    assert again.figures["mapper"] == "given poses"
+    assert len(again.cameras_recon) == len(images)
+    # SIFT locates features to about half a pixel; what remains beyond that is the poses' fault.
+    assert again.reprojection_error_px <= 0.5
+    assert shift <= 1e-3
+    assert turn_deg <= 0.05
