@@ -33,6 +33,8 @@ from aomgen.structure.stage import IMAGES_FOLDER, list_pose_warnings, write_undi
 IMAGES: Final = "images"
 # Long side of the images by default, [px]: the Gaussians of a whole scene do not resolve more.
 LONG_SIDE: Final = 960
+# SIFT features kept an image: matching takes time with their square, and images of that size hold few more.
+MAX_FEATURES: Final = 4096
 # The turntable lasts 5 s, at this rate.
 VIDEO_FPS, VIDEO_FRAMES = 24, 120
 
@@ -126,7 +128,9 @@ def _reconstruct(results: Results, folder: Path, progress: Progress) -> dict[str
         intrinsics=scan.intrinsics,
         Ts_scan_cam=scan.poses.Ts_scan_cam if scan.poses else {},
     )
-    found = reconstruct_structure(photographs, StructureParams(), part(progress, 0.0, 0.97))
+    found = reconstruct_structure(
+        photographs, StructureParams(max_features=MAX_FEATURES), part(progress, 0.0, 0.97)
+    )
     if found.scan_lens is not None:
         write_undistorted(images, found.scan_lens, folder, part(progress, 0.97, 1.0))
     save_artifact(folder, "structure", found)

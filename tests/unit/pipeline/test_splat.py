@@ -12,7 +12,6 @@ from aomgen.gaussians.train import GaussiansParams, coarse
 from aomgen.io.ply import read_gaussians
 from aomgen.io.video import probe_video
 from aomgen.pipeline import splat
-from aomgen.structure.reconstruct import StructureParams
 from foreign_scans import known_scan, write_photos
 
 
@@ -21,7 +20,7 @@ def test_photos_become_gaussians(sample: Path, tmp_path: Path, monkeypatch) -> N
     photos = sorted((sample / "scan").glob("*.jpg"))[:20]
     source = write_photos(tmp_path / "photos", known_scan(photos, width=640, height=480))
     monkeypatch.setattr(splat, "GaussiansParams", lambda: coarse(GaussiansParams()))
-    monkeypatch.setattr(splat, "StructureParams", lambda: StructureParams(max_features=2000))
+    monkeypatch.setattr(splat, "MAX_FEATURES", 2000)
     scene, video = tmp_path / "scene.ply", tmp_path / "turntable.mp4"
     command = ["splat", str(source), str(scene), "--long-side", "320", "--video", str(video)]
     done = CliRunner().invoke(app, command, catch_exceptions=False)
