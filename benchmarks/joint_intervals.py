@@ -6,12 +6,11 @@ from typing import Any
 
 import numpy as np
 
+from aomgen.api.joint import JointFit, estimate_joint
 from aomgen.core.transforms import angle_between
 from aomgen.core.values import Array
 from aomgen.errors import EstimationError
-from aomgen.motion.ee_path import GraspGuess
-from aomgen.motion.joint_estimation import JointEstimate, estimate_joint
-from aomgen.motion.part_shape import measure_shape
+from benchmarks.joint_hands import LOG_HZ
 from benchmarks.joint_worlds import GRASP_SD_M, JointWorld, draw_world
 
 
@@ -25,6 +24,7 @@ class IntervalRow:
         loose: Whether its grasp was a bad one.
         axis: Error and stated radius of the direction, [deg].
         origin: The same of the axis line nearest the held point, [mm]; zeros for a prismatic joint.
+        values: Share of the joint values within their bounds, all of them and the last one alone, 0..1.
         failure: "" or why there is no right result: the error's name, or "wrong type".
     """
 
@@ -33,6 +33,7 @@ class IntervalRow:
     loose: bool
     axis: tuple[float, float]
     origin: tuple[float, float]
+    values: tuple[float, float]
     failure: str
 
 
@@ -43,34 +44,48 @@ def measure_world(seed: int) -> IntervalRow:
     kind = world.joint.type
     failure = ""
     try:
-        shape = measure_shape(world.points_static, world.points_moving)
-        hold = GraspGuess(point_ee=world.grasp_ee, closing_ee=world.closing_ee, sd_m=GRASP_SD_M)
-        estimate = estimate_joint(world.Ts_world_ee, hold, shape)
-        failure = "" if estimate.joint.type == kind else "wrong type"
+        fit = estimate_joint(
+            world.Ts_world_ee,
+            np.arange(len(world.thetas)) / LOG_HZ,
+            grasp_ee=world.grasp_ee,
+            grasp_sd_m=GRASP_SD_M,
+            closing_ee=world.closing_ee,
+            part_points=(world.points_static, world.points_moving),
+        )
+        failure = "" if fit.type == kind else "wrong type"
     except EstimationError as error:
         failure = type(error).__name__
     if failure:
         return IntervalRow(
-            seed=seed, kind=kind, loose=world.loose, axis=nothing, origin=nothing, failure=failure
+            seed=seed,
+            kind=kind,
+            loose=world.loose,
+            axis=nothing,
+            origin=nothing,
+            values=(0.0, 0.0),
+            failure=failure,
         )
-    axis_deg = float(np.degrees(angle_between(estimate.joint.axis, world.joint.axis)))
+    axis_deg = float(np.degrees(angle_between(fit.joint.axis, world.joint.axis)))
+    low, high = fit.theta_bounds.T
+    held = (world.thetas >= low) & (world.thetas <= high)
     return IntervalRow(
         seed=seed,
         kind=kind,
         loose=world.loose,
-        axis=(axis_deg, float(np.degrees(estimate.axis_ci95_rad))),
-        origin=_origin(world, estimate),
+        axis=(axis_deg, float(np.degrees(fit.axis_radius_rad))),
+        origin=_origin(world, fit),
+        values=(float(held.mean()), float(held[-1])),
         failure="",
     )
 
 
-def _origin(world: JointWorld, estimate: JointEstimate) -> tuple[float, float]:
+def _origin(world: JointWorld, fit: JointFit) -> tuple[float, float]:
     joint = world.joint
     if joint.type == "prismatic":
         return 0.0, 0.0
     near = joint.origin + joint.axis * ((world.held_world - joint.origin) @ joint.axis)
-    gap = np.linalg.norm(np.cross(near - estimate.joint.origin, estimate.joint.axis))
-    return 1e3 * float(gap), 1e3 * estimate.origin_ci95_m
+    gap = np.linalg.norm(np.cross(near - fit.joint.origin, fit.joint.axis))
+    return 1e3 * float(gap), 1e3 * fit.origin_radius_m
 
 
 def interval_figures(rows: list[IntervalRow]) -> list[dict[str, Any]]:
@@ -93,6 +108,8 @@ def interval_figures(rows: list[IntervalRow]) -> list[dict[str, Any]]:
         line |= _figures("axis", "deg", np.array([row.axis for row in answered]))
         turning = [row.origin for row in answered if row.kind == "revolute"]
         line |= _figures("origin", "mm", np.array(turning))
+        values = np.mean([row.values for row in answered], axis=0) if answered else (None, None)
+        line |= dict(zip(("values_held", "last_value_held"), values, strict=True))
         lines.append(line)
     return lines
 

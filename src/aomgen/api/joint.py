@@ -13,7 +13,7 @@ from aomgen.core.values import Array, freeze_arrays
 from aomgen.errors import ConfigError
 from aomgen.motion.ee_path import GraspGuess
 from aomgen.motion.joint_estimation import estimate_joint as estimate_from_path
-from aomgen.motion.joint_value import compute_path_value_sd, compute_path_values
+from aomgen.motion.joint_value import YIELD_M, compute_path_value_sd, compute_path_values
 from aomgen.motion.part_shape import measure_shape
 
 # Normal deviate that 95 % of the probability lies within.
@@ -65,7 +65,7 @@ def estimate_joint(
     """Estimate a joint's type, axis, origin and values from the path of the end effector that moved its part.
 
     The gripper may slip on the handle and turn with it only partly; the noise model of this is marginalized, so
-    that the stated bounds include it.
+    that the stated bounds include it. They also include that the grasp yields before the part follows.
 
     Args:
         Ts_world_ee: End-effector poses (T, 4, 4) from the first to the last moment in which the part moves.
@@ -117,7 +117,7 @@ def estimate_joint(
         shape = measure_shape(static, moving)
     found = estimate_from_path(poses, hold, shape)
     thetas = compute_path_values(found.joint, poses, found.grasp_ee, 0)
-    sd = compute_path_value_sd(found, poses, thetas)
+    sd = compute_path_value_sd(found, poses, thetas, yield_m=YIELD_M[found.joint.type])
     return JointFit(
         joint=found.joint,
         times_s=times,

@@ -6,7 +6,7 @@ picture tells where on the hand's way that begins and ends.
 """
 
 from dataclasses import dataclass, replace
-from typing import Annotated
+from typing import Annotated, Final
 
 import numpy as np
 from scipy.ndimage import maximum_filter1d, minimum_filter1d
@@ -32,6 +32,9 @@ _ASIDE_M, _ASIDE_S = 0.004, 0.1
 # The part has left its first state when its value differs by this much, [rad], [m]: half a degree, and half a degree
 # of a door whose handle is 0.23 m from its hinge.
 LEAVE_RAD, LEAVE_M = float(np.radians(0.5)), 0.002
+# Fingers and handle yield by 1 to 3 mm from rest to a steady pull, before the part follows the gripper, [m]; of a hinge,
+# the rate at which grasps slip along the motion covers half of that.
+YIELD_M: Final[dict[JointType, float]] = {"prismatic": 0.002, "revolute": 0.001}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -99,17 +102,23 @@ def compute_path_values(
 
 
 def compute_path_value_sd(
-    estimate: JointEstimate, Ts_world_ee: Array, values: Array, face_normal: Array | None = None
+    estimate: JointEstimate,
+    Ts_world_ee: Array,
+    values: Array,
+    face_normal: Array | None = None,
+    *,
+    yield_m: float = 0.0,
 ) -> Array:
-    """Standard deviation (T,) of joint values that follow from a path, [rad] or [m].
+    """Compute the standard deviation (T,) of joint values that follow from a path, [rad] or [m].
 
-    It combines the errors of axis, origin and held point, the unsteadiness of the grasp, and slip that grows with the
-    travel.
+    It combines the errors of axis, origin and held point, the unsteadiness and the yield of the grasp, and slip that
+    grows with the travel.
 
     Args:
         estimate: Joint with equally likely axes, origins and held points.
         Ts_world_ee, face_normal: As in `compute_path_values`; the first pose has value 0.
         values: Joint values (T,) at the poses.
+        yield_m: Standard deviation of the distance by which the grasp yields before the part follows, see `YIELD_M`, [m].
     """
     joint = estimate.joint
     draws = zip(estimate.axes, estimate.origins, estimate.grasps, strict=True)
@@ -119,7 +128,7 @@ def compute_path_value_sd(
     ]
     arm = apply(Ts_world_ee[0], estimate.grasp_ee) - joint.origin
     radius = float(np.linalg.norm(np.cross(arm, joint.axis))) if joint.type == "revolute" else 1.0
-    slip_sd = np.hypot(estimate.residual_m / radius, estimate.give_rate * values)
+    slip_sd = np.hypot(np.hypot(estimate.residual_m, yield_m) / radius, estimate.give_rate * values)
     return np.hypot(np.std(likely, axis=0), slip_sd)
 
 

@@ -9,7 +9,13 @@ from benchmarks.joint_worlds import draw_world, in_part
 
 def row(error: float, radius: float, failure: str = "") -> IntervalRow:
     return IntervalRow(
-        seed=0, kind="prismatic", loose=False, axis=(error, radius), origin=(0.0, 0.0), failure=failure
+        seed=0,
+        kind="prismatic",
+        loose=False,
+        axis=(error, radius),
+        origin=(0.0, 0.0),
+        values=(0.5, float(error <= radius)),
+        failure=failure,
     )
 
 
@@ -20,6 +26,8 @@ def test_held_and_width_are_shares_of_the_answered() -> None:
     assert figures["axis_held"] == pytest.approx(2 / 3, abs=1e-3)
     assert figures["axis_width"] == pytest.approx(2.0)
     assert figures["origin_held"] is None
+    assert figures["values_held"] == pytest.approx(0.5)
+    assert figures["last_value_held"] == pytest.approx(2 / 3)
 
 
 def test_a_seed_is_a_world() -> None:
@@ -32,6 +40,7 @@ def test_most_intervals_hold_the_truth() -> None:
     assert sum(bool(item.failure) for item in rows) <= 1
     held = [item.axis[0] <= item.axis[1] and item.origin[0] <= item.origin[1] for item in rows]
     assert sum(held) >= 6
+    assert np.mean([item.values[0] for item in rows if not item.failure]) > 0.85
 
 
 @pytest.mark.parametrize("seed", range(6))
