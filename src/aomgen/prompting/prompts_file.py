@@ -1,7 +1,7 @@
-"""Write the prompts of a capture.toml; every other byte of the file stays as it is."""
+"""Write what a person states about a capture into its capture.toml; every other byte of the file stays as it is."""
 
 import tomllib
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import tomlkit
@@ -15,8 +15,8 @@ from aomgen.io.atomic import write_text
 DECIMALS = 1
 
 
-def save_prompts(path: Path, prompts: Sequence[PromptSection]) -> None:
-    """Replace all `[[prompts]]` tables of a capture.toml by these, atomically.
+def save_prompts(path: Path, prompts: Sequence[PromptSection], stated: Mapping[str, str]) -> None:
+    """Replace all `[[prompts]]` tables of a capture.toml by these, and the stated top-level values, atomically.
 
     Raises:
         InputError: The file is missing or is no TOML.
@@ -24,7 +24,7 @@ def save_prompts(path: Path, prompts: Sequence[PromptSection]) -> None:
     try:
         # Not `read_text`, which would turn CRLF line ends into LF.
         text = path.read_bytes().decode("utf-8")
-        changed = replace_prompts(text, prompts)
+        changed = replace_prompts(text, prompts, stated)
     except FileNotFoundError as error:
         raise InputError(path, "is missing", "give the folder that holds capture.toml") from error
     except (UnicodeDecodeError, TOMLKitError) as error:
@@ -32,14 +32,14 @@ def save_prompts(path: Path, prompts: Sequence[PromptSection]) -> None:
     write_text(path, changed)
 
 
-def replace_prompts(text: str, prompts: Sequence[PromptSection]) -> str:
-    """The text of a capture.toml with other `[[prompts]]` tables; they come last.
+def replace_prompts(text: str, prompts: Sequence[PromptSection], stated: Mapping[str, str]) -> str:
+    """Return the text of a capture.toml with other `[[prompts]]` tables, which come last, and other top-level values.
 
     Raises:
         TOMLKitError: The text is no TOML.
 
     Example:
-        >>> print(replace_prompts('format = 1', [PromptSection(part="moving", image="0.jpg", box=[1, 2, 30, 40])]))
+        >>> print(replace_prompts('format = 1', [PromptSection(part="moving", image="0.jpg", box=[1, 2, 30, 40])], {}))
         format = 1
         <BLANKLINE>
         [[prompts]]
@@ -50,11 +50,14 @@ def replace_prompts(text: str, prompts: Sequence[PromptSection]) -> str:
     """
     document = tomlkit.parse(text)
     document.pop("prompts", None)
+    for key, value in stated.items():
+        if document.get(key) != value:
+            document[key] = value
     kept = tomlkit.dumps(document).rstrip("\r\n")
     newline = "\r\n" if "\r\n" in text else "\n"
     result = newline.join([kept, *_format(prompts), ""])
     # A guard against a library that moves what it should keep.
-    if _without_prompts(result) != _without_prompts(text):
+    if _without_prompts(result) != _without_prompts(text) | dict(stated):
         raise TOMLKitError("the other tables cannot be kept as they are")
     return result
 

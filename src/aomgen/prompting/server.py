@@ -36,9 +36,11 @@ class MaskRequest(_Request):
 
 
 class SaveRequest(_Request):
-    """All prompts of a capture."""
+    """All prompts of a capture, and what a person states about it."""
 
     prompts: list[PromptSection]
+    category: str
+    instruction: str
 
 
 class PromptServer(ThreadingHTTPServer):
@@ -150,7 +152,7 @@ class _Handler(BaseHTTPRequestHandler):
 
     def _post_save(self) -> tuple[str, bytes]:
         request = SaveRequest.model_validate_json(self._read())
-        self.server.session.save(request.prompts)
+        self.server.session.save(request.prompts, request.model_dump(include={"category", "instruction"}))
         return _to_json({"missing": find_missing(request.prompts)})
 
     def _post_done(self) -> tuple[str, bytes]:

@@ -1,7 +1,7 @@
 """Mark robot and object parts on scan images: what is marked, masks of it, and what is still missing."""
 
 import threading
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 from typing import Any, Final
@@ -9,6 +9,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from aomgen.assets.choice import MAKERS, OTHER_MAKERS
 from aomgen.capture.capture_schema import PromptSection, read_manifest
 from aomgen.capture.prompts import PARTS, check_prompt
 from aomgen.capture.scan_images import common_size, find_images
@@ -23,6 +24,8 @@ from aomgen.segmentation.segmenter import choose_segmenter
 
 # Boxes of a part on so many images let the run go on where one of their cameras is not found.
 WANTED_IMAGES: Final = 2
+# Value of what an import could not know.
+PLACEHOLDER: Final = "TODO"
 # A box from a mask leaves so much room around it, [px]: masks end a little inside the part.
 MARGIN_PX: Final = 2.0
 
@@ -35,6 +38,7 @@ class PromptSession:
         images: Of the scan.
         size: Their width and height, [px].
         prompts: As saved last.
+        stated: Category of the object and language instruction, as saved last; "" where they are missing.
         no_masks: Why there are no masks, or empty.
     """
 
@@ -56,6 +60,8 @@ class PromptSession:
         else:
             self.size, self._names = common_size(images), {path.name for path in images}
         self.capture, self.images, self.prompts = capture, ScanImages(images, video), manifest.prompts
+        stated = {"category": manifest.category, "instruction": manifest.instruction}
+        self.stated = {key: "" if value == PLACEHOLDER else value for key, value in stated.items()}
         self.no_masks = ""
         try:
             self._segmenter: Segmenter | None = choose_segmenter({}, "mobile_sam")
@@ -75,6 +81,8 @@ class PromptSession:
             "size": list(self.size),
             "parts": list(PARTS),
             "wanted_images": WANTED_IMAGES,
+            "stated": self.stated,
+            "categories": sorted(MAKERS | OTHER_MAKERS),
             "prompts": [prompt.model_dump() for prompt in self.prompts],
             "no_masks": self.no_masks,
         }
@@ -110,16 +118,17 @@ class PromptSession:
             part, np.array(box, np.float64), np.array(points, np.float64).reshape(-1, 3)
         )
 
-    def save(self, prompts: Sequence[PromptSection]) -> None:
-        """Check all prompts, and write them to capture.toml; incomplete ones are saved as well.
+    def save(self, prompts: Sequence[PromptSection], stated: Mapping[str, str]) -> None:
+        """Check all prompts, and write them and the stated values to capture.toml; incomplete ones are saved as well.
 
         Raises:
             InputError: One is invalid; nothing is written.
         """
         for prompt in prompts:
             check_prompt(prompt, self._names, self.size, self._file)
-        save_prompts(self._file, prompts)
-        self.prompts = list(prompts)
+        known = {key: value.strip() or PLACEHOLDER for key, value in stated.items()}
+        save_prompts(self._file, prompts, known)
+        self.prompts, self.stated = list(prompts), dict(stated)
 
 
 def find_missing(prompts: Sequence[PromptSection]) -> dict[str, int]:

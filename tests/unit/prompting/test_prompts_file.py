@@ -14,20 +14,20 @@ PROMPTS = [
 
 def test_only_prompts_change(sample):
     text = (sample / "capture.toml").read_text("utf-8")
-    changed = replace_prompts(text, PROMPTS)
+    changed = replace_prompts(text, PROMPTS, {})
     assert changed.startswith(text[: text.index("\n[[prompts]]")])
     assert [PromptSection(**item) for item in tomllib.loads(changed)["prompts"]] == [
         PROMPTS[0].model_copy(update={"points": [[312.0, 220.0, 1], [3.0, 4.0, 0]]}),
         PROMPTS[1],
     ]
-    assert replace_prompts(changed, PROMPTS) == changed
+    assert replace_prompts(changed, PROMPTS, {}) == changed
 
 
 @pytest.mark.parametrize("newline", ["\n", "\r\n"])
 def test_comments_and_tables_after_prompts_stay(newline):
     lines = ["# by hand", "format = 1  # first", "", "[[prompts]]", 'part = "robot"', "points = [", "  [1, 2, 1],", "]", "",
              "[scan]  # last", "images = 'scan'"]  # fmt: skip
-    changed = replace_prompts(newline.join(lines), PROMPTS[1:]).split(newline)
+    changed = replace_prompts(newline.join(lines), PROMPTS[1:], {}).split(newline)
     assert changed[:6] == ["# by hand", "format = 1  # first", "", "[scan]  # last", "images = 'scan'", ""]
     assert changed[6:] == [
         "[[prompts]]",
@@ -39,7 +39,7 @@ def test_comments_and_tables_after_prompts_stay(newline):
 
 
 def test_all_prompts_may_go(sample):
-    changed = replace_prompts((sample / "capture.toml").read_text("utf-8"), [])
+    changed = replace_prompts((sample / "capture.toml").read_text("utf-8"), [], {})
     assert "prompts" not in tomllib.loads(changed)
 
 
@@ -47,7 +47,13 @@ def test_damaged_file_stays(tmp_path):
     path = tmp_path / "capture.toml"
     path.write_text("format = ")
     with pytest.raises(InputError):
-        save_prompts(path, PROMPTS)
+        save_prompts(path, PROMPTS, {})
     assert path.read_text() == "format = "
     with pytest.raises(InputError):
-        save_prompts(tmp_path / "none.toml", PROMPTS)
+        save_prompts(tmp_path / "none.toml", PROMPTS, {})
+
+
+def test_stated_values_change_and_keep_their_comments():
+    text = 'format = 1\ncategory = "TODO"   # of the object\nname = "a"\n'
+    changed = replace_prompts(text, [], {"category": 'micro"wave', "name": "a"})
+    assert changed == 'format = 1\ncategory = "micro\\"wave"   # of the object\nname = "a"\n'

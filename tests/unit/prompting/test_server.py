@@ -16,6 +16,8 @@ from aomgen.prompting import session as sessions
 from aomgen.prompting.server import PromptServer
 from aomgen.prompting.session import PromptSession
 
+STATED = {"category": "microwave", "instruction": "open it"}
+
 
 class BrightPixels:
     """A segmenter whose mask is what is brighter than grey, within the box."""
@@ -75,9 +77,11 @@ def test_save_writes_what_a_run_reads(server):
     prompts = ask(server, "api/state")["prompts"]
     prompts[0]["box"] = [100, 100, 300, 300]
     prompts[0]["points"] = []
-    assert ask(server, "api/save", {"prompts": prompts}) == {"missing": {}}
-    assert read_capture(server.session.capture).prompts[0].box.tolist() == [100, 100, 300, 300]
-    assert ask(server, "api/save", {"prompts": prompts[1:]}) == {"missing": {"robot": 1}}
+    assert ask(server, "api/save", {"prompts": prompts, **STATED}) == {"missing": {}}
+    capture = read_capture(server.session.capture)
+    assert capture.prompts[0].box.tolist() == [100, 100, 300, 300]
+    assert (capture.category, capture.instruction) == ("microwave", "open it")
+    assert ask(server, "api/save", {"prompts": prompts[1:], **STATED}) == {"missing": {"robot": 1}}
 
 
 @pytest.mark.parametrize(
@@ -94,7 +98,7 @@ def test_invalid_prompts_are_not_saved(server, changes, word):
     before = (server.session.capture / "capture.toml").read_bytes()
     prompts = ask(server, "api/state")["prompts"]
     prompts[0] |= changes
-    code, text = refusal(server, "api/save", {"prompts": prompts})
+    code, text = refusal(server, "api/save", {"prompts": prompts, **STATED})
     assert code == 400
     assert word in text
     assert (server.session.capture / "capture.toml").read_bytes() == before
@@ -102,7 +106,7 @@ def test_invalid_prompts_are_not_saved(server, changes, word):
 
 def test_foreign_pages_and_invalid_requests_are_refused(server):
     assert refusal(server, "api/state", Host="evil.example:80")[0] == 403
-    assert refusal(server, "api/save", {"prompts": []}, **{"Content-Type": "text/plain"})[0] == 415
+    assert refusal(server, "api/save", {"prompts": [], **STATED}, **{"Content-Type": "text/plain"})[0] == 415
     assert refusal(server, "api/image/../../../etc/passwd")[0] == 400
     assert refusal(server, "api/image/64")[0] == 400
     assert refusal(server, "api/mask", {"image": -1, "part": "moving"})[0] == 400
