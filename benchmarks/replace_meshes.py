@@ -19,10 +19,10 @@ from aomgen.core.gaussians import Gaussians, concatenate
 from aomgen.core.light import hemisphere_light
 from aomgen.core.transforms import apply
 from aomgen.core.values import Array
+from aomgen.lighting.light_estimation import SceneLight, ToneCurve
+from aomgen.lighting.reflection import show_in_light
 from aomgen.replacement.asset_renderer import AssetRenderer
 from aomgen.replacement.asset_surfels import asset_surfels
-from aomgen.replacement.light_estimation import SceneLight, ToneCurve
-from aomgen.replacement.reflection import show_in_light
 from aomgen.splatting.metrics import psnr
 from aomgen.splatting.rasterizer import render
 from aomgen.splatting.surfels import Surfels

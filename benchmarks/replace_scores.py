@@ -17,10 +17,11 @@ from aomgen.core.project import Project
 from aomgen.core.transforms import apply, invert
 from aomgen.core.values import Array
 from aomgen.errors import UnknownNameError
+from aomgen.lighting.shadowed_twin import render_state
 from aomgen.pipeline.runner import results_of
 from aomgen.pipeline.stages import STAGES
 from aomgen.splatting.metrics import psnr, ssim
-from aomgen.twin.twin import TwinModel, TwinState, render_state
+from aomgen.twin.twin import TwinModel, TwinState
 from benchmarks.images import masked_psnr
 from benchmarks.replace_pictures import RoomPictures, SeenGeometry, see_geometry
 from benchmarks.replace_rooms import CONDITIONS, ROOMS, RoomTruth

@@ -9,7 +9,7 @@ are wxyz with the real part first.
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 # Part labels of Gaussians, masks and label images.
 BACKGROUND: Final = 0  # everything else
@@ -24,10 +24,6 @@ def xyzw_from_wxyz(quats_wxyz: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.roll(quats_wxyz, -1, axis=-1)
 
 
-# sRGB is close to this power of linear light: a factor on light is nearly that power of it on colors.
-SRGB_POWER: Final = 1 / 2.2
-
-
 def linear_from_srgb(srgb: NDArray[np.floating]) -> NDArray[np.floating]:
     """Linear radiance of sRGB values in 0..1. Source: IEC 61966-2-1."""
     return np.where(srgb <= 0.04045, srgb / 12.92, ((np.maximum(srgb, 0) + 0.055) / 1.055) ** 2.4)
@@ -37,6 +33,11 @@ def srgb_from_linear(linear: NDArray[np.floating]) -> NDArray[np.floating]:
     """sRGB values of linear radiance, both 0..1. Source: IEC 61966-2-1."""
     clipped = np.maximum(linear, 0)
     return np.where(clipped <= 0.0031308, clipped * 12.92, 1.055 * clipped ** (1 / 2.4) - 0.055)
+
+
+def illuminate_srgb(srgb: NDArray[np.floating], factors: ArrayLike) -> NDArray[np.floating]:
+    """sRGB values of surfaces under a factor times their light; at least 0, not limited above."""
+    return srgb_from_linear(linear_from_srgb(srgb) * np.asarray(factors))
 
 
 def luma_from_srgb(srgb: NDArray) -> NDArray[np.float32]:

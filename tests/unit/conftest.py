@@ -14,10 +14,10 @@ from aomgen.conventions import BACKGROUND, MOVING, ROBOT, STATIC, linear_from_sr
 from aomgen.core.asset import ArticulatedAsset
 from aomgen.core.camera import Camera, look_at
 from aomgen.core.gaussians import SH_C0, Gaussians, concatenate, gaussians_of
-from aomgen.core.light import Light, hemisphere_light
+from aomgen.core.light import Light, hemisphere_light, light_from_harmonics
 from aomgen.core.mesh import face_normals_areas, sample_surface
 from aomgen.core.transforms import apply, matrix_from_rotvec, transform
-from aomgen.replacement.light_estimation import REFLECTED
+from aomgen.lighting.light_estimation import REFLECTED
 from aomgen.robots.loading import load_robot
 from aomgen.robots.robot import RobotModel
 from aomgen.splatting.surfels import Surfels, surfels_of
@@ -101,7 +101,7 @@ def toy_scene(robot: RobotModel) -> ToyScene:
     joints = np.array([-0.3, -1.9, 1.9, -1.57, -1.57, 0.0])
     radiance = np.array(hemisphere_light((0.9, 0.85, 0.8), (0.3, 0.3, 0.3)).radiance_sh)
     radiance[3] -= 0.4
-    light = Light(radiance_sh=radiance)
+    light = light_from_harmonics(radiance)
     arm, bodies = robot_gaussians(robot, robot.link_poses(joints[None], [0.0])[0], light, rng)
     T = transform(matrix_from_rotvec(np.array([0, 0, 0.3 - np.pi / 2])), np.array([0.65, -0.1, 0.0]))
     asset = make_asset("microwave", 3)

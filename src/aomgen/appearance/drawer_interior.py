@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from scipy.ndimage import binary_dilation
 from scipy.spatial import cKDTree
 
-from aomgen.appearance.surfel_observations import CONTOUR_PX, PosedImages
 from aomgen.conventions import MOVING, ROBOT, STATIC
 from aomgen.core.camera import Camera
 from aomgen.core.gaussians import SH_C0, Gaussians, gaussians_of
@@ -22,7 +21,7 @@ from aomgen.core.values import Array
 from aomgen.io.images import resize
 from aomgen.robots.robot import RobotModel
 from aomgen.splatting.rasterizer import render
-from aomgen.twin.twin import PART, TwinModel, body_poses, pose_bodies
+from aomgen.twin.twin import CONTOUR_PX, PART, PosedImages, TwinModel, body_poses, pose_bodies
 
 # Images are compared in this width, where small errors of the joint value are below a pixel.
 WIDTH_PX = 320

@@ -16,10 +16,13 @@ from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter, minimum_filter
 from torch import Tensor
 
-from aomgen.appearance.surfel_observations import PosedImages, pixel_size
+from aomgen.appearance.surfel_observations import pixel_size
+from aomgen.conventions import illuminate_srgb
 from aomgen.core.camera import Camera
-from aomgen.core.gaussians import SH_C0
+from aomgen.core.gaussians import BLACK, SH_C0
 from aomgen.core.values import Array
+from aomgen.lighting.plane_shadow import select_casters
+from aomgen.lighting.shadowed_twin import observe_shadow
 from aomgen.robots.robot import RobotModel
 from aomgen.splatting import native
 from aomgen.splatting.compute import NativeCompute, image_loss
@@ -27,7 +30,7 @@ from aomgen.splatting.differentiable import CpuRasterizer, GaussianTensors, Part
 from aomgen.splatting.optimizer import RATES, Parameters, gaussians_of, parameter_rates, parameters_of
 from aomgen.splatting.training import one_torch_thread
 from aomgen.twin.relighting import Relit
-from aomgen.twin.twin import TwinModel, TwinState, body_poses, pose_bodies, shadow_roles
+from aomgen.twin.twin import PosedImages, TwinModel, TwinState, body_poses
 
 # Gaussians move this much in a step, [px] of the usual image at the robot.
 STEP_PX: Final = 0.1
@@ -76,12 +79,12 @@ def refine_twin(
     """
     if not views:
         return twin
-    nearest, roles = _scan_orientations(twin, robot), shadow_roles(twin, robot)
+    nearest, casters = _scan_orientations(twin, robot), select_casters(twin, robot)
     prepared = []
     for view in views:
         for image, state in zip(view.images_srgb, view.states, strict=True):
             item = _prepare_view(twin, robot, nearest, view.camera, image, state)
-            prepared.append(_with_shadows(item, twin, roles))
+            prepared.append(_with_shadows(item, twin, casters))
     parameters = _fit(twin, prepared, STEP_PX * pixel_size(robot, twin, views), rng)
     fitted = gaussians_of(parameters)
     first = len(fitted) - len(twin.relit_bodies)
@@ -121,14 +124,17 @@ def _prepare_view(
     return _View(camera=camera, image_srgb=image_srgb, Ts_world_body=Ts, colors_srgb=colors, recall=recall)
 
 
-def _with_shadows(view: _View, twin: TwinModel, roles: NDArray[np.uint8]) -> _View:
-    """A view whose drawn image is darkened by the shadows of its joint configuration."""
-    light = twin.directional_light
-    if light is None:
+def _with_shadows(view: _View, twin: TwinModel, casters: tuple[TwinModel, TwinModel]) -> _View:
+    """A view whose rendering is darkened by the shadows of its joint configuration."""
+    lamp = twin.directional_light
+    if lamp is None:
         return view
-    surface, taken = light.shadow_seen(pose_bodies(twin, view.Ts_world_body), roles, view.camera)
-    edge = maximum_filter(taken, EDGE_PX) - minimum_filter(taken, EDGE_PX) > EDGE_STEP
-    return replace(view, shade=light.factors(surface * taken), unsure=edge & (surface > 0.5))
+    surface, blocked = observe_shadow(twin, lamp, casters, view.Ts_world_body, view.camera)
+    edge = maximum_filter(blocked, EDGE_PX) - minimum_filter(blocked, EDGE_PX) > EDGE_STEP
+    # The factor on an sRGB color depends on the color, which is that of the image.
+    seen = np.maximum(view.image_srgb / 255.0, BLACK)
+    shade = seen / illuminate_srgb(seen, 1 / (1 - (surface * blocked)[..., None] * lamp.share))
+    return replace(view, shade=shade.astype(np.float32), unsure=edge & (surface > 0.5))
 
 
 def _add_corrections(relit: Relit, nearest: dict[int, int], difference: Array) -> Relit:

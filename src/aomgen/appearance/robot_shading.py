@@ -15,7 +15,7 @@ from scipy.spatial import cKDTree
 from aomgen.appearance.surfel_observations import SurfelObservations
 from aomgen.conventions import linear_from_srgb, srgb_from_linear
 from aomgen.core.gaussians import Gaussians
-from aomgen.core.light import Light, open_transfer
+from aomgen.core.light import light_from_harmonics, open_transfer
 from aomgen.core.sh import sh_basis
 from aomgen.core.values import Array, freeze_arrays
 from aomgen.twin.relighting import NEGLIGIBLE, Relit, ResidualAppearance, orientation_weights
@@ -85,7 +85,7 @@ def fit_robot_colors(observations: SurfelObservations, discs: RobotDiscs) -> tup
         albedo_linear=_spread(ratio, seen_discs, discs).astype(np.float32),
         transfer=open_transfer(discs.normals),
         light_of=discs.materials,
-        lights=tuple(Light(radiance_sh=item) for item in radiance),
+        lights=tuple(light_from_harmonics(item) for item in radiance),
         residuals=remembered,
     )
     return relit, specular

@@ -14,15 +14,15 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from aomgen.appearance.robot_shading import RobotDiscs, fit_robot_colors
-from aomgen.appearance.surfel_observations import PosedImages, SurfelObservations, observe_surfels, pixel_size
+from aomgen.appearance.surfel_observations import SurfelObservations, observe_surfels, pixel_size
 from aomgen.conventions import ROBOT
 from aomgen.core.gaussians import Gaussians, concatenate
-from aomgen.core.light import Light, open_transfer
+from aomgen.core.light import light_from_harmonics, open_transfer
 from aomgen.core.mesh import Mesh, face_normals_areas
 from aomgen.robots.robot import RobotModel
 from aomgen.splatting.surfels import Surfels, surfels_of
 from aomgen.twin.relighting import Relit
-from aomgen.twin.twin import TwinModel
+from aomgen.twin.twin import PosedImages, TwinModel
 
 # Discs lie this far apart in the images, [px], within limits that keep episodes fast.
 SPACING_PX: Final = 2.0
@@ -130,7 +130,7 @@ def _with_cover(twin: TwinModel, cover: RobotDiscs) -> TwinModel:
         albedo_linear=np.ones((count, 3), np.float32),
         transfer=open_transfer(cover.normals),
         light_of=cover.materials,
-        lights=tuple(Light(radiance_sh=np.eye(9, 3)) for _ in range(int(cover.materials.max()) + 1)),
+        lights=(light_from_harmonics(np.eye(9, 3)),) * (int(cover.materials.max()) + 1),
     )
     return rest.extend(cover.gaussians, cover.bodies, ROBOT, relit=relit)
 

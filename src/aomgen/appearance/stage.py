@@ -7,27 +7,28 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from aomgen.appearance.directional_light import find_directional_light, remove_baked_shadow
 from aomgen.appearance.drawer_interior import add_drawer_interior
 from aomgen.appearance.refine import refine_twin
 from aomgen.appearance.robot_surfels import replace_robot_gaussians
-from aomgen.appearance.surfel_observations import PosedImages, match_exposure
+from aomgen.appearance.surfel_observations import match_exposure
 from aomgen.conventions import MOVING, STATIC
 from aomgen.core.gaussians import Gaussians
 from aomgen.core.joint import Joint
+from aomgen.core.light import DirectionalLight
 from aomgen.core.parts import Parts, surface_points
 from aomgen.core.progress import Progress
 from aomgen.core.structure import held_out
 from aomgen.errors import ReconstructionError
 from aomgen.io.artifact import save_artifact
 from aomgen.io.images import read_image
+from aomgen.lighting.directional_light import find_directional_light
+from aomgen.lighting.shadowed_twin import remove_baked_shadow, render_state
 from aomgen.results import Results
 from aomgen.robots.loading import save_robot
 from aomgen.robots.robot import RobotConfiguration, RobotModel
 from aomgen.twin.binding import bind, object_frame
-from aomgen.twin.shadow import DirectionalLight
 from aomgen.twin.support import find_support
-from aomgen.twin.twin import TwinModel, TwinState, pose_twin, render_state
+from aomgen.twin.twin import PosedImages, TwinModel, TwinState, pose_twin
 
 # More images add little information, and take as long again.
 MAX_SCAN_IMAGES = 80

@@ -2,38 +2,18 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Annotated, Final
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import binary_erosion
 
-from aomgen.core.camera import Camera
 from aomgen.core.exposure import change_exposure, fit_gains
 from aomgen.core.transforms import apply, invert
 from aomgen.core.values import Array, freeze_arrays
 from aomgen.robots.robot import RobotModel
 from aomgen.splatting.rasterizer import RigidParts
-from aomgen.twin.twin import TwinModel, TwinState, body_poses, moving_layer, static_layer
-
-# Margin around moving bodies where the scene behind them is compared, [px]: render and image differ by about this
-# much at contours.
-CONTOUR_PX: Final = 3
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class PosedImages:
-    """Images from one place with one exposure.
-
-    Attributes:
-        camera: Camera of all of them, world frame.
-        images_srgb: (H, W, 3) uint8 each.
-        states: State of the twin in each image.
-    """
-
-    camera: Camera
-    images_srgb: tuple[NDArray[np.uint8], ...]
-    states: tuple[TwinState, ...]
+from aomgen.twin.twin import PosedImages, TwinModel, body_poses, moving_layer, static_layer
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

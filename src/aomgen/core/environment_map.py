@@ -6,7 +6,7 @@ from typing import Annotated
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from aomgen.core.light import Light, project_radiance
+from aomgen.core.light import Light, light_from_harmonics, project_radiance
 from aomgen.core.values import Array, freeze_arrays
 
 
@@ -44,7 +44,7 @@ class EnvironmentMap:
             self.radiance_linear, _polar_angles(height), self.solid_angles, strict=True
         ):
             sh += project_radiance(_unit(polar, longitudes), solid_angle, row)
-        return Light(radiance_sh=sh)
+        return light_from_harmonics(sh)
 
     def turn(self, angle_rad: float) -> "EnvironmentMap":
         """Turned about the vertical, counterclockwise as seen from above; linear between columns."""
@@ -53,10 +53,6 @@ class EnvironmentMap:
         near, far = (np.roll(self.radiance_linear, -step, axis=1) for step in (whole, whole + 1))
         mixed = near + (shift - whole) * (far - near)
         return EnvironmentMap(radiance_linear=mixed.astype(np.float32))
-
-    def scale_by(self, gain: float) -> "EnvironmentMap":
-        """Made brighter by a factor."""
-        return EnvironmentMap(radiance_linear=self.radiance_linear * np.float32(gain))
 
 
 def map_directions(height: int, width: int) -> Array:

@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from aomgen.conventions import linear_from_srgb, srgb_from_linear
+from aomgen.conventions import illuminate_srgb, linear_from_srgb
 from aomgen.core.robust import compute_masked_median
 from aomgen.core.values import Array
 
@@ -28,7 +28,7 @@ def fit_gains(seen_srgb: NDArray[np.floating], target_srgb: NDArray[np.floating]
 
 def apply_gains(colors_srgb: NDArray[np.floating], gains: Array) -> NDArray[np.floating]:
     """Colors (..., 3), 0..1, as they look with gains (3,)."""
-    return srgb_from_linear(np.minimum(linear_from_srgb(colors_srgb) * gains, 1))
+    return np.minimum(illuminate_srgb(colors_srgb, gains), 1)
 
 
 def change_exposure(image_srgb: NDArray[np.uint8], gains: Array) -> NDArray[np.uint8]:

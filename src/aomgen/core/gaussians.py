@@ -6,12 +6,15 @@ from typing import Annotated
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from aomgen.conventions import illuminate_srgb
 from aomgen.core.sh import rotate_sh
 from aomgen.core.transforms import apply, quat_from_matrix, quat_multiply, similarity_parts
 from aomgen.core.values import Array, freeze_arrays
 
 # Real spherical harmonic of degree 0, a constant: sqrt(1 / (4 pi)).
 SH_C0 = 0.28209479177387814
+# Below this an sRGB color has no meaningful ratio to another.
+BLACK = 1e-3
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -69,12 +72,22 @@ class Gaussians:
             means=self.means, quats=self.quats, scales=self.scales, opacities=self.opacities, sh=sh
         )
 
-    def brighten(self, factors: ArrayLike) -> "Gaussians":
-        """The same shapes with sRGB colors times factors (N, 3) or (N, 1), as seen from anywhere."""
-        factors = np.asarray(factors)
-        sh = self.sh * factors[:, None]
-        sh[:, 0] += (factors - 1) * 0.5 / SH_C0
+    @property
+    def colors_srgb(self) -> Array:
+        """Mean colors (N, 3) over all views, sRGB, not limited to 0..1."""
+        return 0.5 + SH_C0 * self.sh[:, 0].astype(np.float64)
+
+    def recolor(self, colors_srgb: Array) -> "Gaussians":
+        """The same shapes with other mean colors (N, 3); view-dependent color changes in proportion."""
+        before = self.colors_srgb
+        sh = self.sh * np.where(before > BLACK, colors_srgb / np.maximum(before, BLACK), 1.0)[:, None]
+        sh[:, 0] = (colors_srgb - 0.5) / SH_C0
         return self.with_sh(sh)
+
+    def illuminate(self, factors: ArrayLike) -> "Gaussians":
+        """The same shapes under factors (N, 3) or (N, 1) times their light, linear."""
+        before = self.colors_srgb
+        return self.recolor(np.where(before > 0, illuminate_srgb(before, factors), before))
 
     def with_sh_degree(self, degree: int) -> "Gaussians":
         """The same Gaussians with coefficients cut or zero-padded to a degree 0..3."""

@@ -1,61 +1,139 @@
-"""Light of a scene and how a diffuse surface answers to it.
+"""Light as radiance from directions, the irradiance of surfaces under it, and its spherical harmonics.
 
-Radiance is a function on the sphere, kept as nine spherical harmonics; a surface point keeps
-the projection of its clamped, occluded cosine (its *transfer*), so that the light it sends back
-is one dot product, also after it has turned.
+Nine harmonics of the radiance determine the shading of a diffuse surface. A surface point stores the irradiance that
+each harmonic causes there (its *transfer*), so that the shading of a turned body is one dot product.
 
-Source: Ramamoorthi & Hanrahan 2001 (nine coefficients suffice for diffuse shading); Sloan,
-Kautz & Snyder 2002 (precomputed transfer).
+Source: Ramamoorthi & Hanrahan 2001 (nine coefficients suffice for diffuse shading); Sloan, Kautz & Snyder 2002
+(precomputed transfer).
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Annotated, Final
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from aomgen.core.sh import sh_basis, sh_rotation
-from aomgen.core.values import Array, freeze_arrays
+from aomgen.core.sh import sh_basis, sh_rotation, sphere_directions
+from aomgen.core.values import Array, Matrix4, Vector3, freeze_arrays
 
 # Factors that turn radiance coefficients of bands 0, 1, 2 into irradiance coefficients.
 COSINE_BANDS: Final = np.repeat([np.pi, 2 * np.pi / 3, np.pi / 4], [1, 3, 5])
+# Directions that represent light from everywhere: irradiance is then right to a thousandth.
+DIRECTIONS: Final = 256
+# Directions around the center of a wide directional light.
+RING: Final = 6
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Light:
-    """Radiance that arrives from all directions, exposed like the scene's pictures.
+    """Light that arrives from D directions, in the exposure of the scene's images.
 
     Attributes:
-        radiance_sh: (9, 3) coefficients of linear RGB radiance, world frame. A white diffuse
-            surface under it sends back `irradiance / pi` of linear color, 1 = image white.
+        directions: Unit vectors towards the light, world frame.
+        radiance: Linear RGB (D, 3) that a white diffuse surface reflects when it faces the direction: radiance times
+            solid angle over pi; 1 is image white.
     """
 
-    radiance_sh: Annotated[Array, "9 3"]
+    directions: Annotated[Array, "D 3"]
+    radiance: Annotated[Array, "D _"]
 
     __post_init__ = freeze_arrays
 
-    def irradiance(self, normals_world: ArrayLike) -> Array:
-        """Irradiance over pi (N, 3) of unoccluded surfaces with unit normals (N, 3)."""
-        return np.maximum(cosine_answer(normals_world) @ self.radiance_sh, 0)
+    @property
+    def radiance_sh(self) -> Array:
+        """Harmonics (9, 3) of the radiance, world frame."""
+        return np.pi * sh_basis(self.directions, 2).T @ self.radiance
+
+    def irradiance(self, normals: ArrayLike, visibility: ArrayLike = 1.0) -> Array:
+        """Irradiance over pi (N, 3) of surfaces: the linear RGB that white ones reflect.
+
+        Args:
+            normals: Unit normals (N, 3), world frame.
+            visibility: Share (N, D) of each direction's light that reaches the surface, 0..1.
+        """
+        cosines = np.maximum(np.asarray(normals, np.float64) @ self.directions.T, 0)
+        return np.asarray((cosines * np.asarray(visibility)) @ self.radiance, np.float64)
 
     def view_from(self, R_world_body: ArrayLike) -> Array:
-        """Coefficients (..., 9, 3) in the frames of bodies turned by (..., 3, 3)."""
+        """Harmonics (..., 9, 3) in the frames of bodies rotated by (..., 3, 3)."""
         return rotate_radiance(self.radiance_sh, R_world_body)
 
     def scale_by(self, gain: ArrayLike) -> "Light":
-        """The light made brighter by a factor, or by three, one for each channel."""
-        return Light(radiance_sh=self.radiance_sh * np.asarray(gain, np.float64))
+        """Multiply the radiance by a factor, or by three, one for each channel."""
+        return replace(self, radiance=self.radiance * np.asarray(gain, np.float64))
 
-    def without(self, direction: ArrayLike, normal: ArrayLike, share: float) -> "Light":
-        """What is left without a lamp in a direction (3,) that sends a surface with a normal (3,) a share of its light."""
-        towards, up = np.asarray(direction)[None], np.asarray(normal)[None]
-        lamp = sh_basis(towards, 2).T * self.irradiance(up)
-        lamp *= share / (cosine_answer(up) @ sh_basis(towards, 2).T)
-        return Light(radiance_sh=self.radiance_sh - lamp)
+    def turn(self, R: ArrayLike) -> "Light":
+        """Rotate all directions by R (3, 3)."""
+        return replace(self, directions=self.directions @ np.asarray(R, np.float64).T)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DirectionalLight:
+    """The part of a level surface's light that comes from one side and casts shadows that can be seen.
+
+    Attributes:
+        directions: Unit vectors (K, 3) towards the light, world frame; one for crisp shadows, see `spread_directions`.
+        share: Share (3,) of the surface's irradiance that is this light's, linear RGB, 0..1.
+        T_world_plane: The surface, z = 0 on it.
+    """
+
+    directions: Annotated[Array, "K 3"]
+    share: Vector3
+    T_world_plane: Matrix4
+
+    def __post_init__(self) -> None:
+        freeze_arrays(self)
+        if not np.allclose(np.linalg.norm(self.directions, axis=1), 1, atol=1e-6):
+            raise ValueError("DirectionalLight.directions have not length 1")
+        if not ((self.share >= 0) & (self.share < 1)).all():
+            raise ValueError("DirectionalLight.share is not in 0..1")
+
+    def split(self, light: Light) -> tuple[Light, Light]:
+        """All light at the surface as light from everywhere and this light."""
+        up = self.T_world_plane[:3, 2]
+        total = light.irradiance(up[None])[0]
+        radiance = self.share * total / max(float((self.directions @ up).sum()), 1e-9)
+        own = Light(directions=self.directions, radiance=np.tile(radiance, (len(self.directions), 1)))
+        rest = light_from_harmonics(light.radiance_sh - own.radiance_sh)
+        # Nine harmonics of one direction are negative elsewhere, light is not.
+        rest = replace(rest, radiance=np.maximum(rest.radiance, 0))
+        return rest.scale_by((1 - self.share) * total / np.maximum(rest.irradiance(up[None])[0], 1e-9)), own
+
+
+def spread_directions(direction: ArrayLike, width: float) -> Array:
+    """Directions (K, 3) over a disc of half an angle `width` [rad] around one (3,): its center and a ring."""
+    center = np.asarray(direction, np.float64)
+    if not width:
+        return center[None]
+    side = np.cross(center, np.eye(3)[np.argmin(np.abs(center))])
+    side /= np.linalg.norm(side)
+    turns = np.arange(RING) * 2 * np.pi / RING
+    ring = np.stack([np.cos(turns), np.sin(turns)], 1) @ np.stack([side, np.cross(center, side)])
+    # Together with the center the ring has the second moment of the disc.
+    spread = np.concatenate([center[None], center + np.tan(width) * np.sqrt((RING + 1) / (2 * RING)) * ring])
+    return spread / np.linalg.norm(spread, axis=1, keepdims=True)
+
+
+def light_from_harmonics(radiance_sh: ArrayLike) -> Light:
+    """Light from everywhere whose radiance has the harmonics (9, 3); negative where the harmonics are."""
+    directions = sphere_directions(DIRECTIONS)
+    # The smallest radiance with exactly these harmonics, which is their value there but for quadrature errors.
+    weights = np.linalg.pinv(np.pi * sh_basis(directions, 2).T)
+    return Light(directions=directions, radiance=weights @ np.asarray(radiance_sh, np.float64))
+
+
+def hemisphere_light(sky: ArrayLike, ground: ArrayLike) -> Light:
+    """Light of two half spheres: radiance (3,) from above and from below, bands 0 and 1."""
+    sky, ground = np.asarray(sky, np.float64), np.asarray(ground, np.float64)
+    sh = np.zeros((9, 3))
+    # Projections of the two half spheres: Y0 * 2 pi each, and +-pi * 0.4886 for the z band.
+    sh[0] = 0.28209479177387814 * 2 * np.pi * (sky + ground)
+    sh[2] = 0.4886025119029199 * np.pi * (sky - ground)
+    return light_from_harmonics(sh)
 
 
 def rotate_radiance(radiance_sh: ArrayLike, R_world_body: ArrayLike) -> Array:
-    """Coefficients (..., 9, C) in the frames of bodies turned by (..., 3, 3) of radiance (9, C), or one each, in the world's."""
+    """Harmonics (..., 9, C) in the frames of bodies rotated by (..., 3, 3), of harmonics (9, C) in the world frame."""
     Rs_body_world = np.asarray(R_world_body, np.float64).swapaxes(-1, -2)
     radiance = np.asarray(radiance_sh)
     radiance = np.broadcast_to(radiance, (*Rs_body_world.shape[:-2], *radiance.shape[-2:]))
@@ -72,21 +150,6 @@ def project_radiance(directions: ArrayLike, solid_angles: ArrayLike, radiance: A
     return np.asarray(weighted.T @ np.asarray(radiance), np.float64)
 
 
-def hemisphere_light(sky: ArrayLike, ground: ArrayLike) -> Light:
-    """Light of two half spheres: radiance (3,) from above and from below, bands 0 and 1."""
-    sky, ground = np.asarray(sky, np.float64), np.asarray(ground, np.float64)
-    sh = np.zeros((9, 3))
-    # Projections of the two half spheres: Y0 * 2 pi each, and +-pi * 0.4886 for the z band.
-    sh[0] = 0.28209479177387814 * 2 * np.pi * (sky + ground)
-    sh[2] = 0.4886025119029199 * np.pi * (sky - ground)
-    return Light(radiance_sh=sh)
-
-
-def cosine_answer(normals: ArrayLike) -> Array:
-    """Matrix (N, 9) that turns harmonics of radiance into irradiance over pi at unoccluded unit normals (N, 3)."""
-    return sh_basis(normals, 2) * (COSINE_BANDS / np.pi)
-
-
 def open_transfer(normals: ArrayLike) -> NDArray[np.float32]:
-    """Transfer (N, 9) of unoccluded surfaces with unit normals (N, 3)."""
-    return cosine_answer(normals).astype(np.float32)
+    """Transfer (N, 9) of unoccluded surfaces with unit normals (N, 3); times harmonics it is irradiance over pi."""
+    return (sh_basis(normals, 2) * (COSINE_BANDS / np.pi)).astype(np.float32)

@@ -42,6 +42,15 @@ def sh_basis(directions: ArrayLike, degree: int) -> Array:
     return np.stack(basis, -1)
 
 
+def sphere_directions(count: int) -> Array:
+    """Evenly spread unit directions (count, 3): a golden spiral."""
+    k = np.arange(count) + 0.5
+    z = 1 - 2 * k / count
+    angle = np.pi * (1 + np.sqrt(5)) * k
+    ring = np.sqrt(1 - z * z)
+    return np.stack([ring * np.cos(angle), ring * np.sin(angle), z], 1)
+
+
 def sh_rotation(R: ArrayLike, degree: int) -> list[Array]:
     """Matrices (..., 2l + 1, 2l + 1), l = 1..degree, that rotate coefficients by R (..., 3, 3).
 

@@ -32,13 +32,13 @@ from aomgen.executors import Work
 from aomgen.io.artifact import file_digest, load_artifact
 from aomgen.io.atomic import stage_folder
 from aomgen.io.episode_folder import episode_folder
+from aomgen.lighting.object_shadow import ObjectShadow, tabulate_object_shadow
 from aomgen.results import ASSET_USD, Results
 from aomgen.robots.robot import longest_reach
 from aomgen.saved_units import unit_name
 from aomgen.simulation.episode_scene import episode_scene
 from aomgen.simulation.scene import Scene
 from aomgen.simulation.verify import verify_plan
-from aomgen.twin.plane_shadow import SoftShadow, compute_soft_shadow
 from aomgen.twin.twin import StaticLayer, TwinModel
 from aomgen.twin.variation import change_appearance, light_gains, scale_object
 
@@ -311,7 +311,7 @@ class OpenAsset:
 
     def show_variation(
         self, variation: Variation, cameras: Mapping[str, Camera]
-    ) -> tuple[TwinModel, dict[str, StaticLayer], SoftShadow | None]:
+    ) -> tuple[TwinModel, dict[str, StaticLayer], ObjectShadow | None]:
         """The twin as a variation shows it, what cameras see of what never moves, and the object's soft shadow.
 
         What the recording's light and cameras show is kept for the next episode.
@@ -331,8 +331,8 @@ class OpenAsset:
         return static_layers(self.twin, self.factory.place.cameras, 1)
 
     @cached_property
-    def _soft_shadow(self) -> SoftShadow | None:
-        return compute_soft_shadow(self.twin, self.factory.results.episode_scene.T_world_plane, 1)
+    def _soft_shadow(self) -> ObjectShadow | None:
+        return tabulate_object_shadow(self.twin, self.factory.results.episode_scene.T_world_plane, 1)
 
 
 def open_grasping(results: Results, folder: Path) -> Callable[[int], WorkingGrasps]:

@@ -11,12 +11,11 @@ from aomgen.conventions import BACKGROUND
 from aomgen.core.camera import Camera, CameraPath
 from aomgen.core.demonstration import SceneTrajectory
 from aomgen.core.values import Array
-from aomgen.episodes.fixed_views import FixedViews, soft_shades
-from aomgen.episodes.moving_view import MovingView
-from aomgen.episodes.shading import Shade, States
+from aomgen.episodes.camera_views import FixedViews, MovingView
 from aomgen.io.video import Codec
+from aomgen.lighting.episode_shadows import States, cast_shadows
+from aomgen.lighting.object_shadow import ObjectShadow, tabulate_object_shadow
 from aomgen.robots.robot import RobotModel
-from aomgen.twin.plane_shadow import SoftShadow, compute_soft_shadow
 from aomgen.twin.twin import (
     StaticLayer,
     TwinModel,
@@ -24,7 +23,7 @@ from aomgen.twin.twin import (
     trajectory_body_poses,
 )
 
-# Frames that are drawn at once; bounds the memory of their colors and shades.
+# Frames that are rendered at once; bounds the memory of their colors and shadows.
 BATCH: Final = 32
 
 
@@ -68,7 +67,7 @@ def render_episode(
     T_world_plane: Array | None = None,
     threads: int | None = None,
     *,
-    soft: SoftShadow | None = None,
+    soft: ObjectShadow | None = None,
     paths: Mapping[str, CameraPath] | None = None,
     params: ImageParams = ImageParams(),
 ) -> dict[str, CameraFrames]:
@@ -79,25 +78,27 @@ def render_episode(
         layers: From `static_layers`, of the same twin.
         T_world_plane: The surface that the object's shadow falls on; None for no shadow.
         threads: As in `splatting.rasterizer.render`.
-        soft: From `compute_soft_shadow`, of the same twin and surface; None to find it here.
+        soft: From `tabulate_object_shadow`, of the same twin and surface; None to find it here.
         paths: Cameras that move, by name.
         params: Which images.
     """
     states = states_of(twin, robot, trajectory)
-    shades: list[Shade] = []
-    if T_world_plane is not None:
-        soft = compute_soft_shadow(twin, T_world_plane, threads) if soft is None else soft
-        shades = soft_shades(twin, robot, trajectory.T_world_object, soft, T_world_plane)
+    Ts = states.Ts_world_body[0]
+    if T_world_plane is not None and soft is None:
+        soft = tabulate_object_shadow(twin, T_world_plane, threads)
+    moving = [path.Ts_world_cam[:, :3, 3] for path in (paths or {}).values()]
+    eyes = np.concatenate([np.reshape([layer.camera.center for layer in layers.values()], (-1, 3)), *moving])
+    twin, shadows = cast_shadows(twin, robot, Ts, eyes, soft, T_world_plane, threads)
     batches = [states.part(slice(k, k + BATCH)) for k in range(0, len(states.thetas), BATCH)]
     drawn: dict[str, CameraFrames] = {}
     if layers:
-        views = FixedViews(twin, robot, states.Ts_world_body[0], layers, shades, threads)
+        views = FixedViews(twin, robot, Ts, layers, shadows, threads)
         outputs = _outputs(params)
         images = zip(*(views.draw(batch, outputs) for batch in batches), strict=True)
         frames = (_frames(items, views.labels, params) for items in images)
         drawn |= zip(layers, frames, strict=True)
     for name, path in (paths or {}).items():
-        view = MovingView(twin, robot, states.Ts_world_body[0], path, shades, threads)
+        view = MovingView(twin, path.camera, shadows, threads)
         parts = zip(batches, path.batches(BATCH), strict=True)
         images = [view.draw(batch, part, _outputs(params)) for batch, part in parts]
         drawn[name] = _frames(images, view.labels, params)

@@ -12,10 +12,10 @@ from aomgen.core.camera import Camera
 from aomgen.core.demonstration import SceneTrajectory, Trajectory
 from aomgen.core.plan import FittedAsset, Variation
 from aomgen.core.values import Array
+from aomgen.episodes.camera_views import FixedViews, MovingView
 from aomgen.episodes.factory import EpisodeFactory, OpenAsset
-from aomgen.episodes.fixed_views import FixedViews, soft_shades
-from aomgen.episodes.moving_view import MovingView
 from aomgen.episodes.render import states_of
+from aomgen.lighting.episode_shadows import cast_shadows
 from aomgen.robots.silhouette import FAR_M
 from aomgen.simulation.scene import build_scene
 from aomgen.simulation.scene_renderer import SceneRenderer
@@ -50,17 +50,15 @@ class SplatViews:
         self._robot, self._T = factory.results.robot, variation.place_at(fitted)
         self._cameras = factory.place.cameras
         self._twin, layers, soft = opened.show_variation(variation, self._cameras)
-        shades = soft_shades(
-            self._twin, self._robot, self._T, soft, factory.results.episode_scene.T_world_plane
-        )
         demo = factory.results.demonstration
         first = replace(demo.at(demo.times_s[:1]), gripper=np.zeros(1), thetas=np.full(1, fitted.start_theta))
         Ts = self._states(first).Ts_world_body[0]
-        self._views = FixedViews(self._twin, self._robot, Ts, layers, shades, threads=1)
-        paths = self._robot.camera_paths(first.joints, first.gripper)
-        self._carried = {
-            name: MovingView(self._twin, self._robot, Ts, paths[name], shades, threads=1) for name in carried
-        }
+        eyes = np.stack([camera.center for camera in self._cameras.values()])
+        T_world_plane = factory.results.episode_scene.T_world_plane
+        twin, shadows = cast_shadows(self._twin, self._robot, Ts, eyes, soft, T_world_plane, threads=1)
+        self._views = FixedViews(twin, self._robot, Ts, layers, shadows, threads=1)
+        optics = {name: self._robot.cameras[name].view for name in carried}
+        self._carried = {name: MovingView(twin, view, shadows, threads=1) for name, view in optics.items()}
 
     def draw(self, reached: Trajectory) -> Images:
         """Image (H, W, 3) of every camera."""

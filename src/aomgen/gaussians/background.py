@@ -13,6 +13,7 @@ from scipy import ndimage
 from scipy.spatial import cKDTree
 
 from aomgen.core.boxes import fit_plane
+from aomgen.core.sh import sphere_directions
 from aomgen.core.values import Array
 from aomgen.gaussians.depth_fusion import (
     MIN_CONFIRMATIONS,
@@ -22,7 +23,6 @@ from aomgen.gaussians.depth_fusion import (
     join_samples,
     thin,
 )
-from aomgen.splatting.surfaces import sphere_directions
 
 # Planes at most: walls, floor and ceiling of a room, or a table and its surroundings.
 MAX_PLANES = 5

@@ -12,10 +12,11 @@ from aomgen.core.transforms import ROTATION_TOLERANCE, measure_rigidity
 from aomgen.core.values import Array
 from aomgen.errors import ConfigError, MissingFileError, UnknownNameError
 from aomgen.io.artifact import load_artifact
+from aomgen.lighting.shadowed_twin import render_state
 from aomgen.results import Results
 from aomgen.robots.loading import load_stored_robot
 from aomgen.robots.robot import RobotModel
-from aomgen.twin.twin import TwinModel, TwinState, render_state
+from aomgen.twin.twin import TwinModel, TwinState
 
 TWIN_FOLDER = "06_twin"
 # Pixels with less accumulated alpha show the background.

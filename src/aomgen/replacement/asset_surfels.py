@@ -20,8 +20,9 @@ from aomgen.core.gaussians import SH_C0, Gaussians, concatenate
 from aomgen.core.light import open_transfer
 from aomgen.core.transforms import apply
 from aomgen.core.values import Array
+from aomgen.lighting.link_occlusion import estimate_link_transfer
+from aomgen.lighting.visibility import Occluders, turn_outward
 from aomgen.replacement.asset_renderer import AssetRenderer
-from aomgen.replacement.joint_occlusion import estimate_link_transfer
 from aomgen.splatting.compute import NativeCompute
 from aomgen.splatting.differentiable import CpuRasterizer, GaussianTensors, PartTensors, RasterOptions
 from aomgen.splatting.optimizer import (
@@ -34,7 +35,6 @@ from aomgen.splatting.optimizer import (
     relocate_and_grow,
 )
 from aomgen.splatting.rasterizer import contribution_weights
-from aomgen.splatting.surfaces import outward_normals
 from aomgen.splatting.surfels import OPACITY, Surfels, bend_normals, hiding_points, surfels_of
 from aomgen.splatting.training import one_torch_thread
 from aomgen.twin.twin import move_bodies
@@ -142,7 +142,7 @@ def asset_surfels(asset: ArticulatedAsset, rng: np.random.Generator) -> tuple[Su
 
 def _turn_outward(cover: Surfels, surface: Array) -> Surfels:
     means, normals = (part.astype(np.float64) for part in (cover.gaussians.means, cover.normals))
-    return replace(cover, normals=outward_normals(means, normals, surface).astype(np.float32))
+    return replace(cover, normals=turn_outward(means, normals, Occluders(surface)).astype(np.float32))
 
 
 def _bend_transfer(

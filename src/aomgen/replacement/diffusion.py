@@ -18,7 +18,7 @@ from aomgen.core.environment_map import EnvironmentMap
 from aomgen.core.gaussians import Gaussians
 from aomgen.core.values import Array
 from aomgen.errors import BackendError
-from aomgen.replacement.chrome_ball import merge_exposures, unwrap_ball
+from aomgen.lighting.chrome_ball import merge_exposures, unwrap_ball
 from aomgen.replacement.table_texture import Photograph, continue_smoothly
 from aomgen.splatting.rasterizer import render
 

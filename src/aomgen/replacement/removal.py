@@ -15,12 +15,12 @@ from scipy.ndimage import (
 )
 from scipy.spatial import ConvexHull
 
-from aomgen.conventions import BACKGROUND, MOVING, STATIC
+from aomgen.conventions import BACKGROUND, MOVING, STATIC, illuminate_srgb
 from aomgen.core.gaussians import SH_C0, Gaussians, gaussians_of
 from aomgen.core.transforms import apply, quat_from_matrix
 from aomgen.core.values import Array
-from aomgen.replacement.light_estimation import LitSamples
-from aomgen.replacement.old_shadow import ShadowedTable, select_lit_cells, shadow_gain
+from aomgen.lighting.light_estimation import LitSamples
+from aomgen.lighting.table_shadow import ShadowedTable, select_lit_cells, shadow_gain
 from aomgen.replacement.table_texture import Photograph, continue_smoothly, photograph_surface
 from aomgen.robots.robot import RobotModel
 from aomgen.splatting.rasterizer import contribution_weights
@@ -36,8 +36,8 @@ SEEN_SHARE: Final = 0.2
 MARGIN: Final = 0.045
 # Photographs show the object's foot within this distance of the footprint, [m].
 FOOT: Final = 0.02
-# Colors in deeper shadows, which would be brightened by more than this factor, are inpainted, sRGB.
-MAX_LIFT: Final = 1.35
+# Colors in deeper shadows, whose light would be multiplied by more than this factor, are inpainted, linear.
+MAX_LIFT: Final = 1.94
 # Texture and shadow are judged on a ring this wide, [m].
 RING: Final = 0.28
 # Cell of the image from above, [m].
@@ -122,8 +122,8 @@ def clear_object(
     known = known & ~deep
     level = remaining.of_scene & on_surface(remaining.gaussians, support)
     factors = np.where(level[:, None], plan.lookup(gain, remaining.gaussians, 1.0), 1.0)
-    lightened = remaining.gaussians.brighten(factors)
-    texture = inpaint(np.clip(picture * gain, 0, 1), known)
+    lightened = remaining.gaussians.illuminate(factors)
+    texture = inpaint(np.minimum(illuminate_srgb(picture, gain), 1), known)
     # The table ends where nothing was scanned before either; gaps within it are closed too.
     area = (outside <= 0) | (_hull(plan.cover(world.select(scene)) > 0.5) & (near | ~binary_dilation(other)))
     new, closed = area & (near | deep), outside <= 0.7 * RING

@@ -10,7 +10,7 @@ import numpy as np
 from aomgen.assets.choice import ORIGINAL, open_asset, require_usable
 from aomgen.assets.doctor import Finding
 from aomgen.assets.usd_write import write_for_replay
-from aomgen.conventions import MOVING, SRGB_POWER, STATIC
+from aomgen.conventions import MOVING, STATIC
 from aomgen.core.asset import ArticulatedAsset
 from aomgen.core.demonstration import EpisodeScene, RecordedObject, SupportPlane
 from aomgen.core.parts import surface_points
@@ -23,22 +23,22 @@ from aomgen.errors import EstimationError
 from aomgen.io.artifact import save_artifact
 from aomgen.io.hdr_image import read_environment
 from aomgen.io.images import read_image
+from aomgen.lighting.light_estimation import SceneLight, estimate_light, light_of_map
+from aomgen.lighting.reflection import show_in_light
+from aomgen.lighting.table_shadow import MAX_GAIN
+from aomgen.lighting.wall_shadow import cast_wall_shadow
 from aomgen.replacement.asset_surfels import asset_surfels
 from aomgen.replacement.correspondence import describe_contact
 from aomgen.replacement.diffusion import choose_photograph, estimate_environment, inpaint_table
 from aomgen.replacement.fitting import FitParams, fit_asset
-from aomgen.replacement.light_estimation import SceneLight, estimate_light, light_of_map
 from aomgen.replacement.obstacles import find_obstacles, support_plane
-from aomgen.replacement.old_shadow import MAX_GAIN
 from aomgen.replacement.original import fit_original, original_twin
-from aomgen.replacement.reflection import show_in_light
 from aomgen.replacement.removal import Cleared, Inpaint, clear_object
 from aomgen.replacement.table_texture import Photograph, inpaint
 from aomgen.replacement.viewpoint import episode_cameras
 from aomgen.results import ASSET_USD, ASSETS_FOLDER, FITTED, Results
 from aomgen.robots.robot import longest_reach
 from aomgen.twin.binding import with_object
-from aomgen.twin.thing_shadow import compute_surrounding_shadow
 from aomgen.twin.twin import TwinModel, pose_twin
 
 # Folder of the twin without its object.
@@ -57,7 +57,7 @@ def run(results: Results, folder: Path, progress: Progress) -> dict[str, Any]:
     progress(0.3, "light")
     support = support_plane(cleared)
     scan_light = _light_at_object(results, cleared)
-    background = _things_in_light(results, cleared, scan_light)
+    background = _remove_wall_shadow(results, cleared, scan_light)
     light = light_of_assets(results, scan_light, choose_photograph(views, _middle(cleared)))
     (folder / BACKGROUND_FOLDER).mkdir()
     save_artifact(folder / BACKGROUND_FOLDER, "twin", background)
@@ -138,19 +138,18 @@ def light_of_assets(results: Results, scan_light: SceneLight, view: Photograph) 
     return light_of_map(around, scan_light, "file")
 
 
-def _things_in_light(results: Results, cleared: Cleared, light: SceneLight) -> TwinModel:
+def _remove_wall_shadow(results: Results, cleared: Cleared, light: SceneLight) -> TwinModel:
     """The cleared scene without the recorded object's shadow on walls and clutter."""
     twin, recorded, T_world_plane = cleared.twin, results.twin, cleared.support.T_world_plane
     body = pose_twin(recorded, results.robot, recorded.scan_state).select(
         np.isin(recorded.labels, (STATIC, MOVING))
     )
-    scene, lamp = twin.scene, recorded.directional_light
-    cast = compute_surrounding_shadow(
-        scene, body, light.shown, lamp, _eyes(results), T_world_plane, len(scene)
+    scene, lamp, eyes = twin.scene, recorded.directional_light, _eyes(results)
+    received = np.ones((len(twin.gaussians), 1))
+    received[twin.of_scene] = cast_wall_shadow(
+        scene, body, light.shown, lamp, eyes, T_world_plane, len(scene)
     )
-    gain = np.ones((len(twin.gaussians), 1))
-    gain[twin.of_scene] = 1 / np.maximum(cast.factors(scene, T_world_plane), MAX_GAIN**-SRGB_POWER)
-    return replace(twin, gaussians=twin.gaussians.brighten(gain))
+    return replace(twin, gaussians=twin.gaussians.illuminate(1 / np.maximum(received, 1 / MAX_GAIN)))
 
 
 def _middle(cleared: Cleared) -> Array:

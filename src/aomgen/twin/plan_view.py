@@ -1,20 +1,21 @@
 """Images of the plane that an object stands on, from straight above."""
 
 from dataclasses import dataclass
-from typing import Annotated, TypeVar
+from typing import Annotated, Final, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from aomgen.core.camera import Camera
 from aomgen.core.gaussians import Gaussians
-from aomgen.core.transforms import apply
+from aomgen.core.transforms import apply, transform
 from aomgen.core.values import Array, freeze_arrays
 from aomgen.splatting.rasterizer import render
-from aomgen.twin.shadow import distant_camera
 from aomgen.twin.support import Support, on_surface
 
 Value = TypeVar("Value", bound=np.generic)
+# Distance of a camera whose image counts as an orthographic one, [m].
+FAR: Final = 60.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -53,7 +54,10 @@ class PlanView:
         R = self.support.T_world_plane[:3, :3] * [1.0, -1.0, -1.0]
         middle = np.append(self.low + np.array([columns, rows]) * self.cell / 2, 0.0)
         center = apply(self.support.T_world_plane, middle)
-        return distant_camera(R, center, self.cell, (columns, rows))
+        return Camera(
+            fx=FAR / self.cell, fy=FAR / self.cell, cx=columns / 2, cy=rows / 2, width=columns, height=rows,
+            T_world_cam=transform(R, center - FAR * R[:, 2]),
+        )  # fmt: skip
 
     def cover(self, gaussians: Gaussians) -> Array:
         """Coverage of each cell (H, W) by Gaussians on the plane, 0..1."""

@@ -14,16 +14,18 @@ from aomgen.conventions import BACKGROUND
 from aomgen.core.camera import Camera
 from aomgen.core.gaussians import SH_C0, Gaussians, concatenate
 from aomgen.core.joint import Joint
+from aomgen.core.light import DirectionalLight, Light
 from aomgen.core.values import Array, Matrix4, freeze_arrays, require_indices
 from aomgen.robots.robot import RobotModel
-from aomgen.splatting.rasterizer import Rendering, render
 from aomgen.splatting.session import Motion, RenderSession
 from aomgen.twin.relighting import Relighting, Relit
-from aomgen.twin.shadow import MOVES, SCENE, STANDS, DirectionalLight
 
 WORLD: Final = "world"
 OBJECT: Final = "object"
 PART: Final = "part"
+# Margin around moving bodies where the scene behind them is compared, [px]: render and image differ by about this
+# much at contours.
+CONTOUR_PX: Final = 3
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -46,6 +48,21 @@ class TwinState:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class PosedImages:
+    """Images from one camera pose with one exposure.
+
+    Attributes:
+        camera: Camera of all of them, world frame.
+        images_srgb: (H, W, 3) uint8 each.
+        states: State of the twin in each image.
+    """
+
+    camera: Camera
+    images_srgb: tuple[NDArray[np.uint8], ...]
+    states: tuple[TwinState, ...]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class TwinModel:
     """A scene that can be posed; N Gaussians, B bodies.
 
@@ -59,8 +76,8 @@ class TwinModel:
         T_world_object: Object pose in the scan.
         scan_state: The state that was scanned.
         relit: Surfaces that are lit per frame; None when all colors come from the scan.
-        directional_light: What throws the shadow of moving bodies on the surface they work over, whose own colors
-            are those in light; None when shadows are as they were scanned.
+        directional_light: Casts the shadow of moving bodies on the surface they work over, whose own colors are those in
+            light; None when shadows are as they were scanned.
     """
 
     robot: str
@@ -88,6 +105,13 @@ class TwinModel:
     def relit_bodies(self) -> NDArray[np.int32]:
         """Body of every relit Gaussian (M,)."""
         return self.bodies[self.relit.indices] if self.relit is not None else np.zeros(0, np.int32)
+
+    def relit_light(self, name: str) -> Light:
+        """The light of a body that is relit."""
+        rows = np.flatnonzero(self.relit_bodies == self.body(name))
+        if self.relit is None or not len(rows):
+            raise ValueError(f"the twin's body {name} is not relit")
+        return self.relit.lights[self.relit.light_of[rows[0]]]
 
     @property
     def moves(self) -> NDArray[np.bool_]:
@@ -178,34 +202,12 @@ def move_bodies(gaussians: Gaussians, bodies: NDArray[np.int32], Ts: Array) -> G
     return concatenate(pieces).select(np.argsort(order))
 
 
-def render_state(
-    twin: TwinModel, robot: RobotModel, state: TwinState, camera: Camera, **options: Any
-) -> Rendering:
-    """Draw a state with its shadows; `options` go to `splatting.rasterizer.render`."""
-    world, light = pose_twin(twin, robot, state), twin.directional_light
-    drawn = render(world, camera, **options)
-    if light is None:
-        return drawn
-    surface, taken = light.shadow_seen(world, shadow_roles(twin, robot), camera)
-    return replace(drawn, rgb=drawn.rgb * light.factors(surface * taken))
-
-
 def standing_bodies(twin: TwinModel, robot: RobotModel) -> NDArray[np.bool_]:
     """Mask (B,) of the bodies that no joint moves: the world, the robot's base and the object's static part."""
     rest = twin.scan_state
     turned = replace(rest, joints=rest.joints + 1.0)
     near = np.isclose(body_poses(twin, robot, rest), body_poses(twin, robot, turned))
     return near.all((1, 2)) & (np.arange(len(near)) != twin.body(PART))
-
-
-def shadow_roles(twin: TwinModel, robot: RobotModel) -> NDArray[np.uint8]:
-    """Role of each Gaussian (N,) in shadows, see `twin.shadow`.
-
-    The object's static part and the robot's base stand where they were scanned, with their shadows.
-    """
-    roles = np.where(standing_bodies(twin, robot), STANDS, MOVES).astype(np.uint8)
-    roles[0] = SCENE
-    return roles[twin.bodies]
 
 
 def body_list(robot: RobotModel) -> tuple[str, ...]:

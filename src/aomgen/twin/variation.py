@@ -6,18 +6,15 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from aomgen.conventions import SRGB_POWER, linear_from_srgb, srgb_from_linear
-from aomgen.core.gaussians import SH_C0, Gaussians
+from aomgen.conventions import illuminate_srgb, linear_from_srgb, srgb_from_linear
 from aomgen.core.plan import LightChange, MaterialChange
 from aomgen.core.transforms import matrix_from_rotvec
 from aomgen.core.values import Array
-from aomgen.twin.relighting import Relit
+from aomgen.twin.relighting import Relit, ResidualAppearance
 from aomgen.twin.twin import OBJECT, PART, TwinModel
 
 # Linear sRGB of XYZ. Source: IEC 61966-2-1.
 RGB_OF_XYZ: Final = ((3.2406, -1.5372, -0.4986), (-0.9689, 1.8758, 0.0415), (0.0557, -0.2040, 1.0570))
-# Below this an sRGB color has no ratio to speak of.
-BLACK: Final = 1e-3
 
 
 def change_appearance(twin: TwinModel, light: LightChange, material: MaterialChange) -> TwinModel:
@@ -95,15 +92,23 @@ def _blackbody_rgb(temperature_k: float) -> Array:
 def _with_gains(twin: TwinModel, gains: Array) -> TwinModel:
     relit = twin.relit
     if relit is not None:
-        residuals = tuple(
-            replace(item, difference_srgb=item.difference_srgb * gains**SRGB_POWER)
-            for item in relit.residuals
-        )
+        residuals = tuple(_scale_residual(relit, item, gains) for item in relit.residuals)
         relit = replace(
             relit, lights=tuple(light.scale_by(gains) for light in relit.lights), residuals=residuals
         )
-    everything = np.ones(len(twin.gaussians), bool)
-    return replace(twin, gaussians=_recolor(twin.gaussians, everything, np.diag(gains)), relit=relit)
+    return replace(twin, gaussians=twin.gaussians.illuminate(gains), relit=relit)
+
+
+def _scale_residual(relit: Relit, item: ResidualAppearance, gains: Array) -> ResidualAppearance:
+    """The residual of sRGB colors where seen and lit colors change by factors (3,) on their light."""
+    rows, lit = item.rows, np.empty(item.difference_srgb.shape)
+    radiance = np.stack([light.view_from(item.Rs_world_body) for light in relit.lights])
+    for number, seen_light in enumerate(radiance):
+        mine = relit.light_of[rows] == number
+        lit[:, mine] = relit.albedo_linear[rows[mine]] * (relit.transfer[rows[mine]] @ seen_light)
+    seen = np.clip(srgb_from_linear(np.minimum(lit, 1)) + item.difference_srgb, 0, 1)
+    difference = illuminate_srgb(seen, gains) - srgb_from_linear(np.minimum(lit * gains, 1))
+    return replace(item, difference_srgb=difference.astype(np.float32))
 
 
 def _with_turned_light(twin: TwinModel, R: Array) -> TwinModel:
@@ -112,20 +117,20 @@ def _with_turned_light(twin: TwinModel, R: Array) -> TwinModel:
     if relit is not None:
         relit = replace(
             relit,
-            lights=tuple(replace(light, radiance_sh=light.view_from(R.T)) for light in relit.lights),
+            lights=tuple(light.turn(R) for light in relit.lights),
             residuals=tuple(replace(item, Rs_world_body=R @ item.Rs_world_body) for item in relit.residuals),
         )
     if lamp is not None:
-        lamp = replace(lamp, direction=R @ lamp.direction)
+        lamp = replace(lamp, directions=lamp.directions @ R.T)
     return replace(twin, relit=relit, directional_light=lamp)
 
 
 def _with_material(twin: TwinModel, matrix: Array) -> TwinModel:
-    bodies = [twin.body(OBJECT), twin.body(PART)]
-    gaussians = _recolor(twin.gaussians, np.isin(twin.bodies, bodies), matrix)
-    return replace(
-        twin, gaussians=gaussians, relit=_with_albedo(twin.relit, np.isin(twin.relit_bodies, bodies), matrix)
-    )
+    bodies, colors = [twin.body(OBJECT), twin.body(PART)], twin.gaussians.colors_srgb
+    mine = np.isin(twin.bodies, bodies)
+    colors[mine] = srgb_from_linear(linear_from_srgb(np.maximum(colors[mine], 0)) @ matrix.T)
+    relit = _with_albedo(twin.relit, np.isin(twin.relit_bodies, bodies), matrix)
+    return replace(twin, gaussians=twin.gaussians.recolor(colors), relit=relit)
 
 
 def _with_albedo(relit: Relit | None, rows: NDArray[np.bool_], matrix: Array) -> Relit | None:
@@ -134,14 +139,3 @@ def _with_albedo(relit: Relit | None, rows: NDArray[np.bool_], matrix: Array) ->
     albedo = np.array(relit.albedo_linear)
     albedo[rows] = np.clip(albedo[rows] @ matrix.T, 0, 1)
     return replace(relit, albedo_linear=albedo)
-
-
-def _recolor(gaussians: Gaussians, which: NDArray[np.bool_], matrix: Array) -> Gaussians:
-    """Gaussians of which some (N,) have their linear colors mapped; what depends on the view goes along in proportion."""
-    sh = np.array(gaussians.sh)
-    before = 0.5 + SH_C0 * sh[which, 0].astype(np.float64)
-    after = srgb_from_linear(linear_from_srgb(np.maximum(before, 0)) @ matrix.T)
-    ratio = np.where(before > BLACK, after / np.maximum(before, BLACK), 1.0)
-    sh[which, 1:] *= ratio[:, None].astype(np.float32)
-    sh[which, 0] = (after - 0.5) / SH_C0
-    return gaussians.with_sh(sh)

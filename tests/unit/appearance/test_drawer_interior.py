@@ -6,15 +6,15 @@ import numpy as np
 import pytest
 
 from aomgen.appearance.drawer_interior import add_drawer_interior
-from aomgen.appearance.surfel_observations import PosedImages
 from aomgen.conventions import BACKGROUND, MOVING, STATIC
 from aomgen.core.camera import Camera, look_at
 from aomgen.core.gaussians import SH_C0, Gaussians, concatenate, gaussians_of
 from aomgen.core.joint import Joint
 from aomgen.core.transforms import apply, transform
+from aomgen.lighting.shadowed_twin import render_state
 from aomgen.robots.robot import RobotModel
 from aomgen.twin.binding import bind
-from aomgen.twin.twin import TwinModel, TwinState, render_state
+from aomgen.twin.twin import PosedImages, TwinModel, TwinState
 
 TRAVEL = 0.2
 CAMERA = Camera(

@@ -6,15 +6,16 @@ import pytest
 from aomgen.appearance.refine import refine_twin
 from aomgen.appearance.robot_shading import RobotDiscs, fit_robot_colors
 from aomgen.appearance.robot_surfels import replace_robot_gaussians
-from aomgen.appearance.surfel_observations import PosedImages, SurfelObservations, match_exposure
+from aomgen.appearance.surfel_observations import SurfelObservations, match_exposure
 from aomgen.conventions import MOVING, ROBOT
 from aomgen.core.camera import Camera, look_at
 from aomgen.core.gaussians import SH_C0, gaussians_of
-from aomgen.core.light import Light, open_transfer
+from aomgen.core.light import light_from_harmonics, open_transfer
 from aomgen.core.transforms import matrix_from_rotvec, transform
 from aomgen.io.artifact import load_artifact, save_artifact
+from aomgen.lighting.shadowed_twin import render_state
 from aomgen.twin.relighting import Relit, ResidualAppearance, orientation_weights
-from aomgen.twin.twin import TwinModel, render_state
+from aomgen.twin.twin import PosedImages, TwinModel
 from diffuse_shading import shaded_srgb
 
 BEHIND = look_at((0.5, 1.1, 0.7), (0.2, 0.0, 0.3))
@@ -279,6 +280,6 @@ def test_relit_surfaces_without_light_or_row_are_refused(spoil):
             albedo_linear=surfaces[0],
             transfer=surfaces[1],
             light_of=[0, 1] if spoil == "light_of" else [0, 0],
-            lights=(Light(radiance_sh=np.zeros((9, 3))),),
+            lights=(light_from_harmonics(np.zeros((9, 3))),),
             residuals=(residual,),
         )

@@ -6,6 +6,7 @@ import pytest
 
 from aomgen.core.camera import Camera, CameraPath, look_at
 from aomgen.core.demonstration import SceneTrajectory
+from aomgen.core.light import DirectionalLight
 from aomgen.core.plan import (
     EpisodePlan,
     FittedAsset,
@@ -20,13 +21,15 @@ from aomgen.episodes.render import ImageParams, render_episode, static_layers
 from aomgen.errors import CorruptArtifactError, MalformedFileError, StorageError
 from aomgen.io.episode_folder import commit_episode, list_committed, read_episode, read_images
 from aomgen.io.video import encode_video, read_video
+from aomgen.lighting.shadowed_twin import render_state
 from aomgen.twin.binding import with_object
-from aomgen.twin.shadow import DirectionalLight
-from aomgen.twin.twin import TwinModel, TwinState, render_state
+from aomgen.twin.twin import TwinModel, TwinState
 from aomgen.twin.variation import change_appearance
 from drawer_episode import no_contacts
 
 FRAMES = 4
+# A shadow of 0.6 times the sRGB color.
+SHARE = np.full(3, 1 - 0.6**2.2)
 ZEROS_RAD = np.array([0.0, 0.002, -0.003, 0.0, 0.001, 0.0])
 
 
@@ -172,7 +175,9 @@ def test_a_lamp_throws_the_shadow_of_the_whole_object_to_its_other_side(toy_scen
     x_side = {}
     for sign in (1.0, -1.0):
         lamp = DirectionalLight(
-            direction=(0.8 * sign, 0.0, 0.6), T_world_plane=np.eye(4), shade=np.full(3, 0.5)
+            directions=np.array([[0.8 * sign, 0.0, 0.6]]),
+            T_world_plane=np.eye(4),
+            share=np.full(3, 1 - 0.5**2.2),
         )
         lit = replace(twin, directional_light=lamp)
         above = Camera(
@@ -248,7 +253,7 @@ def test_a_moving_camera_that_stands_still_sees_what_a_fixed_one_sees(toy_scene,
     plane, trajectory = np.eye(4), verified(toy_scene, 0.3).plan
     camera = cameras["front"]
     path = CameraPath(camera=camera, Ts_world_cam=np.tile(camera.T_world_cam, (FRAMES, 1, 1)))
-    lamp = DirectionalLight(direction=(0.0, 0.6, 0.8), T_world_plane=plane, shade=np.full(3, 0.6))
+    lamp = DirectionalLight(directions=np.array([[0.0, 0.6, 0.8]]), T_world_plane=plane, share=SHARE)
     for lit in (twin, replace(twin, directional_light=lamp)):
         layers = static_layers(lit, {"front": camera})
         drawn = render_episode(lit, toy_scene.robot, trajectory, layers, plane, paths={"moving": path})
@@ -314,7 +319,7 @@ def test_damage_is_noticed(toy_scene, twin, cameras, tmp_path):
 def test_the_arm_throws_its_shadow_in_episodes_as_in_the_twin(toy_scene):
     direction = np.array([0.2, -0.3, 1.0])
     lamp = DirectionalLight(
-        direction=direction / np.linalg.norm(direction), T_world_plane=np.eye(4), shade=np.full(3, 0.6)
+        directions=direction[None] / np.linalg.norm(direction), T_world_plane=np.eye(4), share=SHARE
     )
     plain, lit = toy_scene.twin, replace(toy_scene.twin, directional_light=lamp)
     rest = plain.scan_state

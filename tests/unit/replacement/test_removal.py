@@ -10,12 +10,13 @@ from aomgen.core.camera import Camera, look_at
 from aomgen.core.gaussians import SH_C0, Gaussians, concatenate, gaussians_of
 from aomgen.core.transforms import apply
 from aomgen.errors import ReconstructionError
+from aomgen.lighting.shadowed_twin import render_state
 from aomgen.replacement.removal import FADE, _hardly_seen, clear_object, renew_surface
 from aomgen.replacement.table_texture import Photograph, inpaint
 from aomgen.splatting.rasterizer import render
 from aomgen.twin.plan_view import PlanView
 from aomgen.twin.support import Support
-from aomgen.twin.twin import pose_twin, render_state
+from aomgen.twin.twin import pose_twin
 
 TABLE_SRGB = (0.6, 0.45, 0.3)
 

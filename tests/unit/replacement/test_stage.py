@@ -10,7 +10,7 @@ import pytest
 from aomgen.core.environment_map import map_directions
 from aomgen.core.light import hemisphere_light
 from aomgen.errors import EstimationError
-from aomgen.replacement.light_estimation import SceneLight, ToneCurve
+from aomgen.lighting.light_estimation import SceneLight, ToneCurve
 from aomgen.replacement.stage import fit_assets, light_of_assets
 from recordings import gripped_recording
 

@@ -6,36 +6,11 @@ import torch
 
 from aomgen.core.camera import Camera
 from aomgen.core.gaussians import Gaussians
-from aomgen.core.light import open_transfer
 from aomgen.splatting.optimizer import parameters_of, relocate_and_grow
-from aomgen.splatting.surfaces import ViewDepth, in_free_space, open_past, transfer_past, view_depths
+from aomgen.splatting.surfaces import ViewDepth, in_free_space, view_depths
 from aomgen.splatting.training import CLEAR_AT, TrainingParams, _clears, _grows
 
 WALL_Z = 4.0
-
-
-def block() -> np.ndarray:
-    """A filled cube of a meter about (2, 0, 0)."""
-    return np.random.default_rng(0).uniform((1.5, -0.5, -0.5), (2.5, 0.5, 0.5), (60_000, 3))
-
-
-def test_a_body_blocks_what_it_lies_before_and_nothing_behind_the_eye():
-    starts = np.array([[0.0, 0, 0], [0, 0.9, 0], [4.0, 0, 0], [2.0, 0, 3.0]])
-    ways = np.array([[1.0, 0, 0], [-1.0, 0, 0], [0, 0, -1.0]])
-    found = [open_past(starts, way[None], block()).tolist() for way in ways]
-    assert found == [[0, 1, 1, 1], [1, 1, 0, 1], [1, 1, 1, 0]]
-    np.testing.assert_allclose(open_past(starts, ways, block()), [2 / 3, 1, 2 / 3, 2 / 3])
-
-
-def test_transfer_past_a_body_is_open_far_from_it_and_small_behind_it():
-    normals = np.tile([1.0, 0.0, 0.0], (3, 1))
-    points = np.array([[1.3, 0.0, 0.0], [-3.0, 0.0, 0.0], [3.0, 0.0, 0.0]])
-    near, far, turned_away = transfer_past(points, normals, block())
-    want = open_transfer(normals[:1])[0]
-    np.testing.assert_allclose(turned_away, want, atol=0.03)
-    # A cube of a meter covers some three hundredths of the cosine from five meters away.
-    np.testing.assert_allclose(far, want, atol=0.05)
-    assert near[0] < 0.6 * want[0]
 
 
 def camera(x: float, scale: float = 1.0) -> Camera:

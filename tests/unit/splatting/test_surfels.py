@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 
 from aomgen.core.camera import Camera, look_at
-from aomgen.core.light import Light, hemisphere_light, open_transfer
+from aomgen.core.light import hemisphere_light, light_from_harmonics, open_transfer
 from aomgen.core.mesh import Mesh
 from aomgen.core.transforms import matrix_from_rotvec, transform
 from aomgen.errors import AssetError
+from aomgen.lighting.visibility import Occluders, estimate_transfer, turn_outward
 from aomgen.splatting.rasterizer import render
-from aomgen.splatting.surfaces import estimate_transfer, outward_normals
 from aomgen.splatting.surfels import crease_edges, surfels_of
 from diffuse_shading import shaded_srgb
 
@@ -121,10 +121,10 @@ def test_only_borders_and_sharp_edges_are_creases():
 def test_transfer_of_an_open_surface_is_the_clamped_cosine():
     points = np.random.default_rng(0).uniform((-0.2, -0.2, 0), (0.2, 0.2, 0), (400, 3))
     normals = np.tile([0, 0, 1.0], (400, 1))
-    transfer, seen = estimate_transfer(points, normals, points)
+    transfer, seen = estimate_transfer(points, normals, Occluders(points))
     np.testing.assert_allclose(transfer, open_transfer(normals), atol=0.05)
     np.testing.assert_allclose(seen, 1, atol=0.05)
-    np.testing.assert_array_equal(outward_normals(points, normals, points), normals)
+    np.testing.assert_array_equal(turn_outward(points, normals, Occluders(points)), normals)
 
 
 def test_the_floor_of_a_box_is_darker_than_its_lid():
@@ -137,7 +137,7 @@ def test_the_floor_of_a_box_is_darker_than_its_lid():
     ]
     box = np.concatenate([floor, *sides])
     middle = np.array([[0.0, 0, 0], [0, 0, 0.2]])
-    transfer, _ = estimate_transfer(middle, np.array([[0, 0, 1.0], [0, 0, 1.0]]), box)
+    transfer, _ = estimate_transfer(middle, np.array([[0, 0, 1.0], [0, 0, 1.0]]), Occluders(box))
     light = hemisphere_light((1, 1, 1), (0, 0, 0))
     inside, above = shaded_srgb(np.full((2, 3), 0.8), transfer, light.radiance_sh)
     assert inside.mean() < 0.85 * above.mean()
@@ -147,15 +147,17 @@ def test_normals_that_look_into_a_closed_box_are_turned():
     rng = np.random.default_rng(0)
     points = rng.normal(size=(200_000, 3))
     points /= np.linalg.norm(points, axis=1, keepdims=True)
-    inward = outward_normals(points[:50], -points[:50], points)
+    inward = turn_outward(points[:50], -points[:50], Occluders(points))
     np.testing.assert_array_equal(inward, points[:50])
 
 
 def test_light_turns_the_other_way_when_the_body_turns():
-    light = Light(radiance_sh=np.random.default_rng(0).normal(size=(9, 3)) + 3 * (np.arange(9) == 0)[:, None])
+    light = light_from_harmonics(
+        np.random.default_rng(0).normal(size=(9, 3)) + 3 * (np.arange(9) == 0)[:, None]
+    )
     R = matrix_from_rotvec(np.array([0.3, -0.8, 0.5]))
     normal_body = np.array([[0.6, 0.0, 0.8]])
-    world = light.irradiance(normal_body @ R.T)
+    world = open_transfer(normal_body @ R.T) @ light.radiance_sh
     body = open_transfer(normal_body) @ light.view_from(R)
     np.testing.assert_allclose(body, world, atol=1e-5)
 

@@ -3,22 +3,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from aomgen.core.light import light_from_harmonics
 from aomgen.core.sh import sh_basis
 from aomgen.core.transforms import angle_between, apply, invert, matrix_from_rotvec, transform
 from aomgen.errors import MalformedFileError, MissingFileError
 from aomgen.io.artifact import load_artifact, save_artifact
+from aomgen.lighting.shadowed_twin import render_state
 from aomgen.splatting.rasterizer import render
 from aomgen.twin.binding import object_frame, with_object
-from aomgen.twin.twin import (
-    PART,
-    TwinModel,
-    body_poses,
-    moving_layer,
-    pose_bodies,
-    pose_twin,
-    render_state,
-    static_layer,
-)
+from aomgen.twin.twin import PART, TwinModel, body_poses, moving_layer, pose_bodies, pose_twin, static_layer
 
 
 def test_the_scanned_state_gives_the_scan_back(toy_scene):
@@ -77,7 +70,7 @@ def test_a_door_gets_darker_when_it_turns_away_from_the_light(toy_scene):
     normals = np.concatenate([static.normals, moving.normals])
     assert len(normals) == len(surface.indices)
     # The same door in a light without direction stays as it is.
-    even = replace(toy_scene.light, radiance_sh=toy_scene.light.radiance_sh * (np.arange(9) == 0)[:, None])
+    even = light_from_harmonics(toy_scene.light.radiance_sh * (np.arange(9) == 0)[:, None])
     flat = replace(twin, relit=replace(surface, lights=(even,)))
     a = pose_twin(flat, toy_scene.robot, twin.scan_state).sh[part, 0]
     b = pose_twin(flat, toy_scene.robot, replace(twin.scan_state, theta=1.5)).sh[part, 0]

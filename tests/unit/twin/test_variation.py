@@ -7,12 +7,13 @@ import pytest
 
 from aomgen.conventions import linear_from_srgb
 from aomgen.core.joint import Joint
+from aomgen.core.light import DirectionalLight
 from aomgen.core.plan import LightChange, MaterialChange
 from aomgen.core.transforms import matrix_from_rotvec, transform
+from aomgen.lighting.shadowed_twin import render_state
 from aomgen.twin.binding import with_object
 from aomgen.twin.relighting import ResidualAppearance
-from aomgen.twin.shadow import DirectionalLight
-from aomgen.twin.twin import TwinModel, pose_bodies, render_state
+from aomgen.twin.twin import TwinModel, pose_bodies
 from aomgen.twin.variation import change_appearance, light_gains, material_matrix, scale_object
 
 NO_LIGHT, NO_MATERIAL = LightChange(), MaterialChange()
@@ -31,7 +32,9 @@ def twin(toy_scene) -> TwinModel:
         difference_srgb=np.full((1, len(rows), 3), 0.05),
         reach_rad=0.4,
     )
-    lamp = DirectionalLight(direction=(0.6, 0.0, 0.8), T_world_plane=np.eye(4), shade=np.full(3, 0.7))
+    lamp = DirectionalLight(
+        directions=np.array([[0.6, 0.0, 0.8]]), T_world_plane=np.eye(4), share=np.full(3, 0.5)
+    )
     return replace(made, relit=replace(made.relit, residuals=(residual,)), directional_light=lamp)
 
 
@@ -83,7 +86,9 @@ def test_bodies_that_turn_with_the_light_look_as_before(twin):
     before, after = pose_bodies(twin, Ts).sh[rows, 0], pose_bodies(turned, T @ Ts).sh[rows, 0]
     np.testing.assert_allclose(after, before, atol=2e-3)
     assert np.abs(pose_bodies(turned, Ts).sh[rows, 0] - before).max() > 0.05
-    np.testing.assert_allclose(turned.directional_light.direction, T[:3, :3] @ (0.6, 0.0, 0.8), atol=1e-12)
+    np.testing.assert_allclose(
+        turned.directional_light.directions[0], T[:3, :3] @ (0.6, 0.0, 0.8), atol=1e-12
+    )
     np.testing.assert_array_equal(turned.gaussians.sh, twin.gaussians.sh)
     back = change_appearance(turned, LightChange(turn=-0.8), NO_MATERIAL)
     np.testing.assert_allclose(back.relit.lights[0].radiance_sh, twin.relit.lights[0].radiance_sh, atol=1e-12)

@@ -1,11 +1,11 @@
 import numpy as np
 import pytest
 
+from aomgen.core.sh import sphere_directions
 from aomgen.core.transforms import apply
-from aomgen.episodes.arm_shade import ArmShade, body_spheres, sphere_share
-from aomgen.episodes.shading import States
-from aomgen.splatting.surfaces import sphere_directions
-from aomgen.twin.plane_shadow import PlaneGrid
+from aomgen.lighting.episode_shadows import _cast_arm_shadow, find_body_spheres, measure_sphere_share
+from aomgen.lighting.object_shadow import FILL
+from aomgen.lighting.plane_shadow import PlaneGrid
 from aomgen.twin.twin import TwinState, body_poses
 
 RIGHT = 1.5
@@ -20,15 +20,15 @@ def test_a_sphere_keeps_what_rays_say(middle):
     rays = rays[rays[:, 2] > 0]
     beside = np.linalg.norm(np.cross(rays, middle - place), axis=1)
     met = rays[beside < radius, 2].sum() / rays[:, 2].sum()
-    assert sphere_share(np.array([middle]), radius, grid)[0, 0, 0] == pytest.approx(met, rel=0.02)
+    assert measure_sphere_share(np.array([middle]), radius, grid)[0, 0, 0] == pytest.approx(met, rel=0.02)
 
 
 def test_spheres_lie_along_the_robot(toy_scene):
     """No piece of the arm is farther from a sphere than it is thick."""
-    spheres, robot = body_spheres(toy_scene.robot), toy_scene.robot
+    spheres, robot = find_body_spheres(toy_scene.robot), toy_scene.robot
     for mesh in robot.meshes:
-        own = [item for item in spheres if item.body == mesh.body]
-        away = [np.linalg.norm(mesh.vertices_body - item.middle, axis=1) - 2 * item.radius for item in own]
+        own = [item for item in spheres if item[0] == 1 + mesh.body]
+        away = [np.linalg.norm(mesh.vertices_body - center, axis=1) - 2 * radius for _, center, radius in own]
         assert np.min(away, 0).max() < 0.03
 
 
@@ -42,11 +42,11 @@ def test_the_shadow_goes_with_the_arm(toy_scene):
         theta=scan.theta,
         T_world_object=scan.T_world_object,
     )
-    shade = ArmShade(twin, toy_scene.robot, np.eye(4))
+    grid, block = _cast_arm_shadow(twin, toy_scene.robot, 1 - FILL, np.eye(4))
     Ts = np.stack([body_poses(twin, toy_scene.robot, state) for state in (scan, turned)])
-    still, moved = shade.dark(States(Ts, np.zeros(2))).shares
+    still, moved = block(Ts)
     assert not still.any()
     upper = 1 + toy_scene.robot.body_names.index("upper_arm_link")
-    under = shade.grid.lookup(apply(Ts[:, upper], np.zeros(3))[:, :2]) @ moved.ravel()
+    under = grid.lookup(apply(Ts[:, upper], np.zeros(3))[:, :2]) @ moved.ravel()
     assert under[0] < -0.01
     assert under[1] > 0.01

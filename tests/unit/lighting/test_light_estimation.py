@@ -9,11 +9,11 @@ from aomgen.conventions import ROBOT, linear_from_srgb, srgb_from_linear
 from aomgen.core.camera import Camera, look_at
 from aomgen.core.environment_map import EnvironmentMap, map_directions
 from aomgen.core.gaussians import SH_C0, Gaussians
-from aomgen.core.light import cosine_answer, hemisphere_light
+from aomgen.core.light import hemisphere_light, open_transfer
 from aomgen.core.mesh import face_normals_areas, sample_surface
-from aomgen.core.sh import sh_basis
+from aomgen.core.sh import sh_basis, sphere_directions
 from aomgen.core.transforms import apply
-from aomgen.replacement.light_estimation import (
+from aomgen.lighting.light_estimation import (
     LIMITS,
     REFLECTED,
     LitSamples,
@@ -24,8 +24,8 @@ from aomgen.replacement.light_estimation import (
     light_of_map,
     radiance_around,
 )
-from aomgen.replacement.probe import Probe, probe_light
-from aomgen.splatting.surfaces import sphere_directions, transfer_past
+from aomgen.lighting.probe import Probe, probe_light
+from aomgen.lighting.visibility import BODY_CELLS, Occluders, estimate_transfer
 from aomgen.twin.twin import pose_twin
 
 AXES = np.concatenate([np.eye(3), -np.eye(3)])
@@ -58,7 +58,7 @@ def robot_in(around, tone, rng, glints=0.0):
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     palette = np.array([[0.64, 0.64, 0.64], [0.2, 0.42, 0.6], [0.07, 0.07, 0.07]])
     albedo = palette[rng.integers(0, 3, 1500)]
-    transfer = cosine_answer(normals)
+    transfer = open_transfer(normals).astype(float)
     irradiance = np.maximum(transfer @ radiance_around(around, UNSEEN, tone), 0)
     seen = tone.show((albedo + REFLECTED) * irradiance)
     seen[rng.random(1500) < glints] = 1.0
@@ -72,7 +72,7 @@ def table_in(around, tone, albedo):
         np.meshgrid(np.arange(0.02, 0.4, 0.01), np.arange(-0.5, 0.5, 0.01), np.arange(0, 0.4, 0.01)), -1
     ).reshape(-1, 3)
     points = np.column_stack([-np.linspace(0.01, 1.5, 400), np.zeros(400), np.full(400, 0.001)])
-    transfer = transfer_past(points, normals, box)
+    transfer = estimate_transfer(points, normals, Occluders(box, BODY_CELLS))[0]
     seen = tone.show(albedo * np.maximum(transfer @ radiance_around(around, UNSEEN, tone), 0))
     return LitSamples(transfer=transfer, albedo=np.ones((400, 3)), seen=np.clip(seen, 0, 1))
 
@@ -94,7 +94,7 @@ def test_light_from_where_nothing_was_scanned_is_found_on_the_robot(tone, glints
     # One blue tells little of what is lost of it.
     assert found.color_loss == pytest.approx(tone.color_loss, abs=0.2)
     true, ours = (
-        curve.show(cosine_answer(AXES) @ radiance_around(around, light, curve))
+        curve.show(open_transfer(AXES) @ radiance_around(around, light, curve))
         for light, curve in ((UNSEEN, tone), (unseen, found))
     )
     np.testing.assert_allclose(ours, true, atol=0.06)
@@ -106,11 +106,11 @@ def test_a_shadow_tells_from_where_the_light_comes_when_little_of_the_robot_is_s
     robot = robot_in(around, tone, np.random.default_rng(0))
     up = robot.transfer[:, 2] > 0.95 * robot.transfer[:, 2].max()
     robot = LitSamples(transfer=robot.transfer[up], albedo=robot.albedo[up], seen=robot.seen[up])
-    true = cosine_answer(AXES) @ radiance_around(around, UNSEEN, tone)
+    true = open_transfer(AXES) @ radiance_around(around, UNSEEN, tone)
     errors = []
     for table in (NO_TABLE, table_in(around, tone, np.array([0.5, 0.35, 0.2]))):
         unseen, found = fit_unseen(robot, around, table, around)
-        ours = found.show(cosine_answer(AXES) @ radiance_around(around, unseen, found))
+        ours = found.show(open_transfer(AXES) @ radiance_around(around, unseen, found))
         errors.append(float(np.abs(ours - true)[[0, 3]].mean()))
     assert errors[1] < 0.6 * errors[0]
 
@@ -127,7 +127,7 @@ def test_at_another_place_what_is_seen_there_counts():
         seen=(directions[:, 0] > 0).astype(float),
         radiance_linear=np.zeros((COUNT, 3)),
     )
-    free, shaded = (cosine_answer(AXES) @ radiance_around(item, unseen, tone) for item in (around, beside))
+    free, shaded = (open_transfer(AXES) @ radiance_around(item, unseen, tone) for item in (around, beside))
     assert (shaded[0] < 0.25 * free[0]).all()
     assert (shaded[3] > 0.7 * free[3]).all()
 
@@ -257,7 +257,7 @@ def test_harmonics_answer_as_a_cosine_does():
         radiance_linear=radiance,
     )
     by_hand = np.maximum(normals @ directions.T, 0) @ radiance * 4 / 20_000
-    np.testing.assert_allclose(cosine_answer(normals) @ around.project(radiance), by_hand, atol=0.01)
+    np.testing.assert_allclose(open_transfer(normals) @ around.project(radiance), by_hand, atol=0.01)
 
 
 @pytest.mark.parametrize(("gain", "tone"), [(1e-3, ToneCurve()), (1e3, ToneCurve(0.7, 0.4))])

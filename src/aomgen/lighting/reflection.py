@@ -17,10 +17,9 @@ import numpy as np
 from aomgen.conventions import linear_from_srgb, srgb_from_linear
 from aomgen.core.gaussians import SH_C0
 from aomgen.core.light import rotate_radiance
-from aomgen.core.sh import sh_basis
+from aomgen.core.sh import sh_basis, sphere_directions
 from aomgen.core.values import Array
-from aomgen.replacement.light_estimation import REFLECTED, SceneLight
-from aomgen.splatting.surfaces import sphere_directions
+from aomgen.lighting.light_estimation import REFLECTED, SceneLight
 from aomgen.splatting.surfels import Surfels
 
 # Band of each of the nine harmonics.

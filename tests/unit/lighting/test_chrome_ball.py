@@ -6,7 +6,7 @@ import pytest
 from aomgen.conventions import srgb_from_linear
 from aomgen.core.camera import Camera, look_at
 from aomgen.core.environment_map import EnvironmentMap, map_directions
-from aomgen.replacement.chrome_ball import merge_exposures, unwrap_ball
+from aomgen.lighting.chrome_ball import merge_exposures, unwrap_ball
 
 AXES = np.concatenate([np.eye(3), -np.eye(3)])
 EXPOSURES = (0.0, -2.5, -5.0)

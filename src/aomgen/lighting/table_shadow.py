@@ -1,7 +1,7 @@
-"""The shadow that the recorded object threw on its table, explained by light from many directions.
+"""The shadow that the recorded object cast on its table, explained by light from many directions.
 
-What the object keeps from every place of the table is known for every direction; how much comes from where is what
-explains the brightness that was seen best. Dividing by what arrives takes the shadow away, soft or crisp.
+The visibility past the object is known for every cell of the table and every direction; the radiance of the directions is
+what explains the observed brightness best. Dividing by the irradiance removes the shadow, soft or crisp.
 """
 
 from dataclasses import dataclass
@@ -13,13 +13,14 @@ from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter, map_coordinates
 from scipy.optimize import nnls
 
-from aomgen.conventions import SRGB_POWER, linear_from_srgb
+from aomgen.conventions import linear_from_srgb
 from aomgen.core.gaussians import Gaussians
+from aomgen.core.sh import sphere_directions
 from aomgen.core.transforms import apply, invert
 from aomgen.core.values import Array
-from aomgen.replacement.light_estimation import LitSamples
-from aomgen.splatting.surfaces import sphere_directions, transfer_past
-from aomgen.twin.plane_shadow import PlaneGrid, project_body_shadow
+from aomgen.lighting.light_estimation import LitSamples
+from aomgen.lighting.plane_shadow import PlaneGrid, project_shadow
+from aomgen.lighting.visibility import BODY_CELLS, Occluders, estimate_transfer
 
 # Cells of the picture from above that are one cell of the shadow, along a side: it is softer than wood is grained.
 COARSER: Final = 3
@@ -69,7 +70,7 @@ class ShadowedTable:
 
 
 def shadow_gain(table: ShadowedTable) -> Array:
-    """Factors (H, W, 3), 1 or more, on sRGB colors of a table that take away the shadow of what stood on it.
+    """Factors (H, W, 3), 1 or more, on the light of a table that remove the shadow of what stood on it.
 
     Not checked: that the table has one color on the whole. Where its brightness changes evenly from side to side it is
     left so.
@@ -84,9 +85,8 @@ def shadow_gain(table: ShadowedTable) -> Array:
     # An even sky lights a table by the sine of the elevation.
     sines = directions[:, 2]
     # What the object lets through of each.
-    passed = 1 - project_body_shadow(table.caster, invert(table.T_world_plane), directions, grid).astype(
-        np.float64
-    )
+    T_plane_world = invert(table.T_world_plane)[None, None]
+    passed = 1.0 - project_shadow(table.caster, None, T_plane_world, directions, grid)[0].astype(np.float64)
     middle = grid.points()[..., :2] - grid.points()[..., :2][sure].mean(0)
     slopes = [sign * middle[..., k] for k in range(2) for sign in (1, -1)]
     A = np.stack([*passed, *slopes], -1)[sure]
@@ -104,7 +104,7 @@ def shadow_gain(table: ShadowedTable) -> Array:
         observed = gaussian_filter(colors[..., channel], SMOOTH) / np.maximum(smooth_weight, 1e-3)
         lift = np.minimum(lift, np.maximum(GRAIN * (light.sum() + slope) / np.maximum(observed, 1e-3), 1))
         fine = map_coordinates(lift, places, order=1, mode="nearest")
-        gain[..., channel] = np.clip(fine, 1, MAX_GAIN) ** SRGB_POWER
+        gain[..., channel] = np.clip(fine, 1, MAX_GAIN)
     return gain
 
 
@@ -117,8 +117,9 @@ def select_lit_cells(table: ShadowedTable, rng: np.random.Generator) -> LitSampl
     sure = tuple(rng.permutation(sure)[:MAX_CELLS].T)
     points = apply(table.T_world_plane, grid.points()[sure])
     up = np.tile(table.T_world_plane[:3, 2], (len(points), 1))
+    occluders = Occluders(table.caster.means.astype(np.float64), BODY_CELLS)
     return LitSamples(
-        transfer=transfer_past(points, up, table.caster.means.astype(np.float64)),
+        transfer=estimate_transfer(points, up, occluders)[0],
         albedo=np.ones((len(points), 3)),
         seen=colors[sure] / weight[sure][:, None],
     )

@@ -10,7 +10,7 @@ from scipy.spatial import cKDTree
 from aomgen.core.asset import ArticulatedAsset
 from aomgen.core.transforms import apply, invert
 from aomgen.core.values import Array
-from aomgen.splatting.surfaces import estimate_transfer
+from aomgen.lighting.visibility import Occluders, estimate_transfer
 from aomgen.splatting.surfels import Surfels
 
 # Joint values, as shares of the range.
@@ -51,7 +51,8 @@ def estimate_link_transfer(
         transfers, shares = [], []
         for motion in motions:
             other = apply(motion if k == 0 else invert(motion), solids[1 - k])
-            transfer, seen = estimate_transfer(points, facing, np.concatenate([solids[k], other]))
+            occluders = Occluders(np.concatenate([solids[k], other]))
+            transfer, seen = estimate_transfer(points, facing, occluders)
             transfers.append(transfer)
             shares.append(seen)
         opened = np.array(shares) + 1e-9

@@ -4,10 +4,9 @@ import numpy as np
 import pytest
 
 from aomgen.core.gaussians import Gaussians, gaussians_of
-from aomgen.core.light import Light, hemisphere_light
+from aomgen.core.light import DirectionalLight, Light, hemisphere_light, light_from_harmonics
 from aomgen.core.transforms import quat_from_matrix, transform
-from aomgen.twin.shadow import DirectionalLight
-from aomgen.twin.thing_shadow import REACH_M, compute_surrounding_shadow
+from aomgen.lighting.wall_shadow import REACH_M, cast_wall_shadow
 
 RNG = np.random.default_rng(0)
 EYES = np.array([[0.0, -1.5, 1.0], [0.5, -1.5, 1.2]])
@@ -21,7 +20,7 @@ def passed(
     """Share of the light that each of the wall's Gaussians gets past the box."""
     T = np.eye(4) if T is None else T
     scene, body, eyes = wall.transform(T), box.transform(T), EYES + T[:3, 3]
-    return compute_surrounding_shadow(scene, body, light, lamp, eyes, PLANE, len(wall)).at(scene.means)
+    return cast_wall_shadow(scene, body, light, lamp, eyes, PLANE, len(wall))[:, 0]
 
 
 def sheet(axis: int, at: float, low: tuple[float, float], high: tuple[float, float]) -> Gaussians:
@@ -72,7 +71,7 @@ def test_light_from_one_side_throws_the_shadow_to_the_other(wall, box):
     mirrored = np.where(np.arange(9) == 3, -1, 1)[:, None] * radiance
     x, _, z = wall.means.T
     beside = (np.abs(x) > 0.22) & (np.abs(x) < 0.4) & (z < 0.3)
-    first, second = (passed(wall, box, Light(radiance_sh=sh)) for sh in (radiance, mirrored))
+    first, second = (passed(wall, box, light_from_harmonics(sh)) for sh in (radiance, mirrored))
     sides = [[share[beside & (sign * x > 0)].mean() for sign in (1, -1)] for share in (first, second)]
     assert abs(sides[0][0] - sides[0][1]) > 0.05
     np.testing.assert_allclose(sides[0], sides[1][::-1], atol=0.03)
@@ -80,7 +79,9 @@ def test_light_from_one_side_throws_the_shadow_to_the_other(wall, box):
 
 def test_what_the_lamp_cannot_reach_lacks_its_whole_share(wall, box):
     even = hemisphere_light(np.ones(3), np.ones(3))
-    lamp = DirectionalLight(direction=(0.0, -0.8, 0.6), T_world_plane=np.eye(4), shade=np.full(3, 0.5))
+    lamp = DirectionalLight(
+        directions=np.array([[0.0, -0.8, 0.6]]), T_world_plane=np.eye(4), share=np.full(3, 1 - 0.5**2.2)
+    )
     with_lamp, without = (passed(wall, box, even, item) for item in (lamp, None))
     x, _, z = wall.means.T
     # The box's top edge hides the wall up to its own height less 0.1 * 0.6 / 0.8.
@@ -97,14 +98,13 @@ def test_the_shadow_moves_with_the_scene(wall, box):
 
 def test_a_few_places_tell_what_all_do(wall, box):
     light = hemisphere_light(np.ones(3), np.full(3, 0.4))
-    few = compute_surrounding_shadow(wall, box, light, None, EYES, PLANE, 400)
-    assert len(few.points) <= 400
-    assert np.abs(few.at(wall.means) - passed(wall, box, light)).mean() < 0.02
+    few = cast_wall_shadow(wall, box, light, None, EYES, PLANE, 400)[:, 0]
+    assert np.abs(few - passed(wall, box, light)).mean() < 0.02
 
 
 def test_the_table_and_what_is_far_get_no_shadow(wall, box):
     light = hemisphere_light(np.ones(3), np.ones(3))
     far = wall.transform(transform(np.eye(3), [0.0, 5.0, 0.0]))
-    assert (compute_surrounding_shadow(far, box, light, None, EYES, PLANE, 4000).at(far.means) == 1).all()
+    assert (cast_wall_shadow(far, box, light, None, EYES, PLANE, 4000) == 1).all()
     table = sheet(2, 0.0, (-0.5, -0.5), (0.5, 0.5))
-    assert not len(compute_surrounding_shadow(table, box, light, None, EYES, np.eye(4), 4000).points)
+    assert (cast_wall_shadow(table, box, light, None, EYES, np.eye(4), 4000) == 1).all()

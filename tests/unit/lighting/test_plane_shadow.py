@@ -1,4 +1,4 @@
-"""Shadows on a surface: against silhouettes seen from the light, and as laws."""
+"""Shadows on a surface: against rays, and as laws."""
 
 from dataclasses import replace
 
@@ -6,12 +6,13 @@ import numpy as np
 import pytest
 
 from aomgen.core.gaussians import Gaussians, gaussians_of
-from aomgen.core.light import Light
-from aomgen.core.transforms import apply, matrix_from_rotvec, transform
+from aomgen.core.light import light_from_harmonics
+from aomgen.core.transforms import apply, invert, matrix_from_rotvec, transform
+from aomgen.lighting.object_shadow import FILL, ObjectShadow, tabulate_object_shadow
+from aomgen.lighting.plane_shadow import PlaneGrid, project_shadow
 from aomgen.twin.binding import with_object
-from aomgen.twin.plane_shadow import FILL, PlaneGrid, SoftShadow, compute_soft_shadow, project_shadow
-from aomgen.twin.shadow import silhouette
 from aomgen.twin.twin import TwinModel
+from ray_casting import find_blocked_rays
 
 GRID = PlaneGrid(low=(-0.5, -0.4), cell=0.01, columns=100, rows=80)
 
@@ -24,8 +25,8 @@ def twin(toy_scene) -> TwinModel:
 
 
 @pytest.fixture(scope="module")
-def soft(twin) -> SoftShadow:
-    found = compute_soft_shadow(twin, np.eye(4))
+def soft(twin) -> ObjectShadow:
+    found = tabulate_object_shadow(twin, np.eye(4))
     assert found is not None
     return found
 
@@ -47,7 +48,7 @@ def cells(grid: PlaneGrid) -> np.ndarray:
     return np.stack([*np.meshgrid(x, y), np.zeros((grid.rows, grid.columns))], -1)
 
 
-def test_a_cast_shadow_is_the_silhouette_that_the_light_sees():
+def test_a_cast_shadow_is_what_rays_do_not_reach():
     directions = np.array([[0.2, -0.3, 1.0], [0.8, 0.1, 0.5], [0.0, 0.0, 1.0]])
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
     Ts = transform(
@@ -55,14 +56,23 @@ def test_a_cast_shadow_is_the_silhouette_that_the_light_sees():
     )
     bodies, parts = box(), np.zeros(20_000, np.int32)
     cast = project_shadow(bodies, parts, Ts[:, None], directions, GRID)
-    for image, T, direction in zip(cast, Ts, directions, strict=True):
-        want = silhouette(bodies.transform(T), direction).at(cells(GRID))
-        assert np.abs(image - want).mean() < 0.01
-        assert ((image > 0.5) != (want > 0.5)).mean() < 0.02
-        assert (want > 0.5).any()
+    # Gaussians reach 6 mm beyond the box of their centers.
+    low, high = np.array([-0.1, -0.1, 0.0]) - 0.006, np.array([0.1, 0.1, 0.2]) + 0.006
+    for images, T in zip(cast, Ts, strict=True):
+        starts = apply(invert(T), cells(GRID).reshape(-1, 3))
+        for image, direction in zip(images, directions @ T[:3, :3], strict=True):
+            want = find_blocked_rays(starts, direction, low, high).reshape(image.shape)
+            assert np.abs(image - want).mean() < 0.01
+            assert ((image > 0.5) != want).mean() < 0.02
+            assert want.any()
     np.testing.assert_array_equal(
         cast, project_shadow(bodies, parts, Ts[:, None], directions, GRID, threads=1)
     )
+
+
+def test_nothing_casts_no_shadow():
+    nothing, up = box().select(np.zeros(0, int)), np.array([[0.0, 0.0, 1.0]])
+    assert not project_shadow(nothing, None, np.eye(4)[None, None], up, GRID).any()
 
 
 def test_a_lookup_gives_a_linear_map_back_and_nothing_outside():
@@ -77,8 +87,10 @@ def test_soft_shadow_lies_away_from_the_light_and_fades_out(soft, twin, toy_scen
     radiance = np.zeros((9, 3))
     radiance[0], radiance[3], radiance[2] = 1.0, -0.6, 0.4  # bright from +x and above
     mirrored = radiance * np.array([1, 1, 1, -1, 1, 1, 1, 1, 1])[:, None]
-    share, other = (soft.arriving(Light(radiance_sh=sh), twin.T_world_object) for sh in (radiance, mirrored))
-    assert share.shape == soft.passed.shape[1:]
+    share, other = (
+        1 - soft.block(light_from_harmonics(sh), twin.T_world_object) for sh in (radiance, mirrored)
+    )
+    assert share.shape == soft.visibility.shape[1:]
     assert (share >= FILL - 1e-6).all()
     assert (share <= 1 + 1e-6).all()
     assert (share[:, [0, -1]] == 1).all()
@@ -88,28 +100,25 @@ def test_soft_shadow_lies_away_from_the_light_and_fades_out(soft, twin, toy_scen
     assert share[:, x > np.quantile(x, 0.7)].mean() > other[:, x > np.quantile(x, 0.7)].mean() + 0.01
 
 
-def test_soft_shadow_is_what_silhouettes_from_everywhere_leave(soft, twin, toy_scene):
-    rows, grid = twin.relit.indices, soft.grid
-    T = twin.T_world_object
-    solid = twin.gaussians.select(rows[twin.relit_bodies == twin.body("object")]).transform(T)
-    door = twin.gaussians.select(rows[twin.relit_bodies == twin.body("part")])
-    state = 3
-    door = door.transform(T @ twin.joint.motion(soft.thetas[state]))
-    points = apply(T @ soft.T_object_plane, cells(grid))
-    R = (T @ soft.T_object_plane)[:3, :3]
-    for index in range(0, len(soft.directions), 16):
-        direction = R @ soft.directions[index]
-        want = (1 - silhouette(solid, direction).at(points)) * (1 - silhouette(door, direction).at(points))
-        assert np.abs(soft.passed[index, state] - want).mean() < 0.02
+def test_the_table_has_what_the_posed_bodies_let_through(soft, twin):
+    rows, grid, state = twin.relit.indices, soft.grid, 3
+    solid, door = (
+        twin.gaussians.select(rows[twin.relit_bodies == twin.body(name)]) for name in ("object", "part")
+    )
+    T = invert(soft.T_object_plane)
+    directions = soft.directions[::16]
+    past_solid, past_door = (
+        1 - project_shadow(body, None, pose[None, None], directions, grid)[0]
+        for body, pose in ((solid, T), (door, T @ twin.joint.motion(soft.thetas[state])))
+    )
+    # The maps are made of finer ones.
+    assert np.abs(soft.visibility[::16, state] - past_solid * past_door).mean((1, 2)).max() < 0.02
 
 
 def test_soft_shadow_turns_with_the_object_in_an_even_light(soft, twin):
-    even = Light(radiance_sh=np.eye(9, 3) * np.ones(3))
     turned = transform(matrix_from_rotvec([0, 0, 0.7]), [0.3, -0.1, 0]) @ twin.T_world_object
-    even = Light(radiance_sh=np.vstack([np.ones((1, 3)), np.zeros((8, 3))]))
-    np.testing.assert_allclose(
-        soft.arriving(even, turned), soft.arriving(even, twin.T_world_object), atol=1e-6
-    )
+    even = light_from_harmonics(np.vstack([np.ones((1, 3)), np.zeros((8, 3))]))
+    np.testing.assert_allclose(soft.block(even, turned), soft.block(even, twin.T_world_object), atol=1e-6)
 
 
 def test_a_scaled_object_has_a_scaled_shadow(soft):
@@ -123,9 +132,9 @@ def test_a_scaled_object_has_a_scaled_shadow(soft):
 
 def test_states_interpolate_between_neighbours(soft):
     thetas = np.linspace(soft.thetas[0] - 0.1, soft.thetas[-1] + 0.1, 37)
-    found = soft.states(thetas) @ soft.thetas
+    found = soft.interpolate(soft.thetas[:, None, None].astype(np.float32), thetas)[:, 0, 0]
     np.testing.assert_allclose(found, np.clip(thetas, soft.thetas[0], soft.thetas[-1]), atol=1e-6)
 
 
 def test_without_a_lit_object_there_is_no_soft_shadow(twin):
-    assert compute_soft_shadow(replace(twin, relit=None), np.eye(4)) is None
+    assert tabulate_object_shadow(replace(twin, relit=None), np.eye(4)) is None

@@ -1,9 +1,9 @@
 import numpy as np
 import pytest
 
-from aomgen.conventions import linear_from_srgb, srgb_from_linear
+from aomgen.conventions import illuminate_srgb, linear_from_srgb, srgb_from_linear
 from aomgen.core.gaussians import gaussians_of
-from aomgen.replacement.old_shadow import ShadowedTable, shadow_gain
+from aomgen.lighting.table_shadow import ShadowedTable, shadow_gain
 
 CELL = 0.004
 TABLE_SRGB = np.array([0.7, 0.55, 0.4])
@@ -67,12 +67,13 @@ def test_a_shadow_of_sky_and_lamp_is_taken_away(scene):
     picture = srgb_from_linear(linear_from_srgb(TABLE_SRGB) * share[..., None])
     known = np.abs(xy).max(-1) > half + 0.012
     gain = shadow_gain(table_of(half, height, picture, known))
-    left, before = np.abs(picture * gain - TABLE_SRGB), np.abs(picture - TABLE_SRGB)
+    left, before = np.abs(illuminate_srgb(picture, gain) - TABLE_SRGB), np.abs(picture - TABLE_SRGB)
     deep, shadowed = known & (share < 0.5), known & (share < 0.95)
     assert deep.sum() > 500
     assert left[deep].mean() < 0.25 * before[deep].mean()
     assert left[shadowed].mean() < 0.65 * before[shadowed].mean()
-    assert np.abs(gain - 1)[known & (share > 0.99)].mean() < 0.02
+    lift = illuminate_srgb(picture, gain) / picture
+    assert np.abs(lift - 1)[known & (share > 0.99)].mean() < 0.02
 
 
 def test_a_table_without_a_shadow_stays_as_it_is(scene):
@@ -82,7 +83,7 @@ def test_a_table_without_a_shadow_stays_as_it_is(scene):
     known = np.abs(xy).max(-1) > half + 0.012
     gain = shadow_gain(table_of(half, height, picture, known))
     far = np.abs(xy).max(-1) > half + 0.08
-    assert gain[far].max() < 1.1
+    assert (illuminate_srgb(picture, gain) / picture)[far].max() < 1.1
 
 
 def test_of_a_table_that_nobody_saw_nothing_is_said(scene):

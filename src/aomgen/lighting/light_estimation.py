@@ -18,14 +18,14 @@ from aomgen.conventions import BACKGROUND, ROBOT, linear_from_srgb, srgb_from_li
 from aomgen.core.camera import Camera
 from aomgen.core.environment_map import EnvironmentMap
 from aomgen.core.gaussians import SH_C0, Gaussians
-from aomgen.core.light import Light, cosine_answer, hemisphere_light
+from aomgen.core.light import DIRECTIONS, Light, hemisphere_light, light_from_harmonics, open_transfer
 from aomgen.core.mesh import face_normals_areas, sample_surface
-from aomgen.core.sh import sh_basis
+from aomgen.core.sh import sh_basis, sphere_directions
 from aomgen.core.transforms import apply
 from aomgen.core.values import Array, freeze_arrays
-from aomgen.replacement.probe import Probe, probe_light
+from aomgen.lighting.probe import Probe, probe_light
+from aomgen.lighting.visibility import Occluders, estimate_transfer
 from aomgen.robots.robot import RobotModel
-from aomgen.splatting.surfaces import DIRECTIONS, estimate_transfer, sphere_directions
 from aomgen.twin.twin import TwinModel, body_poses, pose_twin
 
 # Fewer Gaussians on the robot do not constrain the light; more than the second number add no information.
@@ -102,9 +102,9 @@ class SceneLight(NamedTuple):
     @property
     def shown(self) -> Light:
         """The light in the colors in which images show white surfaces."""
-        answer = cosine_answer(sphere_directions(DIRECTIONS))
-        white = self.tone.show(answer @ self.arriving.radiance_sh)
-        return Light(radiance_sh=np.asarray(np.linalg.lstsq(answer, white)[0], np.float64))
+        transfer = open_transfer(sphere_directions(DIRECTIONS)).astype(np.float64)
+        white = self.tone.show(transfer @ self.arriving.radiance_sh)
+        return light_from_harmonics(np.linalg.lstsq(transfer, white)[0])
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -157,7 +157,7 @@ def estimate_light(
         samples, probe_light(world.select(twin.labels != ROBOT), middle, views), table, here
     )
     radiance = radiance_around(here, unseen, tone)
-    return limit_light(SceneLight(Light(radiance_sh=radiance), tone, "robot"))
+    return limit_light(SceneLight(light_from_harmonics(radiance), tone, "robot"))
 
 
 def scene_light(world: Gaussians, labels: NDArray[np.uint8]) -> Light:
@@ -261,7 +261,7 @@ def _robot_samples(
     often = facing.mean(1) > MIN_EYES
     mine, nearest = mine[often], nearest[often]
     # Links shade each other and themselves. Enclosed points are not on the visible surface.
-    transfer, open_ = estimate_transfer(points[nearest], normals[nearest], points)
+    transfer, open_ = estimate_transfer(points[nearest], normals[nearest], Occluders(points))
     outer = open_ > MIN_OPEN
     mine, nearest = mine[outer], nearest[outer]
     return LitSamples(

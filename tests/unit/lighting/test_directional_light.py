@@ -6,23 +6,25 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from aomgen.appearance.directional_light import EDGE_M, find_directional_light, remove_baked_shadow
 from aomgen.appearance.refine import refine_twin
-from aomgen.appearance.surfel_observations import PosedImages
-from aomgen.core.gaussians import SH_C0
+from aomgen.conventions import linear_from_srgb
+from aomgen.core.light import DirectionalLight, spread_directions
 from aomgen.errors import MalformedFileError
 from aomgen.io.artifact import load_artifact, read_json, save_artifact
 from aomgen.io.atomic import write_json
-from aomgen.twin.shadow import DirectionalLight, compute_directional_shadow, remove_shadow, spread_directions
-from aomgen.twin.twin import TwinModel, pose_twin, render_state, shadow_roles
+from aomgen.lighting.directional_light import find_directional_light
+from aomgen.lighting.plane_shadow import measure_blocked_light, select_casters
+from aomgen.lighting.shadowed_twin import EDGE_M, remove_baked_shadow, remove_shadow, render_state
+from aomgen.twin.twin import PosedImages, TwinModel, body_poses, pose_twin
 
-SHADE = np.array([0.6, 0.58, 0.55])
+# Share of the light that the shadow lacks, and the sRGB color of mid-grey in shadow over that in light, roughly.
+SHARE = 1 - np.array([0.6, 0.58, 0.55]) ** 2.2
 PLANE = np.eye(4)
 
 
 def lamp_from(x: float, y: float, width: float = 0.0) -> DirectionalLight:
     direction = np.array([x, y, 1.0]) / np.linalg.norm([x, y, 1.0])
-    return DirectionalLight(direction=direction, width=width, T_world_plane=PLANE, shade=SHADE)
+    return DirectionalLight(directions=spread_directions(direction, width), T_world_plane=PLANE, share=SHARE)
 
 
 def make_images(scene, lamp, rng, count=12) -> PosedImages:
@@ -50,8 +52,8 @@ def test_a_lamp_is_found_by_the_shadow_it_throws(toy_scene, lean, exposure):
     )
     found = find_directional_light(toy_scene.twin, toy_scene.robot, replace(view, images_srgb=images), PLANE)
     assert found is not None
-    assert np.degrees(np.arccos(min(found.direction @ true.direction, 1.0))) < 2.0
-    np.testing.assert_allclose(found.shade, SHADE, atol=0.04)
+    assert np.degrees(np.arccos(min(found.directions[0] @ true.directions[0], 1.0))) < 2.0
+    np.testing.assert_allclose(found.share, SHARE, atol=0.04)
 
 
 @pytest.mark.parametrize("width", [0.0, 0.2])
@@ -60,12 +62,14 @@ def test_the_width_of_a_lamp_is_found_by_its_penumbra(toy_scene, width):
     view = make_images(toy_scene, true, np.random.default_rng(0))
     found = find_directional_light(toy_scene.twin, toy_scene.robot, view, PLANE)
     assert found is not None
-    assert abs(found.width - width) <= 0.06
-    np.testing.assert_allclose(found.shade, SHADE, atol=0.06)
+    angles = np.arccos(np.clip(found.directions @ found.directions[0], -1, 1))
+    # Six of seven directions are on a ring, see `spread_directions`.
+    assert abs(np.sqrt(2 * np.mean(angles**2)) - width) <= 0.06
+    np.testing.assert_allclose(found.share, SHARE, atol=0.06)
 
 
 def test_directions_of_a_wide_lamp_lie_around_its_middle():
-    middle = lamp_from(0.2, -0.3).direction
+    middle = lamp_from(0.2, -0.3).directions[0]
     spread = spread_directions(middle, 0.1)
     np.testing.assert_allclose(np.linalg.norm(spread, axis=1), 1)
     np.testing.assert_allclose(spread.mean(0) / np.linalg.norm(spread.mean(0)), middle, atol=1e-9)
@@ -110,15 +114,16 @@ def baked(scene, lamp):
     """The scene as a scan under the lamp gives it, and how much of each Gaussian is in shadow."""
     twin = scene.twin
     world = pose_twin(twin, scene.robot, twin.scan_state)
-    roles = shadow_roles(twin, scene.robot)
     flat = (twin.bodies == 0) & (np.abs(world.means[:, 2]) < 0.005)
-    dark = flat * compute_directional_shadow(world, roles, lamp.directions, world.means)
-    sh = np.array(twin.gaussians.sh)
-    colors = 0.5 + SH_C0 * sh[:, 0]
-    factor = 1 - dark[:, None] * (1 - lamp.shade)
-    sh *= factor[:, None]
-    sh[:, 0] = (colors * factor - 0.5) / SH_C0
-    return replace(twin, gaussians=twin.gaussians.with_sh(sh)), dark
+    dark = flat * block(scene, lamp, world.means)
+    return replace(twin, gaussians=twin.gaussians.illuminate(1 - dark[:, None] * lamp.share)), dark
+
+
+def block(scene, lamp, points):
+    """Share (N,) of the lamp's light that is blocked at points (N, 3) in the scan's state."""
+    Ts = body_poses(scene.twin, scene.robot, scene.twin.scan_state)
+    casters = select_casters(scene.twin, scene.robot)
+    return measure_blocked_light(casters, Ts[None], PLANE, lamp.directions, points)[0]
 
 
 def test_the_table_without_its_shadow_is_the_table_in_light(toy_scene):
@@ -146,11 +151,12 @@ def test_the_table_without_its_shadow_is_the_table_in_light(toy_scene):
 
 def test_unshading_undoes_a_shade(toy_scene):
     gaussians = toy_scene.gaussians
-    none = remove_shadow(gaussians, np.zeros(len(gaussians)), SHADE)
+    lamp = lamp_from(0.2, -0.3)
+    none = remove_shadow(gaussians, np.zeros(len(gaussians)), lamp)
     np.testing.assert_allclose(none.sh, gaussians.sh, atol=1e-6)
-    whole = remove_shadow(gaussians, np.ones(len(gaussians)), SHADE)
+    whole = remove_shadow(gaussians, np.ones(len(gaussians)), lamp)
     np.testing.assert_allclose(
-        (0.5 + SH_C0 * whole.sh[:, 0]) * SHADE, 0.5 + SH_C0 * gaussians.sh[:, 0], atol=1e-5
+        linear_from_srgb(whole.colors_srgb) * (1 - SHARE), linear_from_srgb(gaussians.colors_srgb), atol=1e-5
     )
 
 
@@ -172,12 +178,12 @@ def test_training_under_a_lamp_does_not_learn_its_shadow(toy_scene):
 
 def test_the_base_throws_no_shadow_that_moves(toy_scene):
     lamp = lamp_from(0.5, 0.0)
-    world = pose_twin(toy_scene.twin, toy_scene.robot, toy_scene.twin.scan_state)
-    roles = shadow_roles(toy_scene.twin, toy_scene.robot)
+    moving, standing = select_casters(toy_scene.twin, toy_scene.robot)
     base = toy_scene.twin.body(toy_scene.robot.body_names[0])
-    assert (roles[toy_scene.twin.bodies == base] == 1).all()
+    assert base in standing.bodies
+    assert base not in moving.bodies
     # Right under the base only the base is in the way.
-    assert compute_directional_shadow(world, roles, lamp.directions, np.array([[-0.02, 0.0, 0.0]]))[0] < 0.2
+    assert block(toy_scene, lamp, np.array([[-0.02, 0.0, 0.0]]))[0] < 0.2
 
 
 def test_a_lamp_is_stored_with_its_twin(toy_scene, tmp_path):
@@ -187,8 +193,8 @@ def test_a_lamp_is_stored_with_its_twin(toy_scene, tmp_path):
         again = load_artifact(tmp_path, "twin", TwinModel).directional_light
         assert (again is None) == (twin.directional_light is None)
         if again is not None:
-            np.testing.assert_array_equal(again.direction, lamp.direction)
-            np.testing.assert_array_equal(again.shade, lamp.shade)
+            np.testing.assert_array_equal(again.directions, lamp.directions)
+            np.testing.assert_array_equal(again.share, lamp.share)
 
 
 @pytest.mark.parametrize(
@@ -196,8 +202,8 @@ def test_a_lamp_is_stored_with_its_twin(toy_scene, tmp_path):
     [
         lambda header: header.update(type="Scene"),
         lambda header: header["value"].pop("directional_light"),
-        lambda header: header["value"]["directional_light"].update(shade=[2.0, 0.5, 0.5]),
-        lambda header: header["value"]["directional_light"].update(direction=[0.0, 0.0, 2.0]),
+        lambda header: header["value"]["directional_light"].update(share=[2.0, 0.5, 0.5]),
+        lambda header: header["value"]["directional_light"].update(directions=[[0.0, 0.0, 2.0]]),
         lambda header: header["value"]["directional_light"].update(T_world_plane=[1.0]),
     ],
 )
@@ -210,8 +216,9 @@ def test_a_spoiled_lamp_is_refused(toy_scene, tmp_path, spoil):
         load_artifact(tmp_path, "twin", TwinModel)
 
 
-def test_a_lamp_needs_a_direction_and_a_shade():
+def test_a_lamp_needs_a_direction_and_a_share():
+    up = np.array([[0, 0, 1.0]])
     with pytest.raises(ValueError, match="direction"):
-        DirectionalLight(direction=np.zeros(3), T_world_plane=PLANE, shade=SHADE)
-    with pytest.raises(ValueError, match="shade"):
-        DirectionalLight(direction=np.array([0, 0, 1.0]), T_world_plane=PLANE, shade=np.zeros(3))
+        DirectionalLight(directions=0 * up, T_world_plane=PLANE, share=SHARE)
+    with pytest.raises(ValueError, match="share"):
+        DirectionalLight(directions=up, T_world_plane=PLANE, share=np.ones(3))

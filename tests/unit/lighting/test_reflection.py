@@ -6,11 +6,11 @@ import pytest
 from aomgen.assets.choice import make_asset
 from aomgen.conventions import srgb_from_linear
 from aomgen.core.gaussians import SH_C0
-from aomgen.core.light import Light, hemisphere_light, open_transfer
+from aomgen.core.light import hemisphere_light, light_from_harmonics, open_transfer
 from aomgen.core.sh import sh_basis
 from aomgen.core.transforms import matrix_from_rotvec
-from aomgen.replacement.light_estimation import REFLECTED, SceneLight, ToneCurve
-from aomgen.replacement.reflection import show_in_light
+from aomgen.lighting.light_estimation import REFLECTED, SceneLight, ToneCurve
+from aomgen.lighting.reflection import show_in_light
 from aomgen.splatting.surfels import surfels_of
 
 UPRIGHT = np.eye(3)
@@ -99,9 +99,9 @@ def test_the_flatter_the_look_the_more_a_smooth_surface_reflects(link):
 def test_turning_object_and_light_together_changes_nothing(link):
     radiance = np.random.default_rng(0).normal(size=(9, 3)) * 0.2
     radiance[0] = 3.0
-    light = Light(radiance_sh=radiance)
+    light = light_from_harmonics(radiance)
     R = matrix_from_rotvec([0.0, 0.0, 0.8])
-    turned, tone = Light(radiance_sh=light.view_from(R.T)), ToneCurve(0.8, 0.1)
+    turned, tone = light_from_harmonics(light.view_from(R.T)), ToneCurve(0.8, 0.1)
     one = show_in_light(link, SceneLight(light, tone, "robot"), UPRIGHT)
     other = show_in_light(link, SceneLight(turned, tone, "robot"), R)
     np.testing.assert_allclose(one.albedo_linear, other.albedo_linear, atol=1e-4)

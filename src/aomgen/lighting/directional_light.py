@@ -1,0 +1,207 @@
+"""Estimation of the directional light that casts the shadow of the robot on its work surface.
+
+A fixed camera sees the same point of the surface in light and in shadow. A direction is right when the shadow that the
+posed twin would cast from there explains how the brightness of every point changes over time; the points' own colors do
+not enter.
+"""
+
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import binary_erosion
+from scipy.optimize import minimize
+
+from aomgen.conventions import linear_from_srgb
+from aomgen.core.camera import Camera
+from aomgen.core.light import DirectionalLight, spread_directions
+from aomgen.core.sh import sphere_directions
+from aomgen.core.transforms import apply, invert
+from aomgen.core.values import Array
+from aomgen.lighting.plane_shadow import HEIGHTS, intersect_surface, measure_blocked_light, select_casters
+from aomgen.robots.robot import RobotModel
+from aomgen.splatting.rasterizer import render
+from aomgen.splatting.surfaces import compute_rendered_points
+from aomgen.twin.twin import CONTOUR_PX, PosedImages, TwinModel, body_poses, pose_bodies
+
+# Images that are compared; a half of them to find the light, the other to judge it.
+IMAGES: Final = 16
+# Every third of the fitted images judges the first directions.
+FIRST_EVERY: Final = 3
+# Points of the surface that are observed.
+POINTS: Final = 4000
+# A point is seen when no moving body covers more than this of it, `CONTOUR_PX` around.
+COVERED: Final = 0.02
+# Brightness is compared above this, sRGB: below, noise counts more than light.
+DARK: Final = 0.03
+# Lights at least this high above the surface, as the sine of their elevation.
+MIN_SINE: Final = 0.25
+# First directions: every one has another within about 8 degrees, which is less than the width of an arm's shadow.
+FIRST_DIRECTIONS: Final = 350
+# First step of the refinement, about half the spacing of the first directions, and where it ends, [rad]: that moves
+# the shadow of a point 1 m high by less than half a centimeter.
+FIRST_STEP, LAST_STEP = 0.07, 0.004
+# Half the angles under which a light may be seen, [rad]: a spot, a bulb's shade, a panel near by, a window.
+WIDTHS: Final = (0.0, 0.05, 0.1, 0.15, 0.2)
+# The shadow has to explain at least this share of the variance in images it was not fitted to.
+# With less, as under soft light, most of the rendered shadow would be wrong.
+MIN_EXPLAINED: Final = 0.5
+# A point this much in shadow is wholly in it.
+CORE: Final = 0.95
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SurfaceObservations:
+    """Colors of N points of a surface in T images.
+
+    Attributes:
+        points: World frame (N, 3).
+        logs: Logarithms of linear colors (T, N, 3).
+        seen: (T, N), whether no moving body hides the point.
+        casters: From `select_casters`.
+        Ts_world_body: Poses of the bodies (T, B, 4, 4).
+        T_world_plane: The surface.
+    """
+
+    points: Array
+    logs: Array
+    seen: NDArray[np.bool_]
+    casters: tuple[TwinModel, TwinModel]
+    Ts_world_body: Array
+    T_world_plane: Array
+
+    def part(self, which: slice) -> "SurfaceObservations":
+        """Some of the images."""
+        Ts = self.Ts_world_body[which]
+        return replace(self, logs=self.logs[which], seen=self.seen[which], Ts_world_body=Ts)
+
+    def block(self, directions: Array) -> Array:
+        """Share (T, N) of the light from directions (K, 3) that the moving bodies take from the points."""
+        Ts, T_world_plane = self.Ts_world_body, self.T_world_plane
+        return measure_blocked_light(self.casters, Ts, T_world_plane, directions, self.points)
+
+    def explain(self, directions: Array) -> float:
+        """Share of the variance of brightness over time that the shadow of light from directions (K, 3) explains."""
+        weight = self.seen.astype(np.float64)
+        count = np.maximum(weight.sum(0), 1)
+        # Every point has its own color, so both are compared without their means over time.
+        bright, shadow = (
+            values - (weight * values).sum(0) / count
+            for values in (self.logs.mean(-1), self.block(directions))
+        )
+        below = (weight * shadow**2).sum() * (weight * bright**2).sum()
+        slope = (weight * shadow * bright).sum()
+        return float(slope**2 / below) if below > 0 and slope < 0 else 0.0
+
+
+def find_directional_light(
+    twin: TwinModel, robot: RobotModel, view: PosedImages, T_world_plane: Array
+) -> DirectionalLight | None:
+    """Find the directional light of a scene; None when no direction explains the video.
+
+    Args:
+        twin: With all surfaces of its robot.
+        view: A fixed camera's images of many joint configurations.
+        T_world_plane: Surface (4, 4) whose brightness is observed.
+    """
+    observed = _observe_surface(twin, robot, view, _raise_plane(T_world_plane, twin, view.camera))
+    if observed is None:
+        return None
+    fitted, unseen = observed.part(slice(0, None, 2)), observed.part(slice(1, None, 2))
+    directions = sphere_directions(FIRST_DIRECTIONS)
+    directions = directions[directions @ T_world_plane[:3, 2] > MIN_SINE]
+    # Some of the images distinguish the first directions.
+    few = fitted.part(slice(0, None, FIRST_EVERY))
+    best = _refine_direction(max(directions, key=lambda direction: few.explain(direction[None])), fitted)
+    width = max(WIDTHS, key=lambda width: fitted.explain(spread_directions(best, width)))
+    spread = spread_directions(best, width)
+    if unseen.explain(spread) < MIN_EXPLAINED:
+        return None
+    share = estimate_share(observed, observed.block(spread))
+    if share is None or not ((share > 0) & (share < 1)).all():
+        return None
+    return DirectionalLight(directions=spread, share=share, T_world_plane=observed.T_world_plane)
+
+
+def _refine_direction(direction: Array, observed: SurfaceObservations) -> Array:
+    """The best direction around one, by simplex search over its tangents."""
+    side = np.cross(direction, np.eye(3)[np.argmin(np.abs(direction))])
+    side /= np.linalg.norm(side)
+    across = np.stack([side, np.cross(direction, side)])
+
+    def turn(tangents: Array) -> Array:
+        turned = direction + tangents @ across
+        return turned / np.linalg.norm(turned)
+
+    simplex = FIRST_STEP * np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])
+    options = {"initial_simplex": simplex, "xatol": LAST_STEP, "fatol": np.inf}
+
+    def lose(tangents: Array) -> float:
+        return -observed.explain(turn(tangents)[None])
+
+    return turn(minimize(lose, [0, 0], method="Nelder-Mead", options=options).x)
+
+
+def estimate_share(observed: SurfaceObservations, blocked: Array) -> Array | None:
+    """Share (3,) of the surface's light that is missing where a light is blocked; None when no point is seen in both.
+
+    Only the core of a shadow (T, N) and points far from it are compared: the rendered edge of a shadow is often a
+    little off the real one.
+    """
+    shadow = observed.seen & (blocked > CORE * blocked.max())
+    light = observed.seen & (blocked < 1 - CORE)
+    both = shadow.any(0) & light.any(0)
+    if not both.any():
+        return None
+    values = np.concatenate([observed.logs[:, both], blocked[:, both, None]], -1)
+    dark, bright = (
+        (values * which[:, both, None]).sum(0) / which[:, both].sum(0)[:, None] for which in (shadow, light)
+    )
+    # Colors in shadow and in light are as 1 - share * blocked in either.
+    ratio = np.exp(dark[:, :3] - bright[:, :3])
+    return np.median((1 - ratio) / (dark[:, 3:] - ratio * bright[:, 3:]), 0)
+
+
+def _raise_plane(T_world_plane: Array, twin: TwinModel, camera: Camera) -> Array:
+    """Move a surface (4, 4) along its normal to where a camera sees it.
+
+    Centers of trained Gaussians are below the surface that they represent.
+    """
+    scene = render(twin.gaussians.select(twin.bodies == 0), camera, with_ids=True)
+    heights = apply(invert(T_world_plane), compute_rendered_points(scene, camera))[..., 2]
+    # Seen points fade out of the surface that far above it; they are searched as far below. NaN is no point.
+    near = np.abs(heights) < HEIGHTS[-1]
+    T = np.array(T_world_plane, np.float64)
+    T[:3, 3] += T[:3, 2] * (float(np.median(heights[near])) if near.any() else 0.0)
+    return T
+
+
+def _observe_surface(
+    twin: TwinModel, robot: RobotModel, view: PosedImages, T_world_plane: Array
+) -> SurfaceObservations | None:
+    """Points of the surface in some images of a video; None when it is hardly seen."""
+    count = len(view.states)
+    chosen = np.unique(np.linspace(0, count - 1, min(IMAGES, count)).astype(int))
+    camera, still = view.camera, twin.bodies == 0
+    scene = render(twin.gaussians.select(still), camera, with_ids=True)
+    points, belongs = intersect_surface(T_world_plane, camera, np.asarray(scene.median_depth, np.float64))
+    Ts, moves = np.stack([body_poses(twin, robot, view.states[i]) for i in chosen]), ~still[:, None] * 1.0
+    covered = [np.asarray(render(pose_bodies(twin, T), camera, features=moves).features)[..., 0] for T in Ts]
+    free = np.stack([binary_erosion(image < COVERED, iterations=CONTOUR_PX) for image in covered])
+    usable = np.flatnonzero((belongs > 0.99).ravel() & (free.sum(0) > len(chosen) / 2).ravel())
+    if not len(usable):
+        return None
+    usable = usable[np.unique(np.linspace(0, len(usable) - 1, POINTS).astype(int))]
+    colors = np.stack([view.images_srgb[i].reshape(-1, 3)[usable] for i in chosen]) / 255.0
+    logs = np.log(linear_from_srgb(np.maximum(colors, DARK)))
+    # Exposure changes everything at once; most points are lit most of the time.
+    logs -= np.median(logs - np.median(logs, 0), axis=1, keepdims=True)
+    return SurfaceObservations(
+        points=points.reshape(-1, 3)[usable],
+        logs=np.asarray(logs, np.float64),
+        seen=free.reshape(len(chosen), -1)[:, usable] & (colors.min(-1) > DARK),
+        casters=select_casters(twin, robot),
+        Ts_world_body=Ts,
+        T_world_plane=T_world_plane,
+    )

@@ -1,0 +1,200 @@
+"""Shadows that an episode's robot and object cast on the table and on the walls, beyond those that were scanned."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import ConvexHull
+
+from aomgen.core.light import DirectionalLight, Light
+from aomgen.core.mesh import sample_triangles
+from aomgen.core.transforms import apply, invert
+from aomgen.core.values import Array
+from aomgen.lighting.object_shadow import FILL, ObjectShadow
+from aomgen.lighting.plane_shadow import PlaneGrid, measure_blocked_light, select_casters
+from aomgen.lighting.wall_shadow import cast_wall_shadow
+from aomgen.robots.robot import RobotModel
+from aomgen.twin.twin import OBJECT, PART, TwinModel, body_poses, pose_bodies
+
+# Samples of walls and objects at which the object's shadow is computed.
+WALL_SAMPLES: Final = 2000
+# Cell of the map of the robot's shadow in soft light, [m], and how far around the robot's base it reaches.
+ARM_CELL, ARM_REACH = 0.05, 1.3
+# Points on each body of the robot from which its spheres are found, and the fewest in one.
+POINTS, MIN_POINTS = 500, 20
+
+
+class States(NamedTuple):
+    """Poses of the twin's bodies (T, B, 4, 4) and joint values of the object (T,) in T frames."""
+
+    Ts_world_body: Array
+    thetas: Array
+
+    def part(self, frames: slice) -> "States":
+        """Some of the frames."""
+        return States(self.Ts_world_body[frames], self.thetas[frames])
+
+
+class TableShadow(NamedTuple):
+    """A shadow on a surface.
+
+    Attributes:
+        T_world_plane: The surface it falls on.
+        prepare: Given points (N, 3) on it, world frame, a function that computes the share (T, N) of the points' linear
+            light that is blocked in each state.
+    """
+
+    T_world_plane: Array
+    prepare: Callable[[Array], Callable[[States], Array]]
+
+
+def cast_shadows(
+    twin: TwinModel,
+    robot: RobotModel,
+    Ts_world_body: Array,
+    eyes_world: Array,
+    table: ObjectShadow | None,
+    T_world_plane: Array | None,
+    threads: int | None,
+) -> tuple[TwinModel, list[TableShadow]]:
+    """The twin with a relit object's shadow on its walls, and the shadows on its table.
+
+    Args:
+        twin, robot: As of `render_episode`.
+        Ts_world_body: Poses (B, 4, 4) of the twin's bodies in any state.
+        eyes_world: Camera centers (K, 3).
+        table: Visibility from the table past a relit object, if there is one.
+        T_world_plane: The table; None for the directional light's shadow alone.
+        threads: As in `splatting.rasterizer.render`.
+    """
+    lamp, shadows = twin.directional_light, []
+    if lamp is not None:
+        casters = select_casters(twin, robot, new_object=table is not None)
+        shadows.append(_cast_lamp_shadow(lamp, casters, threads))
+    if table is None or T_world_plane is None:
+        return twin, shadows
+    light = twin.relit_light(OBJECT)
+    shadows.append(_cast_soft_shadow(twin, robot, light, Ts_world_body, table, T_world_plane))
+    # One state represents all: walls are behind the object's static part rather than before its moving part.
+    body = pose_bodies(twin.select(np.isin(twin.bodies, [twin.body(OBJECT), twin.body(PART)])), Ts_world_body)
+    rows, sh = np.flatnonzero(twin.bodies == 0), np.array(twin.gaussians.sh)
+    scene = twin.gaussians.select(rows)
+    received = cast_wall_shadow(scene, body, light, lamp, eyes_world, T_world_plane, WALL_SAMPLES)
+    dark = np.flatnonzero(received < 1)
+    sh[rows[dark]] = scene.select(dark).illuminate(received[dark]).sh
+    return replace(twin, gaussians=twin.gaussians.with_sh(sh)), shadows
+
+
+def _cast_lamp_shadow(
+    lamp: DirectionalLight, casters: tuple[TwinModel, TwinModel], threads: int | None
+) -> TableShadow:
+    """The shadow of moving and new bodies in the directional light."""
+    share, T_world_plane = float(lamp.share.mean()), lamp.T_world_plane
+
+    def prepare(points: Array) -> Callable[[States], Array]:
+        return lambda states: (
+            share
+            * measure_blocked_light(
+                casters, states.Ts_world_body, T_world_plane, lamp.directions, points, threads
+            )
+        )
+
+    return TableShadow(T_world_plane, prepare)
+
+
+def _cast_soft_shadow(
+    twin: TwinModel,
+    robot: RobotModel,
+    light: Light,
+    Ts_world_body: Array,
+    table: ObjectShadow,
+    T_world_plane: Array,
+) -> TableShadow:
+    """The shadow of a relit object and of the robot in all light but that of the directional light."""
+    T_world_object, lamp, share = Ts_world_body[twin.body(OBJECT)], twin.directional_light, 1.0
+    if lamp is not None:
+        (light, _), share = lamp.split(light), 1 - float(lamp.share.mean())
+    blocked = np.float32(share) * table.block(light, T_world_object)
+    arm_grid, block_by_arm = _cast_arm_shadow(twin, robot, (1 - FILL) * share, T_world_plane)
+    T_grid_world, to_plane = invert(T_world_object @ table.T_object_plane), invert(T_world_plane)
+
+    def prepare(points: Array) -> Callable[[States], Array]:
+        of_object = table.grid.lookup(apply(T_grid_world, points)[:, :2])
+        of_arm = arm_grid.lookup(apply(to_plane, points)[:, :2])
+        of_object.eliminate_zeros()
+
+        def block(states: States) -> Array:
+            maps = table.interpolate(blocked, states.thetas), block_by_arm(states.Ts_world_body)
+            by_object, by_arm = (item.reshape(len(item), -1).T for item in maps)
+            return (of_object @ by_object + of_arm @ by_arm).T
+
+        return block
+
+    return TableShadow(T_world_plane, prepare)
+
+
+def _cast_arm_shadow(
+    twin: TwinModel, robot: RobotModel, share: float, T_world_plane: Array
+) -> tuple[PlaneGrid, Callable[[Array], NDArray[np.float32]]]:
+    """Change of the robot's shadow since the scan in a share of the light: light returns where the arm was.
+
+    The robot is represented by a few spheres in even light, whose visibility past a sphere has a closed form. Source: Ren
+    et al. 2006, "Real-time soft shadows in dynamic scenes using spherical harmonic exponentiation".
+
+    Returns:
+        Cells, and a function that computes maps (T, rows, columns) of the blocked share for body poses (T, B, 4, 4).
+    """
+    to_plane, spheres = invert(T_world_plane), find_body_spheres(robot)
+    cells = round(2 * ARM_REACH / ARM_CELL)
+    grid = PlaneGrid(low=to_plane[:2, 3] - ARM_REACH, cell=ARM_CELL, columns=cells, rows=cells)
+
+    def block(Ts_world_body: Array) -> NDArray[np.float32]:
+        Ts = to_plane @ Ts_world_body
+        passed = np.ones((len(Ts), cells, cells), np.float32)
+        for body, center, radius in spheres:
+            passed *= 1 - measure_sphere_share(apply(Ts[:, body], center), radius, grid)
+        return np.float32(share) * (1 - passed)
+
+    scanned = block(body_poses(twin, robot, twin.scan_state)[None])
+    return grid, lambda Ts_world_body: block(Ts_world_body) - scanned
+
+
+def find_body_spheres(robot: RobotModel) -> list[tuple[int, Array, float]]:
+    """Spheres along each body of a robot, one for every piece that is as long as the body is thick.
+
+    Each has the body's index in the twin, the center (3,) in the body frame, and the radius, [m].
+    """
+    rng = np.random.default_rng(0)
+    spheres = []
+    for body in sorted({mesh.body for mesh in robot.meshes}):
+        own = np.concatenate([m.vertices_body[m.faces] for m in robot.meshes if m.body == body])
+        points = sample_triangles(own, POINTS, rng)
+        # Axes by falling length.
+        along = points @ np.linalg.eigh(np.cov(points.T))[1][:, ::-1]
+        length, thickness = np.ptp(along, axis=0)[:2]
+        pieces = max(1, round(length / thickness))
+        piece_of = np.floor((along[:, 0] - along[:, 0].min()) / length * pieces).clip(0, pieces - 1)
+        for piece in range(pieces):
+            chosen = points[piece_of == piece]
+            if len(chosen) < MIN_POINTS:
+                continue
+            # Seen from all sides, a convex body shows a quarter of its surface on the mean (Cauchy).
+            radius = float(np.sqrt(ConvexHull(chosen, qhull_options="QJ").area / (4 * np.pi)))
+            # The twin's first body is the world.
+            spheres.append((1 + body, (chosen.min(0) + chosen.max(0)) / 2, radius))
+    return spheres
+
+
+def measure_sphere_share(centers: Array, radius: float, grid: PlaneGrid) -> NDArray[np.float32]:
+    """Share (T, rows, columns) of even light from above that a sphere blocks at cells; its centers (T, 3) are above."""
+    x, y, height = centers.T.astype(np.float32)[..., None]
+    across, along = (
+        (low + grid.cell * (np.arange(count, dtype=np.float32) + np.float32(0.5)) - center) ** 2
+        for low, count, center in ((grid.low[0], grid.columns, x), (grid.low[1], grid.rows, y))
+    )
+    squared = (across + height**2)[:, None] + along[..., None]
+    # The sphere covers pi (r/d)^2 h/d of the projected half sphere, which counts pi.
+    share = radius**2 * height[..., None].clip(0) / (squared * np.sqrt(squared))
+    return share.clip(0, 1).astype(np.float32)

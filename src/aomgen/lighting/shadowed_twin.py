@@ -1,0 +1,121 @@
+"""The shadow of a directional light on the surface of a twin: rendered, and removed from the scan's colors."""
+
+from dataclasses import replace
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from aomgen.conventions import illuminate_srgb, linear_from_srgb
+from aomgen.core.camera import Camera
+from aomgen.core.gaussians import Gaussians
+from aomgen.core.light import DirectionalLight
+from aomgen.core.values import Array
+from aomgen.lighting.directional_light import CORE, DARK
+from aomgen.lighting.plane_shadow import (
+    intersect_surface,
+    measure_blocked_light,
+    select_casters,
+    surface_share,
+)
+from aomgen.robots.robot import RobotModel
+from aomgen.splatting.rasterizer import Rendering, render
+from aomgen.twin.twin import TwinModel, TwinState, body_poses, pose_bodies
+
+# Edges of shadows are this uncertain, a degree or two of the light's direction, [m].
+EDGE_M: Final = 0.015
+# Opacity of Gaussians that count as surface, and how many around one determine its color.
+SOLID: Final = 0.3
+# Lit Gaussians whose median gives the color of the surface: outvotes single outliers.
+NEIGHBORS: Final = 16
+
+
+def render_state(
+    twin: TwinModel, robot: RobotModel, state: TwinState, camera: Camera, **options: Any
+) -> Rendering:
+    """Render a state with its shadows; `options` go to `splatting.rasterizer.render`."""
+    Ts, lamp = body_poses(twin, robot, state), twin.directional_light
+    rendered = render(pose_bodies(twin, Ts), camera, **options)
+    if lamp is None:
+        return rendered
+    surface, blocked = observe_shadow(twin, lamp, select_casters(twin, robot), Ts, camera)
+    received = 1 - (surface * blocked)[..., None] * lamp.share
+    return replace(rendered, rgb=illuminate_srgb(rendered.rgb, received).astype(np.float32))
+
+
+def observe_shadow(
+    twin: TwinModel,
+    lamp: DirectionalLight,
+    casters: tuple[TwinModel, TwinModel],
+    Ts_world_body: Array,
+    camera: Camera,
+) -> tuple[Array, Array]:
+    """Measure how much of each pixel (H, W) is the light's surface, and the share of the light that is blocked there, 0..1.
+
+    Args:
+        twin: A twin.
+        lamp: Its directional light.
+        casters: From `select_casters`.
+        Ts_world_body: Poses (B, 4, 4).
+        camera: The view.
+    """
+    still = (twin.bodies == 0).astype(np.float32)[:, None]
+    rendered = render(pose_bodies(twin, Ts_world_body), camera, features=still, with_ids=True)
+    depth = np.asarray(rendered.median_depth, np.float64)
+    points, belongs = intersect_surface(lamp.T_world_plane, camera, depth)
+    blocked, seen, Ts = np.zeros(belongs.shape), belongs > 0, Ts_world_body[None]
+    blocked[seen] = measure_blocked_light(casters, Ts, lamp.T_world_plane, lamp.directions, points[seen])[0]
+    return belongs * np.asarray(rendered.features)[..., 0], blocked
+
+
+def remove_baked_shadow(twin: TwinModel, robot: RobotModel, lamp: DirectionalLight) -> TwinModel:
+    """Remove the baked shadow: surface colors become those in light, and shadows are cast by the twin."""
+    Ts, T_world_plane = body_poses(twin, robot, twin.scan_state), lamp.T_world_plane
+    means = np.array(pose_bodies(twin, Ts).means, np.float64)
+    share = surface_share(T_world_plane, means) * (twin.bodies == 0)
+    on_it = np.flatnonzero(share)
+    turns = np.arange(8) * np.pi / 4
+    circle = EDGE_M * np.stack([np.cos(turns), np.sin(turns)], 1) @ T_world_plane[:3, :2].T
+    shifted = (means[on_it] + np.concatenate([np.zeros((1, 3)), circle])[:, None]).reshape(-1, 3)
+    around = np.zeros((9, len(means)))
+    around[:, on_it] = share[on_it] * measure_blocked_light(
+        select_casters(twin, robot), Ts[None], T_world_plane, lamp.directions, shifted
+    ).reshape(9, -1)
+    blocked, most = around[0], around.max(0)
+    # The shadow of a wide light has no edges to be beside.
+    unsure = (most - around.min(0) > 1 - CORE) & (len(lamp.directions) == 1)
+    lit = remove_shadow(twin.gaussians, blocked, lamp)
+    from_color = _find_shadow_by_color(lit, twin.gaussians, unsure, share, lamp)
+    blocked[unsure] = np.minimum(from_color, most[unsure])
+    return replace(twin, gaussians=remove_shadow(twin.gaussians, blocked, lamp), directional_light=lamp)
+
+
+def remove_shadow(gaussians: Gaussians, blocked: Array, lamp: DirectionalLight) -> Gaussians:
+    """Gaussians of which a share (N,) of the light was blocked, as they look without the shadow."""
+    return gaussians.illuminate(1 / (1 - blocked[:, None] * lamp.share))
+
+
+def _find_shadow_by_color(
+    lit: Gaussians, seen: Gaussians, unsure: NDArray[np.bool_], share: Array, lamp: DirectionalLight
+) -> Array:
+    """Estimate how much Gaussians at edges of a shadow are in it (M,), 0..1, by the brightness of lit neighbors.
+
+    Args:
+        lit: All Gaussians without the shadow, right away from its edges.
+        seen: The same with it.
+        unsure: Which are at edges, M of N.
+        share: How much each is the surface's (N,).
+    """
+    sure = np.flatnonzero((share > CORE) & ~unsure & (seen.opacities > SOLID))
+    count = min(NEIGHBORS, len(sure))
+    if not count:
+        return np.zeros(int(unsure.sum()))
+    _, near = cKDTree(lit.means[sure]).query(seen.means[unsure], k=count)
+    level = np.median(_measure_level(lit)[sure][near.reshape(-1, count)], 1)
+    return np.clip((1 - _measure_level(seen)[unsure] / level) / lamp.share.mean(), 0, 1)
+
+
+def _measure_level(gaussians: Gaussians) -> Array:
+    """Linear brightness (N,)."""
+    return np.asarray(linear_from_srgb(np.maximum(gaussians.colors_srgb, DARK)), np.float64).mean(1)

@@ -1,0 +1,95 @@
+"""Shadow of an object on the walls and objects around it; `plane_shadow` serves the surface it stands on.
+
+The shadow is computed at some of their Gaussians and interpolated between these.
+"""
+
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from aomgen.core.gaussians import Gaussians
+from aomgen.core.light import DirectionalLight, Light
+from aomgen.core.transforms import matrix_from_quat
+from aomgen.core.values import Array
+from aomgen.lighting.object_shadow import FILL
+from aomgen.lighting.plane_shadow import surface_share
+from aomgen.lighting.visibility import BODY_CELLS, Occluders, estimate_transfer, find_visibility
+
+# Farther from the object its shadow is weaker than the noise of images, [m].
+REACH_M: Final = 0.8
+# Neighbors over which normals are averaged: those of single Gaussians are rough.
+NEIGHBORS: Final = 16
+# Samples that a point's shadow is interpolated from, the standard deviation of their weights, [m], and the weight of no
+# shadow, which prevails where no sample is near.
+SAMPLES, SOFT_M, AWAY = 8, 0.03, 0.05
+# Gaussians of the object that represent its shape.
+BODY_POINTS: Final = 20_000
+
+
+def cast_wall_shadow(
+    scene: Gaussians,
+    body: Gaussians,
+    light: Light,
+    lamp: DirectionalLight | None,
+    eyes_world: Array,
+    T_world_plane: Array,
+    at_most: int,
+) -> Array:
+    """Share (N, 1) of its light that each Gaussian of a scene receives past a body; all of it on a plane.
+
+    Args:
+        scene: N Gaussians that never move, world frame.
+        body: The object, world frame.
+        light: All light at the object's location.
+        lamp: The part of it that comes from one side.
+        eyes_world: Camera centers (K, 3): surfaces face them.
+        T_world_plane: The plane (4, 4).
+        at_most: Number of samples.
+    """
+    own, means = _thin(body.means.astype(np.float64), BODY_POINTS), scene.means.astype(np.float64)
+    low, high = own.min(0), own.max(0)
+    away = np.linalg.norm(np.maximum(np.maximum(low - means, means - high), 0), axis=1)
+    wall = 1 - surface_share(T_world_plane, means)
+    near = np.flatnonzero((away < REACH_M) & (wall > 0))
+    received = np.ones((len(scene), 1))
+    if not len(near):
+        return received
+    samples = _thin(near, at_most)
+    points, normals = means[samples], _estimate_normals(scene.select(near), means[samples], eyes_world)
+    occluders = Occluders(own, BODY_CELLS)
+    rest, beams = (light, []) if lamp is None else (lamp.split(light)[0], [lamp.split(light)[1]])
+    arriving = estimate_transfer(points, normals, occluders)[0] @ rest.radiance_sh.mean(1)
+    total = rest.irradiance(normals).mean(1)
+    for beam in beams:
+        visible = find_visibility(points, normals, occluders, beam.directions)
+        arriving = np.maximum(arriving, 0) + beam.irradiance(normals, visible).mean(1)
+        total = total + beam.irradiance(normals).mean(1)
+    blocked = (1 - FILL) * (1 - np.clip(arriving / np.maximum(total, 1e-6), 0, 1))
+    received[near, 0] -= wall[near] * _interpolate(points, blocked, means[near])
+    return received
+
+
+def _interpolate(samples: Array, values: Array, points: Array) -> Array:
+    """Values (N,) at points (N, 3): the mean of the samples near by, 0 away from them."""
+    count = min(SAMPLES, len(samples))
+    distances, nearest = cKDTree(samples).query(points, count, distance_upper_bound=3 * SOFT_M)
+    weights = np.exp(-0.5 * (distances / SOFT_M) ** 2).reshape(-1, count)
+    found = np.append(values, 0.0)[nearest].reshape(-1, count)
+    return (weights * found).sum(1) / (weights.sum(1) + AWAY)
+
+
+def _thin(items: NDArray, count: int) -> NDArray:
+    """At most `count` of the items, evenly."""
+    return items[:: -(-len(items) // count)]
+
+
+def _estimate_normals(surface: Gaussians, points: Array, eyes_world: Array) -> Array:
+    """Unit normals (N, 3) of a surface at points (N, 3), towards the cameras."""
+    _, around = cKDTree(surface.means).query(points, min(NEIGHBORS, len(surface)))
+    axes = matrix_from_quat(surface.quats.astype(np.float64))
+    normals = axes[np.arange(len(surface)), :, np.argmin(surface.scales, 1)]
+    normals *= np.where(((eyes_world.mean(0) - surface.means) * normals).sum(1) < 0, -1, 1)[:, None]
+    smooth = normals[np.reshape(around, (len(points), -1))].mean(1)
+    return np.asarray(smooth / np.maximum(np.linalg.norm(smooth, axis=1, keepdims=True), 1e-9))
