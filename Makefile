@@ -7,7 +7,7 @@ BIN := $(VENV)/bin
 CONSTRAINTS := constraints/cpu-py311.txt
 export PIP_DISABLE_PIP_VERSION_CHECK = 1
 
-.PHONY: demo test slow-test coverage check format scores build install weights native sanitize neon blender-env policy-env policy-gpu datasets-test api-test robots-test models-test clean
+.PHONY: demo test slow-test coverage check format scores build install weights native sanitize neon blender-env policy-env policy-gpu environments datasets-test api-test robots-test models-test clean
 
 demo: install
 	$(BIN)/aomgen demo $(OUT)
@@ -62,7 +62,9 @@ policy-gpu: policy-env
 
 # The libraries that people train with read a finished run's episodes in every format, each in an environment of its own.
 READERS := policy lerobot-v21 tfds robomimic
-datasets-test: $(VENV)/dev.stamp $(READERS:%=.venv-%/installed.stamp)
+environments: $(READERS:%=.venv-%/installed.stamp)
+
+datasets-test: $(VENV)/dev.stamp environments
 	EPISODES=$(abspath $(OUT))/08_episodes $(BIN)/python -m pytest -s tests/readers
 
 # The examples of the public interface on a finished run, and the script of the README.
