@@ -123,7 +123,7 @@ def _plain(request: SuiteRequest) -> dict:
 
 def _chosen_cameras(results: Results, wanted: tuple[str, ...]) -> dict[str, Camera]:
     fixed, params = results.episode_scene.cameras, results.params("episodes", GenerationParams())
-    carried = {name: item.view for name, item in results.robot.cameras.items()}
+    carried = {name: camera for name, (_, camera) in results.robot.cameras.items()}
     known = {**fixed, **carried}
     usual = (*(params.cameras or fixed), *(carried if params.images.robot_cameras else ()))
     for name in wanted or usual:

@@ -57,7 +57,7 @@ class SplatViews:
         T_world_plane = factory.results.episode_scene.T_world_plane
         twin, shadows = cast_shadows(self._twin, self._robot, Ts, eyes, soft, T_world_plane, threads=1)
         self._views = FixedViews(twin, self._robot, Ts, layers, shadows, threads=1)
-        optics = {name: self._robot.cameras[name].view for name in carried}
+        optics = {name: self._robot.cameras[name][1] for name in carried}
         self._carried = {name: MovingView(twin, view, shadows, threads=1) for name, view in optics.items()}
 
     def draw(self, reached: Trajectory) -> Images:

@@ -91,7 +91,7 @@ def test_smaller_pictures_are_averaged_from_those_of_the_run(world: World) -> No
 def test_a_camera_on_the_hand_shows_what_it_shows_in_an_episode(world: World, toy) -> None:
     """Against the episode's renderer, through the dataset's averaging; fixed cameras show what they showed without it."""
     robot, scene = toy.robot, toy.episode_scene
-    wrist = robot.cameras["wrist"].view.resize(160, 120)
+    wrist = robot.cameras["wrist"][1].resize(160, 120)
     both = World(replace(world.suite, cameras={"wrist": wrist, **world.suite.cameras}), toy).rollout(0)
     alone = world.rollout(0)
     for action in shaken(world):

@@ -88,7 +88,7 @@ def test_unknown_cameras_are_refused(toy: ToyResults, tmp_path: Path) -> None:
 def test_the_robots_own_cameras_are_in_a_suite_that_names_them(toy: ToyResults, tmp_path: Path) -> None:
     request = SuiteRequest(trials=1, seed=9, cameras=("wrist", "front"))
     suite = make_suite(toy, tmp_path / "s.json", request, 1, silent)
-    carried = toy.robot.cameras["wrist"].view
+    carried = toy.robot.cameras["wrist"][1]
     front = toy.episode_scene.cameras["front"]
     assert suite.cameras == {"wrist": carried, "front": front}
     assert suite.drawn_size == (front.width, front.height)
