@@ -13,8 +13,8 @@ from aomgen.assets.asset_check import outward_normal
 from aomgen.core.plan import FittedAsset
 from aomgen.core.transforms import apply, matrix_from_rotvec, rotvec_from_matrix, transform
 from aomgen.core.values import Array
+from aomgen.simulation.collision_check import holding_gripper
 from aomgen.simulation.scene import Scene
-from synthetic.grasp_selection import holding_gripper
 
 # Random arms and grasps tried: flat laptops, the hardest, need some hundred where they are feasible at all.
 RESTARTS: Final = 400

@@ -13,6 +13,7 @@ from aomgen.core.motion import Direction
 from aomgen.core.transforms import apply, invert, matrix_from_rotvec, transform
 from aomgen.core.values import Array
 from aomgen.robots.robot import RobotModel
+from aomgen.simulation.collision_check import holding_gripper
 from synthetic.grasp import (
     BAR_BEHIND_TIP_M,
     DemonstratedGrasp,
@@ -264,10 +265,3 @@ def _on_part(asset: ArticulatedAsset, point: ArrayLike, margin: ArrayLike) -> bo
         if not box.name.startswith("handle") and (np.abs(local) <= box.half_extents + 1e-4).all():
             return True
     return False
-
-
-def holding_gripper(robot: RobotModel, width_m: float, fallback: float) -> float:
-    """Gripper value 0..1 at which the distance of the pads is `width_m`; `fallback` for a robot without pads."""
-    values = np.linspace(0.0, 1.0, 65)
-    widths = robot.pad_distances(values)
-    return float(np.interp(-width_m, -widths, values)) if len(widths) else fallback

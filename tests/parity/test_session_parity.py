@@ -264,7 +264,7 @@ def test_wrong_sizes_are_refused():
             moving, RigidParts(indices=np.zeros(10, np.int32), Ts_world_part=np.full((1, 4, 4), np.nan))
         )
     other = RenderSession(cloud(20, 1), make_camera(80, 60)).picture(moving)
-    with pytest.raises(ValueError, match="picture"):
+    with pytest.raises(ValueError, match="image"):
         session.picture(moving, into=other)
 
 

@@ -137,7 +137,7 @@ def run_stages(
 def share_stages(folders: Iterable[Path], out: Path) -> None:
     """Link finished stages of a run into the folder of another run, which must not change them; those there stay."""
     for folder in folders:
-        if not (out / folder.name).exists():
+        if folder.is_dir() and not (out / folder.name).exists():
             shutil.copytree(folder, out / folder.name, copy_function=_link)
 
 

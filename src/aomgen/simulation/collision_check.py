@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from aomgen.core.plan import Rejection
 from aomgen.core.transforms import matrix_from_quat
 from aomgen.core.values import Array
+from aomgen.robots.robot import RobotModel
 from aomgen.simulation.scene import Scene
 
 # Largest motion of any point between two configurations that are checked, [m].
@@ -258,6 +259,13 @@ def _moves(scene: Scene, places: Array) -> Array:
     steps = np.diff(poses, axis=0)
     shifts = corners @ steps[..., :9].reshape(*steps.shape[:2], 3, 3).swapaxes(2, 3) + steps[..., None, 9:]
     return np.sqrt((shifts**2).sum(-1).max((1, 2)))
+
+
+def holding_gripper(robot: RobotModel, width_m: float, fallback: float) -> float:
+    """Gripper value 0..1 at which the distance of the pads is `width_m`; `fallback` for a robot without pads."""
+    values = np.linspace(0.0, 1.0, 65)
+    widths = robot.pad_distances(values)
+    return float(np.interp(-width_m, -widths, values)) if len(widths) else fallback
 
 
 def stalling_gripper(scene: Scene, joints: Array, theta: float, fallback: float) -> float:

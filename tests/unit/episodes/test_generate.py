@@ -253,7 +253,7 @@ def test_an_episode_that_closes_its_object_begins_open_and_ends_closed(tmp_path)
     vars(results)["fitted_assets"] = [fitted.backwards() for fitted in results.fitted_assets]
     factory, unit = EpisodeFactory(results, results.folders["episodes"]), Unit(asset=0, index=0)
     assert factory.screen(unit)[1] is None
-    assert factory.make(unit).committed
+    assert factory.make(unit)[0]
     (path,) = list_committed(factory.folder)
     episode = read_episode(path).episode
     assert episode.thetas[0] == pytest.approx(0.15, abs=1e-3)
@@ -278,7 +278,7 @@ def test_what_stands_in_the_scene_is_planned_and_verified_with(tmp_path):
     unit = Unit(asset=0, index=0)
     factory = EpisodeFactory(results, results.folders["episodes"])
     assert factory.asset(0).sized(1.0)[1].roles.obstacle.sum() == 1
-    assert not factory.make(unit).committed
+    assert not factory.make(unit)[0]
     rejection = read_rejection(results.folders["episodes"], unit)
     assert rejection.reason in ("collision", "no_path")
 

@@ -13,10 +13,9 @@ from aomgen.core.plan import EpisodePlan, Rejection, VerifiedEpisode
 from aomgen.core.transforms import transform
 from aomgen.robots.robot import RobotModel
 from aomgen.simulation import replay
-from aomgen.simulation.collision_check import KinematicLimits, check_kinematics
+from aomgen.simulation.collision_check import KinematicLimits, check_kinematics, holding_gripper
 from aomgen.simulation.scene import Scene, build_scene
 from aomgen.simulation.verify import verify_plan
-from synthetic.grasp_selection import holding_gripper
 from toy_plans import (
     FRAMES,
     LEFT_RIGHT,

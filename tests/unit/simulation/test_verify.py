@@ -18,6 +18,7 @@ from aomgen.robots.robot import RobotModel
 from aomgen.simulation.collision_check import (
     KinematicLimits,
     check_kinematics,
+    holding_gripper,
     stalling_gripper,
 )
 from aomgen.simulation.episode_scene import table_overlap_m
@@ -27,7 +28,6 @@ from aomgen.simulation.scene import Scene, build_scene
 from aomgen.simulation.settings import apply_setting, corner_setting, draw_settings
 from aomgen.simulation.touches import Touches
 from aomgen.simulation.verify import verify_plan
-from synthetic.grasp_selection import holding_gripper
 from toy_plans import LEFT_RIGHT, SUPPORT, drawer_plan, facing_robot, microwave_plan, pulled, toy_plan
 
 TRAVEL = 0.15
