@@ -75,7 +75,7 @@ def cast_shadows(
         shadows.append(_cast_lamp_shadow(lamp, casters, threads))
     if table is None or T_world_plane is None:
         return twin, shadows
-    light = twin.relit_light(OBJECT)
+    light = twin.find_light(OBJECT)
     shadows.append(_cast_soft_shadow(twin, robot, light, Ts_world_body, table, T_world_plane))
     # One state represents all: walls are behind the object's static part rather than before its moving part.
     body = pose_bodies(twin.select(np.isin(twin.bodies, [twin.body(OBJECT), twin.body(PART)])), Ts_world_body)

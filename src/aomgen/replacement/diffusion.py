@@ -190,14 +190,14 @@ def inpaint_table(folder: Path, image: Array, known: NDArray[np.bool_], seed: in
     seen = np.where(known[..., None], image, continue_smoothly(image, known))
     square = [(0, max(height, width) - length) for length in (height, width)]
 
-    def resized(values: Array) -> Image.Image:
+    def to_image(values: Array) -> Image.Image:
         return Image.fromarray((255 * values).astype(np.uint8)).resize((side, side))
 
     inpainted = pipeline(
         prompt=TABLE,
         negative_prompt=NO_TABLE,
-        image=resized(np.pad(seen, [*square, (0, 0)], mode="edge")),
-        mask_image=resized(np.pad((~known).astype(float), square)),
+        image=to_image(np.pad(seen, [*square, (0, 0)], mode="edge")),
+        mask_image=to_image(np.pad((~known).astype(float), square)),
         width=side,
         height=side,
         num_inference_steps=TABLE_STEPS,

@@ -106,7 +106,7 @@ class TwinModel:
         """Body of every relit Gaussian (M,)."""
         return self.bodies[self.relit.indices] if self.relit is not None else np.zeros(0, np.int32)
 
-    def relit_light(self, name: str) -> Light:
+    def find_light(self, name: str) -> Light:
         """The light of a body that is relit."""
         rows = np.flatnonzero(self.relit_bodies == self.body(name))
         if self.relit is None or not len(rows):
