@@ -2,25 +2,24 @@
 
 import re
 import tomllib
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 from pydantic import BaseModel, ConfigDict
 
 from aomgen.capture.capture_schema import RobotSection
+from aomgen.capture.manifest_text import PLACEHOLDER, parse_manifest_text, read_manifest_text, split_tables
 from aomgen.errors import MalformedFileError
 from aomgen.io.schema import format_toml_value, read_toml
 
 JOINTS_FILE: Final = "demo/joints.csv"
-# A line that begins a table or an element of an array of tables, and its name.
-_HEADER: Final = re.compile(r"\s*\[\[?\s*([A-Za-z0-9_\-\"'][A-Za-z0-9_.\-\"' ]*?)\s*\]\]?\s*(#.*)?$")
 _VIDEO: Final = re.compile(r"^(\s*video\s*=\s*)(\"[^\"\n]*\"|'[^'\n]*')", re.MULTILINE)
 SKELETON: Final = """\
 format = 1
 name = {name}
-category = "TODO"                     # TODO: category of the object, for example "microwave"; it chooses assets
+category = "{placeholder}"                     # TODO: category of the object, for example "microwave"; it chooses assets
 instruction = {instruction}           # {instruction_note}
 
 {robot}
@@ -87,7 +86,8 @@ def write_new_capture(name: str, tables: DemoTables) -> str:
     known = "language instruction of the demonstration"
     return SKELETON.format(
         name=format_toml_value(name),
-        instruction=format_toml_value(tables.instruction or "TODO"),
+        placeholder=PLACEHOLDER,
+        instruction=format_toml_value(tables.instruction or PLACEHOLDER),
         instruction_note=known if tables.instruction else f"TODO: {known}",
         robot=_write_robot(tables),
         demo=_write_demo(tables, {}),
@@ -102,15 +102,15 @@ def replace_demo_tables(path: Path, tables: DemoTables) -> str:
     Raises:
         MalformedFileError: Its demo tables are written in a form that cannot be replaced.
     """
-    text = path.read_bytes().decode("utf-8")
-    blocks = _split_blocks(text)
+    text = read_manifest_text(path)
+    blocks = split_tables(text)
     is_demo = [_is_demo(header) for header, _ in blocks]
     kept = {}
     for header, block in blocks:
         if header == "demo.cameras":
             kept |= _read_camera(path, block)
     new = _write_demo(tables, kept) + "\n"
-    before = tomllib.loads(text.removeprefix("\ufeff"))
+    before = parse_manifest_text(text, path)
     if sum(header == "demo.cameras" for header, _ in blocks) != len(
         before.get("demo", {}).get("cameras", [])
     ):
@@ -126,26 +126,8 @@ def replace_demo_tables(path: Path, tables: DemoTables) -> str:
         else "\n" * (2 - head.endswith("\n"))
     )
     result = f"{head}{gap}{new}{tail}" if tail else f"{head}{gap}{new}".rstrip("\n") + "\n"
-    _check_others(path, before, result)
+    _check_others(path, text, result)
     return result
-
-
-def _split_blocks(text: str) -> list[tuple[str, str]]:
-    """Name of the table and text of each table; comments directly above a header belong to it."""
-    blocks: list[tuple[str, list[str]]] = [("", [])]
-    for line in text.splitlines(keepends=True):
-        found = _HEADER.match(line)
-        if not found:
-            blocks[-1][1].append(line)
-            continue
-        previous, above = blocks[-1][1], []
-        while previous and previous[-1].lstrip().startswith("#"):
-            above.insert(0, previous.pop())
-        if previous and previous[-1].strip():  # the comments follow a key, not an empty line
-            previous.extend(above)
-            above = []
-        blocks.append((re.sub(r"[\"' ]", "", found[1]), [*above, line]))
-    return [(header, "".join(lines)) for header, lines in blocks]
 
 
 def _is_demo(header: str) -> bool:
@@ -188,15 +170,14 @@ def _write_camera(name: str, kept: str) -> str:
     )
 
 
-def _check_others(path: Path, before: dict[str, Any], result: str) -> None:
-    """Refuse a replacement that changed another table or lost a camera."""
+def _check_others(path: Path, before: str, after: str) -> None:
+    """Refuse a replacement that changed another table."""
+    changed = {"demo", "robot"} - ({"robot"} & parse_manifest_text(before, path).keys())
     try:
-        after = tomllib.loads(result.removeprefix("\ufeff"))
-    except tomllib.TOMLDecodeError as error:
+        kept = parse_manifest_text(after, path, without=changed)
+    except MalformedFileError as error:
         raise _cannot_edit(path) from error
-    added: Iterable[str] = {"demo", "robot"} - ({"robot"} & before.keys())
-    others = [{key: value for key, value in table.items() if key not in added} for table in (before, after)]
-    if others[0] != others[1]:
+    if kept != parse_manifest_text(before, path, without=changed):
         raise _cannot_edit(path)
 
 

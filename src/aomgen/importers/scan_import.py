@@ -5,8 +5,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
+from aomgen.capture.manifest_text import read_manifest_text
 from aomgen.core.progress import Progress, part
-from aomgen.errors import ConfigError, IncompleteCaptureError, MalformedFileError
+from aomgen.errors import ConfigError, IncompleteCaptureError
 from aomgen.importers.scan_formats import read_scan_source
 from aomgen.importers.scan_table import change_scan_table
 from aomgen.importers.scan_writing import WrittenScan, write_scan
@@ -51,7 +52,7 @@ def import_scan(source: Path, capture: Path, long_side: int, progress: Progress)
     folder, file = capture / SCAN_FOLDER, capture / CAPTURE_FILE
     if folder.exists() and not (folder.is_dir() and not any(folder.iterdir())):
         raise ConfigError(folder, "exists already", "move it away")
-    text = _read_text(file) if file.is_file() else "format = 1\n"
+    text = read_manifest_text(file) if file.is_file() else "format = 1\n"
     new = not capture.exists()
     with tempfile.TemporaryDirectory() as scratch:
         found = read_scan_source(source, Path(scratch), part(progress, 0.0, 0.5))
@@ -69,11 +70,3 @@ def import_scan(source: Path, capture: Path, long_side: int, progress: Progress)
     if not new:
         write_text(file, changed)
     return ImportedScan(kind=found.kind, written=written, is_new="[robot]" not in text)
-
-
-def _read_text(file: Path) -> str:
-    """Read a UTF-8 file with its line ends as they are."""
-    try:
-        return file.read_bytes().decode()
-    except UnicodeDecodeError as error:
-        raise MalformedFileError(file, f"is not UTF-8 text ({error})", "save it as UTF-8") from error

@@ -1,6 +1,5 @@
 """Write what a person states about a capture into its capture.toml; every other byte of the file stays as it is."""
 
-import tomllib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
@@ -8,8 +7,10 @@ import tomlkit
 from tomlkit.exceptions import TOMLKitError
 
 from aomgen.capture.capture_schema import PromptSection
-from aomgen.errors import InputError
+from aomgen.capture.manifest_text import parse_manifest_text, read_manifest_text
+from aomgen.errors import MalformedFileError
 from aomgen.io.atomic import write_text
+from aomgen.io.schema import format_toml_value
 
 # Decimals of a coordinate, [px]: a mouse is not more precise.
 DECIMALS = 1
@@ -19,16 +20,17 @@ def save_prompts(path: Path, prompts: Sequence[PromptSection], stated: Mapping[s
     """Replace all `[[prompts]]` tables of a capture.toml by these, and the stated top-level values, atomically.
 
     Raises:
-        InputError: The file is missing or is no TOML.
+        MissingFileError, MalformedFileError: The file is missing, or is no TOML.
     """
+    text = read_manifest_text(path)
     try:
-        # Not `read_text`, which would turn CRLF line ends into LF.
-        text = path.read_bytes().decode("utf-8")
         changed = replace_prompts(text, prompts, stated)
-    except FileNotFoundError as error:
-        raise InputError(path, "is missing", "give the folder that holds capture.toml") from error
-    except (UnicodeDecodeError, TOMLKitError) as error:
-        raise InputError(path, f"is not valid TOML ({error})", "correct the line") from error
+    except TOMLKitError as error:
+        raise MalformedFileError(path, f"is not valid TOML ({error})", "correct that line") from error
+    # A guard against a library that moves what it should keep.
+    kept, before = (parse_manifest_text(item, path, without=["prompts"]) for item in (changed, text))
+    if kept != before | dict(stated):
+        raise MalformedFileError(path, "has tables that cannot be kept as they are", "reorder them by hand")
     write_text(path, changed)
 
 
@@ -55,15 +57,7 @@ def replace_prompts(text: str, prompts: Sequence[PromptSection], stated: Mapping
             document[key] = value
     kept = tomlkit.dumps(document).rstrip("\r\n")
     newline = "\r\n" if "\r\n" in text else "\n"
-    result = newline.join([kept, *_format(prompts), ""])
-    # A guard against a library that moves what it should keep.
-    if _without_prompts(result) != _without_prompts(text) | dict(stated):
-        raise TOMLKitError("the other tables cannot be kept as they are")
-    return result
-
-
-def _without_prompts(text: str) -> dict[str, object]:
-    return {key: value for key, value in tomllib.loads(text).items() if key != "prompts"}
+    return newline.join([kept, *_format(prompts), ""])
 
 
 def _format(prompts: Sequence[PromptSection]) -> list[str]:
@@ -73,7 +67,7 @@ def _format(prompts: Sequence[PromptSection]) -> list[str]:
             "",
             "[[prompts]]",
             f'part = "{prompt.part}"',
-            f"image = {tomlkit.item(prompt.image).as_string()}",
+            f"image = {format_toml_value(prompt.image)}",
         ]
         if prompt.points:
             rows = ", ".join(f"[{_number(x)}, {_number(y)}, {int(on)}]" for x, y, on in prompt.points)
