@@ -112,13 +112,15 @@ def check(
         warnings = checked.warnings + category_warnings(capture) + machine_warnings("auto", capture)
         facts = checked.summary(capture)
         if capture.scan_images:
+            from aomgen.capture.scan_images import read_grey
             from aomgen.report.capture_page import write_capture_page
             from aomgen.structure.overlap import measure_overlap
 
-            overlap = measure_overlap(capture.scan_images)
+            greys = {path.name: read_grey(path) for path in capture.scan_images}
+            overlap = measure_overlap(greys)
             warnings += tuple(overlap.list_warnings())
             if html is not None:
-                write_capture_page(html, capture, overlap, facts, warnings)
+                write_capture_page(html, capture, greys, overlap, facts, warnings)
         print(f"{capture.folder}: fine\n{facts}")
     for sentence in warnings:
         print(f"  warning: {sentence}")

@@ -1,6 +1,6 @@
 """A page about a capture before anything is computed from it: warnings, and the scan's images with the worst first."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Final
 
@@ -8,32 +8,43 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw
 
-from aomgen.capture.scan_images import BLURRED, blur, read_grey
+from aomgen.capture.scan_images import BLURRED, blur
 from aomgen.core.recording import Prompt, Recording
 from aomgen.io.atomic import write_text
 from aomgen.io.images import read_image, resize
 from aomgen.report.html import jpeg_url, page, paragraph, picture, section, table, text
-from aomgen.structure.overlap import MAX_EXPOSURE_EV, MIN_PARTNERS, ScanOverlap
+from aomgen.structure.overlap import ScanOverlap
 
+# Three thumbnails fit into the width of the page, [px].
 THUMBNAIL_PX: Final = 320
+# Width of the picture of all pairs, about; pairs of 64 images then have 7 px, [px].
 MATRIX_PX: Final = 480
 # Matches from which a pair is drawn as bright as can be.
 MANY_MATCHES: Final = 100
+# Parts have the colors that they have in `aomgen prompts`.
 COLORS: Final = {"robot": (209, 73, 91), "static": (31, 111, 139), "moving": (232, 163, 61)}
 
 
 def write_capture_page(
-    path: Path, capture: Recording, overlap: ScanOverlap, facts: str, warnings: Sequence[str]
+    path: Path,
+    capture: Recording,
+    greys: Mapping[str, NDArray[np.float32]],
+    overlap: ScanOverlap,
+    facts: str,
+    warnings: Sequence[str],
 ) -> None:
     """Write the page, one file without script or network.
 
     Args:
         path: HTML file.
-        overlap: Of the capture's scan images.
+        greys: Grey levels (H, W) of the scan images by name, see `scan_images.read_grey`.
+        overlap: Of the same images.
         facts: Lines about robot, scan, videos and log.
         warnings: Sentences.
     """
-    cards = [_draw_card(capture, overlap, index) for index in range(len(overlap.names))]
+    cards = [
+        _draw_card(capture, overlap, index, blur(greys[name])) for index, name in enumerate(overlap.names)
+    ]
     worst_first = sorted(cards, key=lambda card: card[0], reverse=True)
     body = [
         f"<h1>Capture {text(capture.name)}</h1>",
@@ -59,26 +70,14 @@ def write_capture_page(
     write_text(path, page(f"Capture {capture.name}", body))
 
 
-def _draw_card(capture: Recording, overlap: ScanOverlap, index: int) -> tuple[tuple[int, float], str]:
+def _draw_card(
+    capture: Recording, overlap: ScanOverlap, index: int, blurred: float
+) -> tuple[tuple[int, float], str]:
     """How bad an image is (number of problems, then blur), and its HTML."""
-    name = overlap.names[index]
-    source = capture.scan_images[index]
-    blurred, partners, exposure = (
-        blur(read_grey(source)),
-        overlap.partners[index],
-        overlap.exposures_ev[index],
-    )
-    problems = [
-        words
-        for wrong, words in (
-            (overlap.isolated[index], "overlaps with none of the others"),
-            (not overlap.isolated[index] and partners < MIN_PARTNERS, "overlaps with one other image only"),
-            (abs(exposure) > MAX_EXPOSURE_EV, "exposed otherwise"),
-            (blurred > BLURRED, "blurred"),
-            (name in overlap.repeated, f"shows the same as {overlap.repeated.get(name)}"),
-        )
-        if wrong
-    ]
+    name, source = overlap.names[index], capture.scan_images[index]
+    partners, exposure = overlap.partners[index], overlap.exposures_ev[index]
+    problems = [kind for kind, which in overlap.problems.items() if which[index]]
+    problems += ["blurred"] if blurred > BLURRED else []
     prompts = [prompt for prompt in capture.prompts if prompt.image == name]
     image = jpeg_url(_draw_prompts(read_image(source), prompts), 85)
     verdict = f'<span class="poor">{text(", ".join(problems))}</span>' if problems else "fine"

@@ -1,7 +1,7 @@
 """Which scan images see the same surfaces: a quick match of small images, before any reconstruction."""
 
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Final
@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse.csgraph import connected_components
 
-from aomgen.capture.scan_images import read_grey
 from aomgen.conventions import linear_from_srgb
 from aomgen.core.values import Array, freeze_arrays
 from aomgen.structure.mapping import Workspace
@@ -33,6 +32,16 @@ DARK, BRIGHT = 12.0, 243.0
 SWEEPS: Final = 10
 # Names in one sentence.
 SHOWN_NAMES = 5
+# What images with a kind of problem do, and the remedy.
+SENTENCES: Final = {
+    "isolated": ("overlap with no image of the others", "they will be dropped; record images in between"),
+    "weakly connected": ("overlap with one other image only", "record images beside them"),
+    "exposed otherwise": (
+        "are exposed otherwise than the images around them",
+        "lock exposure and white balance",
+    ),
+    "repeated": ("show the same as another one", "they add nothing"),
+}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -59,33 +68,28 @@ class ScanOverlap:
         return (self.matches >= MIN_MATCHES).sum(1)
 
     @property
+    def problems(self) -> dict[str, NDArray[np.bool_]]:
+        """Which images (N,) have each kind of problem."""
+        isolated = self.isolated
+        return {
+            "isolated": isolated,
+            "weakly connected": ~isolated & (self.partners < MIN_PARTNERS),
+            "exposed otherwise": np.abs(self.exposures_ev) > MAX_EXPOSURE_EV,
+            "repeated": np.isin(self.names, list(self.repeated)),
+        }
+
+    @property
     def isolated(self) -> NDArray[np.bool_]:
         """Which images (N,) are not connected to the largest group of overlapping images."""
         _, groups = connected_components(self.matches >= MIN_MATCHES, directed=False)
         return groups != np.bincount(groups).argmax()
 
     def list_warnings(self) -> list[str]:
-        """Sentences about isolated, weakly connected, repeated and differently exposed images."""
-        isolated = self.isolated
-        weak = ~isolated & (self.partners < MIN_PARTNERS)
-        jumps = np.abs(self.exposures_ev) > MAX_EXPOSURE_EV
-        found = (
-            (
-                isolated,
-                "overlap with no image of the others",
-                "they will be dropped; record images in between",
-            ),
-            (weak, "overlap with one other image only", "record images beside them"),
-            (jumps, "are exposed otherwise than the images around them", "lock exposure and white balance"),
-            (
-                np.isin(self.names, list(self.repeated)),
-                "show the same as another one",
-                "they add nothing",
-            ),
-        )
+        """Return a sentence for each kind of problem that some images have."""
         return [
-            f"{which.sum()} of {len(self.names)} scan images {what} ({self._list_names(which)}): {remedy}"
-            for which, what, remedy in found
+            f"{which.sum()} of {len(self.names)} scan images {SENTENCES[kind][0]} ({self._list_names(which)}): "
+            f"{SENTENCES[kind][1]}"
+            for kind, which in self.problems.items()
             if which.any()
         ]
 
@@ -95,19 +99,18 @@ class ScanOverlap:
         return ", ".join(names[:SHOWN_NAMES]) + more
 
 
-def measure_overlap(images: Sequence[Path]) -> ScanOverlap:
-    """Match small copies of a scan's images, which have one size.
+def measure_overlap(images: Mapping[str, NDArray[np.float32]]) -> ScanOverlap:
+    """Match small copies of a scan's images.
+
+    Args:
+        images: Grey levels (H, W) by name, all of one size, see `scan_images.read_grey`.
 
     Returns:
         Confirmed matches of each pair; pairs of a long scan that were not tried count as none.
 
-    Raises:
-        MalformedFileError: An image is damaged.
-
     Not checked: whether matches lead to a reconstruction; a mirror or a repeated pattern connects images as well.
     """
-    names = tuple(path.name for path in images)
-    greys = [read_grey(path) for path in images]
+    names, greys = tuple(images), list(images.values())
     with tempfile.TemporaryDirectory(prefix="aomgen-overlap-") as folder:
         work = Workspace(folder=Path(folder), seed=0, threads=-1)
         colored = (np.repeat(grey.astype(np.uint8)[..., None], 3, axis=2) for grey in greys)

@@ -9,6 +9,7 @@ from PIL import Image
 from typer.testing import CliRunner
 
 from aomgen.capture.read import read_capture
+from aomgen.capture.scan_images import read_grey
 from aomgen.cli.app import app
 from aomgen.structure.overlap import measure_overlap
 
@@ -29,7 +30,7 @@ def changed_scan(sample: Path, tmp_path_factory) -> list[Path]:
 
 
 def test_changed_images_are_told_apart(changed_scan):
-    found = measure_overlap(changed_scan)
+    found = measure_overlap({path.name: read_grey(path) for path in changed_scan})
     assert np.array_equal(found.matches, found.matches.T)
     assert [name for name, alone in zip(found.names, found.isolated, strict=True) if alone] == ["strange.jpg"]
     assert found.repeated == {"again.jpg": changed_scan[7].name}
