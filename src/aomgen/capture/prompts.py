@@ -1,5 +1,6 @@
 """The prompts of a capture: boxes and points that a person draws on scan images."""
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -31,8 +32,7 @@ def read_prompts(
             neither on nor off the part, or a part without a box.
     """
     prompts = tuple(check_prompt(section, names, size, path) for section in sections)
-    boxed = {prompt.part for prompt in prompts if len(prompt.box)}
-    missing = [part for part in PARTS if part not in boxed]
+    missing = [part for part, images in list_boxed_images(prompts).items() if not images]
     if missing:
         raise InputError(
             path,
@@ -44,13 +44,20 @@ def read_prompts(
 
 def prompt_warnings(prompts: tuple[Prompt, ...]) -> list[str]:
     """Sentences about parts that only one image prompts."""
-    images = {part: {item.image for item in prompts if item.part == part and len(item.box)} for part in PARTS}
     return [
         f"only '{min(found)}' prompts the {part} part: without that image's camera the run stops; "
         "draw a box on a second image"
-        for part, found in images.items()
+        for part, found in list_boxed_images(prompts).items()
         if len(found) == 1
     ]
+
+
+def list_boxed_images(prompts: Sequence[Prompt | PromptSection]) -> dict[str, set[str]]:
+    """List the images with a box around each part, for all parts."""
+    return {
+        part: {item.image for item in prompts if item.part == part and item.box is not None and len(item.box)}
+        for part in PARTS
+    }
 
 
 def check_prompt(section: PromptSection, names: set[str], size: tuple[int, int], path: Path) -> Prompt:

@@ -51,7 +51,7 @@ def read_capture(folder: Path) -> Recording:
     scan = resolve_inside(folder, manifest.scan.images, named_by=path)
     video = scan if scan.is_file() else None
     images = () if video else find_images(scan)
-    size, names = _video_frames(video) if video else (common_size(images), {item.name for item in images})
+    size, names = measure_scan(images, video)
     log_file = resolve_inside(folder, manifest.demo.joints, named_by=path)
     log, notes = read_joint_log(
         log_file, manifest.robot.joints, manifest.robot.gripper, _gripper_range(manifest, path)
@@ -122,6 +122,15 @@ def check_intrinsics(intrinsics: Intrinsics, size: tuple[int, int], where: str) 
             f"distortion {list(intrinsics.distortion or ())} folds the image's border back",
             "want k1, k2, p1, p2 of OpenCV's model",
         )
+
+
+def measure_scan(images: tuple[Path, ...], video: Path | None) -> tuple[tuple[int, int], set[str]]:
+    """Return width and height of a scan's images, or of the frames of its video, [px], and their names.
+
+    Raises:
+        InputError: Images of several sizes, a file that cannot be read, or a video that is too short.
+    """
+    return _video_frames(video) if video else (common_size(images), {item.name for item in images})
 
 
 def _video_frames(scan: Path) -> tuple[tuple[int, int], set[str]]:

@@ -19,6 +19,7 @@ from aomgen.prompting.session import PromptSession, box_of_mask, find_missing
 HOST: Final = "127.0.0.1"
 # Longest request that is read, [bytes]: some hundred prompts of some hundred points.
 MAX_REQUEST = 4_000_000
+# A person looks at edges of parts, which a lower quality blurs.
 JPEG_QUALITY = 92
 
 

@@ -11,12 +11,12 @@ from numpy.typing import NDArray
 
 from aomgen.assets.choice import MAKERS, OTHER_MAKERS
 from aomgen.capture.capture_schema import PromptSection, read_manifest
-from aomgen.capture.prompts import PARTS, check_prompt
-from aomgen.capture.scan_images import common_size, find_images
-from aomgen.core.recording import frame_name
+from aomgen.capture.manifest_text import PLACEHOLDER
+from aomgen.capture.prompts import PARTS, check_prompt, list_boxed_images
+from aomgen.capture.read import measure_scan
+from aomgen.capture.scan_images import find_images
 from aomgen.errors import BackendError
 from aomgen.io.paths import resolve_inside
-from aomgen.io.video import probe_video
 from aomgen.prompting.prompts_file import save_prompts
 from aomgen.prompting.scan_choice import ScanImages, propose_images
 from aomgen.segmentation.interface import Mask, PreparedImage, Segmenter
@@ -24,8 +24,6 @@ from aomgen.segmentation.segmenter import choose_segmenter
 
 # Boxes of a part on so many images let the run go on where one of their cameras is not found.
 WANTED_IMAGES: Final = 2
-# Value of what an import could not know.
-PLACEHOLDER: Final = "TODO"
 # A box from a mask leaves so much room around it, [px]: masks end a little inside the part.
 MARGIN_PX: Final = 2.0
 
@@ -53,12 +51,7 @@ class PromptSession:
         scan = resolve_inside(capture, manifest.scan.images, named_by=self._file)
         video = scan if scan.is_file() else None
         images = () if video else find_images(scan)
-        if video:
-            info = probe_video(video)
-            self.size = (info.width, info.height)
-            self._names = {frame_name(index) for index in range(info.frames)}
-        else:
-            self.size, self._names = common_size(images), {path.name for path in images}
+        self.size, self._names = measure_scan(images, video)
         self.capture, self.images, self.prompts = capture, ScanImages(images, video), manifest.prompts
         stated = {"category": manifest.category, "instruction": manifest.instruction}
         self.stated = {key: "" if value == PLACEHOLDER else value for key, value in stated.items()}
@@ -138,7 +131,7 @@ def find_missing(prompts: Sequence[PromptSection]) -> dict[str, int]:
         >>> find_missing([PromptSection(part="robot", image="0.jpg", box=[0, 0, 9, 9])])
         {'robot': 1, 'static': 2, 'moving': 2}
     """
-    boxed = {part: {item.image for item in prompts if item.part == part and item.box} for part in PARTS}
+    boxed = list_boxed_images(prompts)
     return {part: WANTED_IMAGES - len(found) for part, found in boxed.items() if len(found) < WANTED_IMAGES}
 
 
