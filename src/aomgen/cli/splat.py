@@ -7,9 +7,6 @@ import typer
 
 from aomgen.errors import ConfigError
 
-# Suffixes that `io.gaussian_files` writes.
-TARGET_SUFFIXES = (".ply", ".splat", ".usda", ".usdc")
-
 
 def splat(
     source: Annotated[
@@ -26,9 +23,11 @@ def splat(
     Stop it whenever you like; the same command continues where it was. Finished steps lie in the folder
     scene.run next to the scene, which can be deleted afterwards.
     """
-    if scene.suffix.lower() not in TARGET_SUFFIXES:
+    from aomgen.io.gaussian_files import WRITTEN_SUFFIXES
+
+    if scene.suffix.lower() not in WRITTEN_SUFFIXES:
         raise ConfigError(
-            scene, "has no suffix of a file of Gaussians", f"use one of {', '.join(TARGET_SUFFIXES)}"
+            scene, "has no suffix of a file of Gaussians", f"use one of {', '.join(WRITTEN_SUFFIXES)}"
         )
     from aomgen.api.display import display
     from aomgen.pipeline.splat import SPLAT_STAGES, make_splat

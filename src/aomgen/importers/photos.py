@@ -17,8 +17,9 @@ from aomgen.io.colmap_models import ColmapCamera
 from aomgen.io.heic import HEIC_SUFFIXES, open_heic
 from aomgen.io.images import image_size, open_image, read_image
 
-# EXIF: the block that holds the focal length, and the equivalent focal length of a 35 mm camera.
+# Tag of the EXIF block that holds the focal length.
 EXIF_BLOCK: Final = 0x8769
+# Tag of the equivalent focal length of a 35 mm camera.
 FOCAL_35MM: Final = 0xA405
 # Diagonal of the image of a 35 mm camera, [mm].
 DIAGONAL_35MM: Final = hypot(36.0, 24.0)

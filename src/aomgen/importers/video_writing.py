@@ -28,8 +28,9 @@ CRF: Final = "8"
 COPIED: Final = ("h264", "hevc", "av1", "mpeg4", "vp9")
 # Stamps of an episode's ends are rounded; a quarter of the distance of two frames cannot hide one, [frames].
 SPAN_SLACK: Final = 0.25
-# Type of the sequence parameter set in a NAL header (its lower five bits), which a decoder needs first.
+# Type of the sequence parameter set, which a decoder needs first.
 SPS: Final = 7
+# The lower five bits of a NAL header.
 NAL_TYPE: Final = 0x1F
 
 

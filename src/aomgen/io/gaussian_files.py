@@ -106,6 +106,8 @@ def _bytes(values: NDArray[np.floating]) -> NDArray[np.uint8]:
 F = TypeVar("F")
 _READERS = {".ply": ply.read_gaussians, ".splat": read_splat}
 _WRITERS = {".ply": ply.write_gaussians, ".splat": write_splat}
+# Suffixes that `write_gaussians` accepts.
+WRITTEN_SUFFIXES = (*_WRITERS, *usd.SUFFIXES)
 
 
 def read_gaussians(path: Path, *, max_gaussians: int = MAX_GAUSSIANS) -> Gaussians:
