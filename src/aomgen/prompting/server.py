@@ -28,7 +28,7 @@ class _Request(BaseModel):
 
 
 class MaskRequest(_Request):
-    """Points and box of one prompt, whose mask is wanted."""
+    """Points and box of the prompt whose mask is requested."""
 
     image: int
     part: str
@@ -65,7 +65,7 @@ class PromptServer(ThreadingHTTPServer):
 
     @property
     def url(self) -> str:
-        """Where a browser finds the page."""
+        """Address of the page."""
         return f"http://{HOST}:{self.server_port}/"
 
 
@@ -99,7 +99,7 @@ class _Handler(BaseHTTPRequestHandler):
 
     def _answer(self, produce: Callable[[], tuple[str, bytes]]) -> None:
         """Send what a route produces, or its error as one sentence."""
-        # A page of another site may name this server by a host name of its own, but not by this one.
+        # A page of another site may resolve its host name to this server, but cannot send this host name.
         if self.headers.get("Host", "").rpartition(":")[0] not in (HOST, "localhost"):
             self._send(HTTPStatus.FORBIDDEN, *_to_json({"error": f"open {self.server.url}"}))
             return

@@ -22,7 +22,7 @@ from aomgen.prompting.scan_choice import ScanImages, propose_images
 from aomgen.segmentation.interface import Mask, PreparedImage, Segmenter
 from aomgen.segmentation.segmenter import choose_segmenter
 
-# Boxes of a part on so many images let the run go on where one of their cameras is not found.
+# With boxes of a part on two images, a run continues where the camera of one of them is not found.
 WANTED_IMAGES: Final = 2
 # A box from a mask leaves so much room around it, [px]: masks end a little inside the part.
 MARGIN_PX: Final = 2.0
@@ -65,7 +65,7 @@ class PromptSession:
         self._encoded: dict[int, Future[PreparedImage]] = {}
 
     def describe(self) -> dict[str, Any]:
-        """What a page shows: image names, size, proposals in the order of the walk, prompts, and why there are no masks."""
+        """Describe the session to the page: image names, size, proposals in the order of the walk, prompts, and why there are no masks."""
         return {
             "capture": self.capture.name,
             "images": self.images.names,

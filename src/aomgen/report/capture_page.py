@@ -17,7 +17,7 @@ from aomgen.structure.overlap import ScanOverlap
 
 # Three thumbnails fit into the width of the page, [px].
 THUMBNAIL_PX: Final = 320
-# Width of the picture of all pairs, about; pairs of 64 images then have 7 px, [px].
+# Approximate width of the overlap matrix; pairs of 64 images then have 7 px, [px].
 MATRIX_PX: Final = 480
 # Matches from which a pair is drawn as bright as can be.
 MANY_MATCHES: Final = 100
@@ -73,7 +73,7 @@ def write_capture_page(
 def _draw_card(
     capture: Recording, overlap: ScanOverlap, index: int, blurred: float
 ) -> tuple[tuple[int, float], str]:
-    """How bad an image is (number of problems, then blur), and its HTML."""
+    """Return the rank of an image (number of problems, then blur) and its HTML."""
     name, source = overlap.names[index], capture.scan_images[index]
     partners, exposure = overlap.partners[index], overlap.exposures_ev[index]
     problems = [kind for kind, which in overlap.problems.items() if which[index]]

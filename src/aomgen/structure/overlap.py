@@ -1,4 +1,4 @@
-"""Which scan images see the same surfaces: a quick match of small images, before any reconstruction."""
+"""Measure which scan images see the same surfaces, by a match of small images before any reconstruction."""
 
 import tempfile
 from collections.abc import Mapping
@@ -18,9 +18,9 @@ from aomgen.structure.sparse_model import Pair
 
 # Features of an image: 64 images take about ten seconds on two cores.
 MAX_FEATURES: Final = 512
-# All pairs up to so many images; of longer scans, neighbours and a coarse grid.
+# All pairs are matched up to this number of images, and of longer scans neighbours and a coarse grid.
 EXHAUSTIVE_LIMIT: Final = 70
-# Two images overlap if geometry confirms so many matches, as in COLMAP's mapper.
+# Two images overlap if geometry confirms this number of matches, as in COLMAP's mapper.
 MIN_MATCHES: Final = 15
 # A surface is reconstructed from three views.
 MIN_PARTNERS: Final = 2
@@ -32,7 +32,7 @@ DARK, BRIGHT = 12.0, 243.0
 SWEEPS: Final = 10
 # Names in one sentence.
 SHOWN_NAMES = 5
-# What images with a kind of problem do, and the remedy.
+# Predicate of a warning about each kind of problem, and the remedy.
 SENTENCES: Final = {
     "isolated": ("overlap with no image of the others", "they will be dropped; record images in between"),
     "weakly connected": ("overlap with one other image only", "record images beside them"),
@@ -46,7 +46,7 @@ SENTENCES: Final = {
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ScanOverlap:
-    """How the images of a scan overlap.
+    """Overlap of the images of a scan.
 
     Attributes:
         names: N names.
@@ -69,7 +69,7 @@ class ScanOverlap:
 
     @property
     def problems(self) -> dict[str, NDArray[np.bool_]]:
-        """Which images (N,) have each kind of problem."""
+        """Masks (N,) of the images with each kind of problem."""
         isolated = self.isolated
         return {
             "isolated": isolated,
@@ -80,7 +80,7 @@ class ScanOverlap:
 
     @property
     def isolated(self) -> NDArray[np.bool_]:
-        """Which images (N,) are not connected to the largest group of overlapping images."""
+        """Mask (N,) of the images that are not connected to the largest group of overlapping images."""
         _, groups = connected_components(self.matches >= MIN_MATCHES, directed=False)
         return groups != np.bincount(groups).argmax()
 
@@ -150,7 +150,7 @@ def _solve_exposures(ratios_ev: Array) -> Array:
 
 
 def _compare_exposures(pair: Pair, grey_a: NDArray[np.float32], grey_b: NDArray[np.float32]) -> float:
-    """How much brighter a pair's first image shows the matched surfaces, median, [EV]; 0 where all are dark or blown."""
+    """Compare the brightness of the matched surfaces, first image over second, median, [EV]; 0 where all are clipped."""
     seen = []
     for grey, pixels in ((grey_a, pair.pixels_a), (grey_b, pair.pixels_b)):
         height, width = grey.shape
