@@ -7,7 +7,7 @@ BIN := $(VENV)/bin
 CONSTRAINTS := constraints/cpu-py311.txt
 export PIP_DISABLE_PIP_VERSION_CHECK = 1
 
-.PHONY: demo test slow-test coverage check format scores build install weights native sanitize neon blender-env policy-env policy-gpu environments datasets-test api-test robots-test models-test clean
+.PHONY: demo docs test slow-test coverage check format scores build install weights native sanitize neon blender-env policy-env policy-gpu environments datasets-test api-test robots-test models-test clean
 
 demo: install
 	$(BIN)/aomgen demo $(OUT)
@@ -19,6 +19,10 @@ test: $(VENV)/dev.stamp weights
 # Killed runs, a full disk, a Ray cluster, whole captures: what takes more than ten seconds each.
 slow-test: $(VENV)/dev.stamp weights
 	$(PYTEST) -m slow
+
+# The documentation site in build/docs; a warning is an error, and so is a link to a file that does not exist.
+docs: $(VENV)/dev.stamp
+	$(BIN)/sphinx-build -q -W -n --keep-going docs build/docs
 
 # Which lines no test runs: build/coverage/index.html.
 coverage: $(VENV)/dev.stamp weights
