@@ -9,6 +9,8 @@ extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon"]
 myst_enable_extensions = ["colon_fence"]
 # Links to a heading of another page use the slugs that GitHub uses.
 myst_heading_anchors = 3
+# A single backtick in a docstring means code.
+default_role = "code"
 html_theme = "furo"
 html_title = "AOMGen"
 exclude_patterns = ["figures"]
