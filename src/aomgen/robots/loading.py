@@ -3,6 +3,7 @@
 A robot is also stored with results, so that they can be used without their capture.
 """
 
+import functools
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -75,14 +76,26 @@ def load_robot(
     if base_frame not in ("base_link", "ur_base"):
         raise ConfigError("robot.base_frame", f"'{base_frame}' is unknown", "use base_link or ur_base")
     if isinstance(model, str) and not Path(model).suffix:
-        path = find_known_description(model)
-        description = read_description(path)
-    else:
-        file = Path(model)
-        root = root or file.parent
-        described = find_description(file)
-        path = described or file.parent / FILE_NAME
-        description = read_description(path) if described else propose_description(file, root, joints)
+        return _load_known(model, tuple(joints), turned=base_frame == "ur_base")
+    file = Path(model)
+    root = root or file.parent
+    described = find_description(file)
+    path = described or file.parent / FILE_NAME
+    description = read_description(path) if described else propose_description(file, root, joints)
+    return _load_described(description, joints, path, root, turned=base_frame == "ur_base")
+
+
+# Loading takes seconds, and one process needs few arms.
+@functools.lru_cache(maxsize=4)
+def _load_known(name: str, joints: tuple[str, ...], *, turned: bool) -> RobotModel:
+    path = find_known_description(name)
+    return _load_described(read_description(path), joints, path, path.parent, turned=turned)
+
+
+def _load_described(
+    description: RobotDescription, joints: Sequence[str], path: Path, root: Path, *, turned: bool
+) -> RobotModel:
+    """Check the requested order of the joints, and assemble the model."""
     if joints and sorted(joints) != sorted(description.joints):
         raise ConfigError(
             "robot.joints",
@@ -91,9 +104,9 @@ def load_robot(
         )
     return _assemble(
         description.model_copy(update={"joints": tuple(joints) or description.joints}),
-        read_models(description, path, root or path.parent),
+        read_models(description, path, root),
         path,
-        turned=base_frame == "ur_base",
+        turned=turned,
     )
 
 
