@@ -26,7 +26,7 @@ from aomgen.parts.panel_terms import (
     pixels_within,
 )
 
-COARSE_PIXELS, FINE_PIXELS = 3_000, 16_000
+COARSE_PIXELS, FINE_PIXELS = 3_000, 32_000
 # Steps of the search, as shares of the panel's diagonal: coarse ones on fewer pixels, then fine ones on all pixels,
 # down to a few millimetres on a door.
 COARSE_STEPS, FINE_STEPS = (0.2, 0.1, 0.05, 0.025), (0.025, 0.012, 0.006, 0.003)
