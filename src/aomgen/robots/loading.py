@@ -20,7 +20,7 @@ from aomgen.io.artifact import load_artifact, save_artifact
 from aomgen.io.atomic import write_bytes, write_text
 from aomgen.io.mujoco_model import compile_model
 from aomgen.io.paths import resolve_inside
-from aomgen.robots.actuation import add_actuation, drop_visual
+from aomgen.robots.actuation import add_actuation, drop_visual, sort_shapes
 from aomgen.robots.description import (
     FILE_NAME,
     ActuatorSection,
@@ -164,24 +164,31 @@ def copy_robot_files(model_file: Path, references: tuple[Path, ...], folder: Pat
 def _assemble(description: RobotDescription, files: RobotFiles, path: Path, *, turned: bool) -> RobotModel:
     gripper = description.gripper
     own = gripper.actuator if gripper is not None else None
-    spec = read_finished_spec(files, turned=turned) if own else read_robot_spec(files, turned=turned)[0]
+    spec, bare = (
+        read_finished_spec(files, turned=turned) if own else read_robot_spec(files, turned=turned)[0]
+        for _ in range(2)
+    )
     model = compile_model(spec, files.arm.path)
     chain = arm_chain(model, description.joints, files.arm.path)
     _check_names(description, model, path)
-    ee_site = description.end_effector.site or _add_end_effector(spec, description.end_effector)
+    ee_site = description.end_effector.site
+    for item in (spec, bare):
+        if own is None:
+            sort_shapes(item, model)
+        if not description.end_effector.site:
+            ee_site = _add_end_effector(item, description.end_effector)
+    drop_visual(bare)
     table, pads, way_m = no_fingers(), (), 0.0
     pad_geoms: dict[str, tuple[str, ...]] = {}
     if gripper is not None:
-        table = settle_fingers(spec, chain, gripper.strokes, path)
+        table = settle_fingers(bare, chain, gripper.strokes, path)
         pads = tuple(_finger_pad(model, side, pad) for side, pad in gripper.pads.items())
         pad_geoms = {pad.finger: _colliders(model, pad.body + 1) for pad in pads}
-        way_m = _closing_way(compile_model(spec.copy(), path), ee_site, table, pads, path)
+        way_m = _closing_way(compile_model(bare.copy(), path), ee_site, table, pads, path)
     actuator = own
     if own is None:
-        actuator = add_actuation(spec, chain, ee_site, gripper, way_m, path)
+        actuator = add_actuation((spec, bare), chain, ee_site, gripper, way_m, path)
         pad_geoms = {side: (f"pad_{side}", *geoms) for side, geoms in pad_geoms.items()}
-    bare = spec.copy()
-    drop_visual(bare)
     compiled = compile_model(spec.copy(), path)
     joints = [compiled.joint(name) for name in chain.joints]
     return RobotModel(
