@@ -135,18 +135,18 @@ def quat_multiply(a_wxyz: ArrayLike, b_wxyz: ArrayLike) -> Array:
 
 
 def interpolate(T_a: ArrayLike, T_b: ArrayLike, shares: ArrayLike) -> Array:
-    """Stack of transforms between two (4, 4), or pairwise between two stacks: lerp of positions, slerp of rotations.
+    """Interpolate transforms: positions linearly, rotations along the shortest turn. The arguments broadcast.
 
     Args:
-        T_a: Transform at share 0, or one for each share (N, 4, 4).
-        T_b: At share 1, in the same frames.
-        shares: (N,), 0..1.
+        T_a: Transforms (..., 4, 4) at share 0.
+        T_b: Transforms (..., 4, 4) at share 1, in the same frames.
+        shares: (...), 0..1.
     """
     T_a, T_b = np.asarray(T_a, np.float64), np.asarray(T_b, np.float64)
     shares = np.asarray(shares, np.float64)
     turn = rotvec_from_matrix(T_b[..., :3, :3] @ np.swapaxes(T_a[..., :3, :3], -1, -2))
-    R = matrix_from_rotvec(shares[:, None] * turn) @ T_a[..., :3, :3]
-    return transform(R, (1 - shares)[:, None] * T_a[..., :3, 3] + shares[:, None] * T_b[..., :3, 3])
+    R = matrix_from_rotvec(shares[..., None] * turn) @ T_a[..., :3, :3]
+    return transform(R, (1 - shares)[..., None] * T_a[..., :3, 3] + shares[..., None] * T_b[..., :3, 3])
 
 
 def path_steps(Ts: Array, turn_weight_m: float) -> Array:

@@ -243,8 +243,7 @@ def walk(solver: IkSolver, T_world_from: Array, Ts_world_to: Array, start: Array
 
     Part of the way between them may be out of reach although its end is not.
     """
-    shares = np.linspace(0, 1, SEED_STEPS)
-    steps = np.stack([interpolate(T_world_from, T, shares) for T in Ts_world_to], 1)
+    steps = interpolate(T_world_from, Ts_world_to, np.linspace(0, 1, SEED_STEPS)[:, None])
     joints = np.repeat(start[None], len(Ts_world_to), 0)
     for poses in steps:
         joints = converge(solver, poses, joints, SEED_ITERATIONS)

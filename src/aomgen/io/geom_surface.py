@@ -72,10 +72,13 @@ def geom_surface(model: mujoco.MjModel, geom: int) -> tuple[Array, NDArray[np.in
 def _mesh(model: mujoco.MjModel, mesh: int) -> tuple[Array, NDArray[np.int64]]:
     start, count = model.mesh_vertadr[mesh], model.mesh_vertnum[mesh]
     first, faces = model.mesh_faceadr[mesh], model.mesh_facenum[mesh]
-    vertices, index = np.unique(model.mesh_vert[start : start + count], axis=0, return_inverse=True)
-    return vertices.astype(np.float64), index.reshape(-1)[model.mesh_face[first : first + faces]].astype(
-        np.int64
-    )
+    stored = model.mesh_vert[start : start + count]
+    # As `numpy.unique` along an axis, six times faster.
+    order = np.lexsort(stored.T[::-1])
+    is_new = np.append(True, (np.diff(stored[order], axis=0) != 0).any(1))
+    index = np.empty(count, np.int64)
+    index[order] = np.cumsum(is_new) - 1
+    return stored[order[is_new]].astype(np.float64), index[model.mesh_face[first : first + faces]]
 
 
 def outer_points(kind: Shape, size: Array) -> Array:

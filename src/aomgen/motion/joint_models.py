@@ -1,6 +1,7 @@
 """What a revolute and a prismatic joint predict of the hand's path, as residuals of their unknowns."""
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import ClassVar, Self
 
 import numpy as np
@@ -19,7 +20,7 @@ REACH_SPREAD = 0.1
 RATIO, RATIO_SD = 0.7, 0.4
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True)
 class JointModel:
     """A joint that explains a hand's path.
 
@@ -36,10 +37,15 @@ class JointModel:
     steps: ClassVar[Array] = np.full(4, 1e-2)
     kinds: ClassVar[tuple[str, ...]] = ()
 
-    @property
+    @cached_property
     def middle(self) -> Array:
         """Reference point (3,), [m]."""
         return self.path.points_world.mean(0)
+
+    @cached_property
+    def tangents(self) -> Array:
+        """Unit vectors (2, 3) across `start`."""
+        return make_tangent_basis(self.start)
 
     def lines(self, x: Array) -> tuple[Array, Array]:
         """Directions and points (..., 3) of the axes that unknowns (..., P) mean."""
@@ -71,22 +77,24 @@ class JointModel:
 
     def _frame(self, x: Array) -> tuple[Array, Array, Array, Array]:
         """Place of the axis, its direction, and two units across it that follow, (..., 3) each."""
-        tangents = make_tangent_basis(self.start)
+        tangents = self.tangents
         axis = self.start + x[..., :2] @ tangents
         axis = axis / np.linalg.norm(axis, axis=-1, keepdims=True)
         first = tangents[0] - (axis @ tangents[0])[..., None] * axis
         first = first / np.linalg.norm(first, axis=-1, keepdims=True)
         return self.middle + x[..., 2:4] @ tangents, axis, first, _cross(axis, first)
 
-    def _coordinates(self, points: Array, x: Array) -> tuple[Array, Array, Array]:
-        """Points (..., K, 3) along the axis from the path's middle, and in both units across it from its place (..., K)."""
-        place, axis, first, second = self._frame(x)
+    def _coordinates(
+        self, points: Array, frame: tuple[Array, Array, Array, Array]
+    ) -> tuple[Array, Array, Array]:
+        """Coordinates (..., K) of points (..., K, 3): along the axis from the path's middle, and in both units across it."""
+        place, axis, first, second = frame
         offsets = points - place[..., None, :]
         first, second = ((offsets @ unit[..., None])[..., 0] for unit in (first, second))
         return ((points - self.middle) @ axis[..., None])[..., 0], first, second
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True)
 class Revolute(JointModel):
     """The held point goes round an axis and the hand turns with it by a steady share.
 
@@ -108,28 +116,28 @@ class Revolute(JointModel):
 
     def values(self, x: Array) -> Array:
         """Turn of the part (K,) since the first node, [rad]."""
-        return self._roll(x)[2]
+        return self._roll(x, self._frame(x))[2]
 
     def data(self, x: Array) -> Array:
         """Residuals (..., 5, K) in the order of `kinds`, [m] or [rad], of unknowns (..., 10)."""
-        radii, heights, angles = self._roll(x)
-        units = self._frame(x)[1:]
-        axis, first, second = ((self.path.turns_world @ unit[..., None])[..., 0] for unit in units)
+        frame = self._frame(x)
+        radii, heights, angles = self._roll(x, frame)
+        axis, first, second = ((self.path.turns_world @ unit[..., None])[..., 0] for unit in frame[1:])
         rows = [radii - x[..., 4:5], heights - x[..., 5:6], first, second, axis - x[..., 9:] * angles]
         return np.stack(rows, axis=-2)
 
-    def _roll(self, x: Array) -> tuple[Array, Array, Array]:
+    def _roll(self, x: Array, frame: tuple[Array, Array, Array, Array]) -> tuple[Array, Array, Array]:
         """Distance from the axis, height along it and angle about it (..., K) of the held point."""
         Ts = self.path.Ts_world_ee
         points = (Ts[:, :3, :3] @ self.grasp(x)[..., None, :, None])[..., 0] + Ts[:, :3, 3]
-        heights, first, second = self._coordinates(points, x)
+        heights, first, second = self._coordinates(points, frame)
         angles = np.unwrap(np.arctan2(second, first))
         return np.hypot(first, second), heights, angles - angles[..., :1]
 
     def first(self) -> Array:
         """First unknowns (10,): an algebraic circle."""
         turns = self.path.turns_world @ self.start
-        offsets = (self.path.points_world - self.middle) @ make_tangent_basis(self.start).T
+        offsets = (self.path.points_world - self.middle) @ self.tangents.T
         center, radius = fit_circle(offsets, float(turns[-1] - turns[0]))
         return np.array([0, 0, *center, radius, 0, 0, 0, 0, RATIO], np.float64)
 
@@ -151,7 +159,7 @@ class Revolute(JointModel):
         return -float(np.log(2 * np.pi * x[4] ** 2) + np.log(RADIUS_SPREAD * np.sqrt(2 * np.pi)))
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True)
 class Prismatic(JointModel):
     """The held point goes straight and the hand does not turn; there are no further unknowns.
 
@@ -164,18 +172,18 @@ class Prismatic(JointModel):
     @property
     def closing_alignment(self) -> float:
         """Share of the closing direction in the direction of the first row of `data`, squared."""
-        across = make_tangent_basis(self.start) @ self.path.closing_world
+        across = self.tangents @ self.path.closing_world
         return float(across @ across)
 
     def values(self, x: Array) -> Array:
         """Travel of the part (K,) since the first node, [m]."""
-        along = self._coordinates(self.path.points_world, x)[0]
+        along = self._coordinates(self.path.points_world, self._frame(x))[0]
         return along - along[0]
 
     def data(self, x: Array) -> Array:
         """Residuals (..., 5, K) in the order of `kinds`, [m] or [rad], of unknowns (..., 4)."""
-        _, first, second = self._coordinates(self.path.points_world, x)
-        across = make_tangent_basis(self.start) @ self.path.closing_world
+        _, first, second = self._coordinates(self.path.points_world, self._frame(x))
+        across = self.tangents @ self.path.closing_world
         c, s = across / np.linalg.norm(across) if np.linalg.norm(across) > 1e-9 else (1.0, 0.0)
         rows = np.stack([c * first + s * second, c * second - s * first], axis=-2)
         turns = self.path.turns_world.T

@@ -26,11 +26,11 @@ from aomgen.parts.panel_terms import (
     pixels_within,
 )
 
-COARSE_PIXELS, FINE_PIXELS = 3_000, 16_000
+COARSE_PIXELS, FINE_PIXELS = 3_000, 32_000
 # Steps of the search, as shares of the panel's diagonal: coarse ones on fewer pixels, then fine ones on all pixels,
 # down to a few millimetres on a door.
 COARSE_STEPS, FINE_STEPS = (0.2, 0.1, 0.05, 0.025), (0.025, 0.012, 0.006, 0.003)
-# Number of the best coarse panels that are refined.
+# After each coarse step the worse half of the starts is dropped; this number of the best is refined on all pixels.
 REFINED = 2
 # Rounds over all unknowns at one step size; a further one seldom finds more.
 MAX_ROUNDS = 4
@@ -88,22 +88,28 @@ def fit_panel(
 
     Not checked: the panel is a rectangle with level edges; the body is a box. Read the misfits.
     """
-    found = []
+    panels = []
     for T_world_panel, size in _find_frames([view for view in views if view.part == MOVING], rng):
         coarse, fine = (
             [Crop.of(view, T_world_panel, pixels) for view in views]
             for pixels in (COARSE_PIXELS, FINE_PIXELS)
         )
         points: list[Term] = [] if tracked is None else [tracked.near(T_world_panel, size)]
-        for start in _find_starts(coarse, T_world_panel, size):
-            panel, loss = descend(start, size, [*coarse, *points], COARSE_STEPS)
-            found.append((loss, panel, size, fine, points))
-    if not found:
+        starts = _find_starts(coarse, T_world_panel, size)
+        panels += [(start, size, [*coarse, *points], fine, points) for start in starts]
+    if not panels:
         raise ReconstructionError(
             STAGE, "the boxes of the moving part show no common front", "draw them around the same part"
         )
+    for share in COARSE_STEPS:
+        found = []
+        for start, size, terms, fine, points in panels:
+            panel, loss = descend(start, size, terms, (share,))
+            found.append((loss, (panel, size, terms, fine, points)))
+        found.sort(key=lambda item: item[0])
+        panels = [item for _, item in found[: max(REFINED, len(found) // 2)]]
     refined = []
-    for _, start, size, fine, points in sorted(found, key=lambda item: item[0])[:REFINED]:
+    for start, size, _, fine, points in panels:
         panel, loss = descend(start, size, [*fine, *points], FINE_STEPS)
         refined.append((loss, panel, size, fine))
     _, panel, size, fine = min(refined, key=lambda item: item[0])

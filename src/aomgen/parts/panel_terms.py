@@ -102,7 +102,7 @@ class Crop:
         margin = 0.25 * (view.box[2:] - view.box[:2])
         x0, y0 = np.maximum(view.box[:2] - margin, 0).astype(int)
         x1, y1 = np.minimum(view.box[2:] + margin, [width, height]).astype(int)
-        stride = max(1, int(np.sqrt((x1 - x0) * (y1 - y0) / pixels)))
+        stride = max(1, round(np.sqrt((x1 - x0) * (y1 - y0) / pixels)))
         window = (slice(y0, y1, stride), slice(x0, x1, stride))
         inside = pixels_within(view.box, (height, width))
         # Masks bleed over the border of the boxed part; one that is mostly outside shows another object.

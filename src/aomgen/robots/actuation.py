@@ -5,7 +5,7 @@ actuator. Whether a plan works must not depend on that, so all of them get the s
 and as fast as an arm's own controller.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Final
 
@@ -33,37 +33,46 @@ GRIP_FORCE_N, GRIP_GIVE = 50.0, 0.05
 SAMPLES: Final = 40
 
 
+def sort_shapes(spec: mujoco.MjSpec, model: mujoco.MjModel) -> None:
+    """Assign the shapes of a robot to the visual and the collision group, and state masses apart from shapes."""
+    for number, seen in enumerate(find_visible_geoms(model)):
+        spec.geom(model.geom(number).name).group = VISUAL_GROUP if seen else COLLIDER_GROUP
+    _fix_inertias(spec, model)
+
+
 def add_actuation(
-    spec: mujoco.MjSpec,
+    specs: Sequence[mujoco.MjSpec],
     chain: ArmChain,
     ee_site: str,
     gripper: GripperSection | None,
     pad_way_m: float,
     path: Path,
 ) -> ActuatorSection | None:
-    """Add pad boxes, servos and contact exclusions to a robot, and sort its shapes into visual and collision groups.
+    """Add pad boxes, servos and contact exclusions to descriptions of one robot, the last of which compiles fastest.
 
     The pads approach each other by `pad_way_m` from open to closed. Returns the actuator of the gripper.
     """
-    model = compile_model(spec, path)
-    _sort_geoms(spec, model)
-    _fix_inertias(spec, model)
     if gripper is not None:
-        for side, pad in gripper.pads.items():
-            _add_pad(spec, side, pad)
-        _tie_drivers(spec, model, gripper.strokes)
-    light = spec.copy()
-    # Compiles ten times faster than with visual meshes, and weighs the same.
-    drop_visual(light)
-    model = compile_model(light, path)
-    _add_arm_servos(spec, model, chain.joints, ee_site)
-    for a, b in _false_contacts(model, chain):
-        spec.add_exclude(name=f"apart_{a}_{b}", bodyname1=a, bodyname2=b)
-    return None if gripper is None else _add_grip_servo(spec, gripper.strokes, pad_way_m)
+        model = compile_model(specs[-1], path)
+        for spec in specs:
+            for side, pad in gripper.pads.items():
+                _add_pad(spec, side, pad)
+            _tie_drivers(spec, model, gripper.strokes)
+    model = compile_model(specs[-1], path)
+    actuator = None
+    contacts = _false_contacts(model, chain)
+    servos = _arm_servos(model, chain.joints, ee_site)
+    for spec in specs:
+        _add_arm_servos(spec, servos)
+        for a, b in contacts:
+            spec.add_exclude(name=f"apart_{a}_{b}", bodyname1=a, bodyname2=b)
+        if gripper is not None:
+            actuator = _add_grip_servo(spec, gripper.strokes, pad_way_m)
+    return actuator
 
 
 def drop_visual(spec: mujoco.MjSpec) -> None:
-    """Remove visual geoms and their meshes."""
+    """Remove visual geoms and their meshes; this takes fifty times as long once a description has been compiled."""
     for geom in list(spec.geoms):
         if geom.contype == 0 and geom.conaffinity == 0 and geom.group == VISUAL_GROUP:
             spec.delete(geom)
@@ -71,12 +80,6 @@ def drop_visual(spec: mujoco.MjSpec) -> None:
     for mesh in list(spec.meshes):
         if (mesh.name or Path(mesh.file).stem) not in used:
             spec.delete(mesh)
-
-
-def _sort_geoms(spec: mujoco.MjSpec, model: mujoco.MjModel) -> None:
-    """Assign the visual and the collision group."""
-    for number, seen in enumerate(find_visible_geoms(model)):
-        spec.geom(model.geom(number).name).group = VISUAL_GROUP if seen else COLLIDER_GROUP
 
 
 def _fix_inertias(spec: mujoco.MjSpec, model: mujoco.MjModel) -> None:
@@ -119,17 +122,23 @@ def _tie_drivers(
         )
 
 
-def _add_arm_servos(
-    spec: mujoco.MjSpec, model: mujoco.MjModel, joints: tuple[str, ...], ee_site: str
-) -> None:
+def _arm_servos(
+    model: mujoco.MjModel, joints: tuple[str, ...], ee_site: str
+) -> dict[str, tuple[float, float]]:
+    """Stiffness of the position servo of every arm joint, and the joint's largest inertia."""
+    levers, inertias = _levers_and_inertias(model, joints, model.site(ee_site).id)
+    slides = [int(model.joint(name).type[0]) == mujoco.mjtJoint.mjJNT_SLIDE for name in joints]
+    turning = END_STIFFNESS * np.maximum(levers, LEAST_LEVER_M) ** 2
+    stiffness = np.where(slides, SLIDE_STIFFNESS, turning)
+    return {name: (float(stiffness[k]), float(inertias[k])) for k, name in enumerate(joints)}
+
+
+def _add_arm_servos(spec: mujoco.MjSpec, servos: Mapping[str, tuple[float, float]]) -> None:
     """Give every arm joint a critically damped position servo.
 
     Damping and friction of the file's arm joints are taken to be compensated by the drive.
     """
-    levers, inertias = _levers_and_inertias(model, joints, model.site(ee_site).id)
-    for name, lever, inertia in zip(joints, levers, inertias, strict=True):
-        slides = int(model.joint(name).type[0]) == mujoco.mjtJoint.mjJNT_SLIDE
-        kp = SLIDE_STIFFNESS if slides else END_STIFFNESS * max(lever, LEAST_LEVER_M) ** 2
+    for name, (kp, inertia) in servos.items():
         mass = max(inertia, kp / MAX_RATE**2)
         joint = spec.joint(name)
         joint.damping, joint.frictionloss = np.zeros(3), 0.0

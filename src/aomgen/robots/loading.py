@@ -3,6 +3,7 @@
 A robot is also stored with results, so that they can be used without their capture.
 """
 
+import functools
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -19,7 +20,7 @@ from aomgen.io.artifact import load_artifact, save_artifact
 from aomgen.io.atomic import write_bytes, write_text
 from aomgen.io.mujoco_model import compile_model
 from aomgen.io.paths import resolve_inside
-from aomgen.robots.actuation import add_actuation, drop_visual
+from aomgen.robots.actuation import add_actuation, drop_visual, sort_shapes
 from aomgen.robots.description import (
     FILE_NAME,
     ActuatorSection,
@@ -75,14 +76,26 @@ def load_robot(
     if base_frame not in ("base_link", "ur_base"):
         raise ConfigError("robot.base_frame", f"'{base_frame}' is unknown", "use base_link or ur_base")
     if isinstance(model, str) and not Path(model).suffix:
-        path = find_known_description(model)
-        description = read_description(path)
-    else:
-        file = Path(model)
-        root = root or file.parent
-        described = find_description(file)
-        path = described or file.parent / FILE_NAME
-        description = read_description(path) if described else propose_description(file, root, joints)
+        return _load_known(model, tuple(joints), turned=base_frame == "ur_base")
+    file = Path(model)
+    root = root or file.parent
+    described = find_description(file)
+    path = described or file.parent / FILE_NAME
+    description = read_description(path) if described else propose_description(file, root, joints)
+    return _load_described(description, joints, path, root, turned=base_frame == "ur_base")
+
+
+# Loading takes seconds, and one process needs few arms.
+@functools.lru_cache(maxsize=4)
+def _load_known(name: str, joints: tuple[str, ...], *, turned: bool) -> RobotModel:
+    path = find_known_description(name)
+    return _load_described(read_description(path), joints, path, path.parent, turned=turned)
+
+
+def _load_described(
+    description: RobotDescription, joints: Sequence[str], path: Path, root: Path, *, turned: bool
+) -> RobotModel:
+    """Check the requested order of the joints, and assemble the model."""
     if joints and sorted(joints) != sorted(description.joints):
         raise ConfigError(
             "robot.joints",
@@ -91,9 +104,9 @@ def load_robot(
         )
     return _assemble(
         description.model_copy(update={"joints": tuple(joints) or description.joints}),
-        read_models(description, path, root or path.parent),
+        read_models(description, path, root),
         path,
-        turned=base_frame == "ur_base",
+        turned=turned,
     )
 
 
@@ -151,24 +164,31 @@ def copy_robot_files(model_file: Path, references: tuple[Path, ...], folder: Pat
 def _assemble(description: RobotDescription, files: RobotFiles, path: Path, *, turned: bool) -> RobotModel:
     gripper = description.gripper
     own = gripper.actuator if gripper is not None else None
-    spec = read_finished_spec(files, turned=turned) if own else read_robot_spec(files, turned=turned)[0]
+    spec, bare = (
+        read_finished_spec(files, turned=turned) if own else read_robot_spec(files, turned=turned)[0]
+        for _ in range(2)
+    )
     model = compile_model(spec, files.arm.path)
     chain = arm_chain(model, description.joints, files.arm.path)
     _check_names(description, model, path)
-    ee_site = description.end_effector.site or _add_end_effector(spec, description.end_effector)
+    ee_site = description.end_effector.site
+    for item in (spec, bare):
+        if own is None:
+            sort_shapes(item, model)
+        if not description.end_effector.site:
+            ee_site = _add_end_effector(item, description.end_effector)
+    drop_visual(bare)
     table, pads, way_m = no_fingers(), (), 0.0
     pad_geoms: dict[str, tuple[str, ...]] = {}
     if gripper is not None:
-        table = settle_fingers(spec, chain, gripper.strokes, path)
+        table = settle_fingers(bare, chain, gripper.strokes, path)
         pads = tuple(_finger_pad(model, side, pad) for side, pad in gripper.pads.items())
         pad_geoms = {pad.finger: _colliders(model, pad.body + 1) for pad in pads}
-        way_m = _closing_way(compile_model(spec.copy(), path), ee_site, table, pads, path)
+        way_m = _closing_way(compile_model(bare.copy(), path), ee_site, table, pads, path)
     actuator = own
     if own is None:
-        actuator = add_actuation(spec, chain, ee_site, gripper, way_m, path)
+        actuator = add_actuation((spec, bare), chain, ee_site, gripper, way_m, path)
         pad_geoms = {side: (f"pad_{side}", *geoms) for side, geoms in pad_geoms.items()}
-    bare = spec.copy()
-    drop_visual(bare)
     compiled = compile_model(spec.copy(), path)
     joints = [compiled.joint(name) for name in chain.joints]
     return RobotModel(

@@ -16,13 +16,6 @@ from aomgen.version import __version__
 from command_line import aomgen, one_sentence, started
 
 
-def test_a_good_capture_is_described(sample, tmp_path):
-    result = aomgen("check", sample, folder=tmp_path)
-    assert result.returncode == 0
-    assert "64 images, 640 x 480" in result.stdout
-    assert "95 frames" in result.stdout
-
-
 def test_a_damaged_capture_starts_nothing(capture_copy, tmp_path):
     video = capture_copy / "demo" / "front.mp4"
     assert aomgen("init", capture_copy, folder=tmp_path).returncode == 0
