@@ -1,6 +1,6 @@
-"""Scores `estimates.json` against ground truth, with the definitions of the capture format.
+"""Scores of `estimates.json` against ground truth, with the definitions of the capture format.
 
-A quantity that was refused (null) although truth has it scores None and is listed under
+A quantity that was refused (null) although the truth contains it scores None and is listed under
 `refused`; it counts as a failure.
 """
 
@@ -15,7 +15,7 @@ from aomgen.core.values import Array
 from aomgen.robots.robot import RobotModel
 from benchmarks.truth import Truth
 
-# A camera centre this far off after robust alignment counts as misregistered.
+# A camera centre with a larger error after robust alignment counts as misregistered.
 MISREGISTERED_M = 0.05
 CONTACT_WINDOW_S = 0.3
 CONTACT_MIN_N = 1.0
@@ -24,7 +24,7 @@ CONTACT_MIN_N = 1.0
 def score_estimates(
     estimates: dict[str, Any], truth: Truth, robot: RobotModel, times_s: Array, camera: str
 ) -> dict[str, Any]:
-    """Every figure that needs no rendering.
+    """Compute every metric that needs no rendering.
 
     Args:
         estimates: Content of estimates.json.
@@ -34,7 +34,7 @@ def score_estimates(
         camera: Name of the demonstration camera that theta is scored on.
 
     Returns:
-        Figures by dotted name; None where the estimate was refused.
+        Metrics by dotted name; None where the estimate was refused.
     """
     figures: dict[str, Any] = {}
     figures.update(_alignment(estimates, truth, robot))
@@ -48,7 +48,7 @@ def score_estimates(
 
 
 def score_motion(estimates: dict[str, Any], truth: Truth, times_s: Array, camera: str) -> dict[str, Any]:
-    """The metrics of `score_estimates` on the part's motion: interval, contact, joint, values.
+    """Compute the metrics of `score_estimates` on the part's motion: interval, contact, joint, values.
 
     Args:
         estimates: Its `start_s`, `end_s`, `contacts`, `joint` and `theta` are read.
@@ -92,7 +92,7 @@ def _alignment(estimates: dict[str, Any], truth: Truth, robot: RobotModel) -> di
 
 
 def best_similarity(source: Array, target: Array) -> Array:
-    """Least-squares similarity S (4, 4) with `target ~ S(source)`, points (N, 3), N >= 3."""
+    """Fit the least-squares similarity S (4, 4) with `target ~ S(source)`, points (N, 3), N >= 3."""
     found = pycolmap.estimate_sim3d(source, target)
     if found is None:
         raise ValueError("the points lie on a line")
@@ -100,9 +100,9 @@ def best_similarity(source: Array, target: Array) -> Array:
 
 
 def robust_similarity(source: Array, target: Array) -> tuple[Array, NDArray[np.bool_]]:
-    """Least-squares similarity on the camera centres that agree with each other.
+    """Fit the least-squares similarity to the camera centres that agree with each other.
 
-    Starts from the best of many minimal samples, because a misregistered camera may be metres off.
+    The fit starts from the best of many minimal samples, because a misregistered camera may be metres off.
     """
     rng = np.random.default_rng(0)
     best = np.full(len(source), np.inf)
@@ -132,7 +132,7 @@ def _demo_camera(estimates: dict[str, Any], truth: Truth, camera: str) -> dict[s
 
 
 def _touches(truth: Truth, times_s: Array) -> list[dict[str, Any]]:
-    """True contacts that move the part at first; none where the gripper hardly presses."""
+    """List true contacts that first move the part; empty where the gripper hardly presses."""
     start_s = times_s[truth.start_frame]
     frames = np.flatnonzero((times_s >= start_s) & (times_s <= start_s + CONTACT_WINDOW_S))
     return [item for frame in frames for item in truth.contacts[frame] if item["force"] >= CONTACT_MIN_N]
@@ -158,7 +158,8 @@ def _joint(estimates: dict[str, Any], truth: Truth) -> dict[str, Any]:
         "joint.axis_deg": float(np.degrees(angle_between(joint["axis"], truth.joint.axis))),
     }
     if truth.joint.type == "revolute":
-        # The true-axis point nearest the first contact, against the estimated axis line.
+        # The error is the distance of the true axis point nearest the first contact from the estimated axis
+        # line.
         contact = next((frame[0]["point"] for frame in truth.contacts if frame), truth.joint.origin)
         along = (np.array(contact) - truth.joint.origin) @ truth.joint.axis
         point = truth.joint.origin + along * truth.joint.axis

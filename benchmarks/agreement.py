@@ -23,13 +23,13 @@ class Agreement:
     parameter, the worst of all parameters.
 
     Attributes:
-        max_forward_error: Over all pixels of the tiles. Where alpha or the light left is at its
+        max_forward_error: Largest over all pixels of the tiles. Where alpha or the remaining light is at its
             limit, float32 and float64 draw different splats, up to 1/255.
         forward_error_p999: 99.9th percentile of the same errors.
-        forward_error_decided: Largest over the pixels that rounding cannot decide.
-        max_gradient_error: Of a loss with a random gradient on every pixel of the tiles.
-        gradient_error_decided: Of the same loss without the pixels that rounding can decide.
-        decided_share: Share of the tiles' pixels that rounding cannot decide.
+        forward_error_decided: Largest over the pixels that rounding cannot change.
+        max_gradient_error: Error for a loss with a random gradient on every pixel of the tiles.
+        gradient_error_decided: Error for the same loss without the pixels that rounding can change.
+        decided_share: Share of the tiles' pixels that rounding cannot change.
     """
 
     max_forward_error: float
@@ -41,13 +41,13 @@ class Agreement:
 
 
 class Oracle:
-    """Float64 images and gradients of one scene, to compare engine settings with.
+    """Float64 images and gradients of one scene, for comparison with engine settings.
 
     Args:
         gaussians: The scene; its float32 values are taken as exact.
         camera: View.
-        tiles: How many tiles of the image are compared, chosen at random.
-        seed: Of the tiles and of the loss.
+        tiles: Number of compared tiles of the image, chosen at random.
+        seed: Seed of the tiles and of the loss.
     """
 
     def __init__(self, gaussians: Gaussians, camera: Camera, tiles: int, seed: int = 0) -> None:
@@ -62,7 +62,7 @@ class Oracle:
         self._gradients = [reference.gradients(planes) for planes in self._grad_planes]
 
     def compare(self, context: native.Context) -> Agreement:
-        """Errors of the engine with a context's instruction set."""
+        """Measure the errors of the engine with a context's instruction set."""
         planes, gradients = zip(*(self._drawn(context, g) for g in self._grad_planes), strict=True)
         errors = (planes[0] - self._images.planes).abs()
         errors[3] /= self._images.planes[3].max()
@@ -96,7 +96,7 @@ class Oracle:
 def draw(
     parameters: dict[str, Tensor], camera: Camera, degree: int, context: native.Context
 ) -> TensorRendering:
-    """The engine's image over black of float32 tensors by the names in `PARAMETERS`."""
+    """Render the engine's image over black from float32 tensors by the names in `PARAMETERS`."""
     rasterizer, options = CpuRasterizer(context), RasterOptions(sh_degree=degree)
     return rasterizer(GaussianTensors(**parameters), camera, options)
 

@@ -1,7 +1,7 @@
-"""`python -m benchmarks alignment`: good and bad starts, how many are answered, and how well.
+"""`python -m benchmarks alignment`: share and accuracy of alignments from good and bad starts.
 
-Solvable starts must be answered within `TOLERANCE_M` at the end effector, unsolvable ones refused;
-nothing may be answered wrongly.
+For solvable starts the alignment must be within `TOLERANCE_M` at the end effector, unsolvable ones must be
+refused; no wrong alignment may be returned.
 """
 
 import tempfile
@@ -37,13 +37,13 @@ SOLVABLE_SHARE = 0.6
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Outcome:
-    """One start and what became of it.
+    """Outcome of one start.
 
     Attributes:
         scene, kind, done: See `Case`.
-        refusal: The reason, empty when it was answered.
-        error_m: Of the end effector, None when there is no solution or the alignment was refused.
-        sd_m: The alignment's own estimate of it.
+        refusal: The reason, empty when an alignment was returned.
+        error_m: Error of the end effector, None when there is no solution or the alignment was refused.
+        sd_m: The alignment's own estimate of this error.
         seconds: Processor time.
     """
 
@@ -75,12 +75,12 @@ def run_alignment_bench(
     run_project: Callable[..., None],
     tell: Callable[[dict[str, Any]], None],
 ) -> dict[str, Any]:
-    """Figures by name, with one row for every start.
+    """Compute metrics by name, with one row for every start.
 
     Args:
         paths: Captures with `truth/` (their structure is made first), or finished runs of such.
-        starts: How many, over all paths.
-        seed: Of everything random.
+        starts: Number of starts, over all paths.
+        seed: Seed of all random choices.
         run_project: Runs a project up to a stage.
         tell: Receives the row of every start as soon as it is known.
     """
@@ -90,7 +90,7 @@ def run_alignment_bench(
     outcomes = []
     for number in range(starts):
         index = number % len(scenes)
-        # Kinds take turns, so that few starts hold all of them.
+        # Kinds alternate, so that few starts contain all of them.
         turn = number // len(scenes)
         solvable = int((turn + 1) * SOLVABLE_SHARE) > int(turn * SOLVABLE_SHARE)
         kind = "solvable" if solvable else UNSOLVABLE[(turn - int(turn * SOLVABLE_SHARE)) % len(UNSOLVABLE)]
@@ -103,7 +103,7 @@ def run_alignment_bench(
 
 
 def summary(outcomes: list[Outcome]) -> dict[str, Any]:
-    """Shares and worst cases."""
+    """Compute shares and worst cases."""
     solvable = [o for o in outcomes if o.kind == "solvable"]
     unsolvable = [o for o in outcomes if o.kind != "solvable"]
     solved = [o for o in solvable if o.right]
@@ -161,7 +161,7 @@ def _error_m(S_world_recon: np.ndarray, scene: Scene) -> float:
 
 
 def _frame_spread_mm(scene: Scene, rng: np.random.Generator) -> float:
-    """Deviation of the results for one scene in differently scaled and turned frames."""
+    """Measure the deviation of the results for one scene in differently scaled and rotated frames."""
     points = scene.configuration.points_world(100)
     placed = []
     for scale in (0.05, 20.0):
@@ -194,7 +194,7 @@ def _scene_of(path: Path, run_project: Callable[..., None]) -> Scene:
 
 
 def load_scene(results: Results) -> Scene:
-    """A capture with truth, ready to be disturbed, from a run that is finished up to its structure."""
+    """Load a capture with truth, ready to be disturbed, from a run that is finished up to its structure."""
     capture, structure = results.pinhole_capture, results.structure
     truth = read_truth(capture.folder)
     names = sorted(name for name in structure.cameras_recon if name in truth.scan)

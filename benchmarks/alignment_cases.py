@@ -1,4 +1,4 @@
-"""Good and bad starts for the alignment: one finished structure, disturbed in known ways."""
+"""Good and bad starts for the alignment: one finished structure with known disturbances."""
 
 from dataclasses import dataclass, replace
 
@@ -17,7 +17,7 @@ from aomgen.robots.silhouette import SilhouetteRenderer
 from benchmarks.alignment_solvable import is_solvable
 
 SCALES = (0.05, 20.0)
-# Kinds without a solution, and how they differ from a solvable case.
+# Kinds without a solution, by their difference from a solvable case.
 UNSOLVABLE = ("absent", "elsewhere", "joints", "mirrored")
 MIRROR = np.diag([-1.0, 1.0, 1.0, 1.0])
 
@@ -27,13 +27,13 @@ class Scene:
     """A structure with its images, and the true solution.
 
     Attributes:
-        name: Of the capture.
-        views: Images the alignment may look at.
+        name: Name of the capture.
+        views: Images for the alignment.
         robot_boxes, other_boxes: Prompted boxes on the robot, and on the object's parts.
         points_recon: Sparse points (P, 3).
         configuration: The robot during the scan.
         S_world_recon: The true similarity (4, 4).
-        errors: Standard deviations that the structure states for its cameras.
+        errors: Standard deviations that the structure reports for its cameras.
     """
 
     name: str
@@ -48,7 +48,7 @@ class Scene:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Case:
-    """One start: a disturbed scene, and what was done to it.
+    """One start: a disturbed scene, and the disturbances.
 
     Attributes:
         kind: "solvable" or one of `UNSOLVABLE`.
@@ -62,13 +62,13 @@ class Case:
 
 
 def make_case(scene: Scene, bare: Scene, kind: str, rng: np.random.Generator) -> Case:
-    """A case of one kind: a random similarity of the recon frame, and what the kind asks for.
+    """Make a case of one kind: a random similarity of the recon frame, and the disturbances of the kind.
 
     Args:
-        scene: With the robot.
-        bare: The same `without_robot`.
+        scene: Scene with the robot.
+        bare: The same scene from `without_robot`.
         kind: "solvable" or one of `UNSOLVABLE`.
-        rng: Chooses what is done.
+        rng: Chooses the disturbances.
     """
     done: list[str] = []
     if kind == "absent":
@@ -89,7 +89,7 @@ def make_case(scene: Scene, bare: Scene, kind: str, rng: np.random.Generator) ->
 
 
 def resimilated(scene: Scene, scale: float, R: Array, rng: np.random.Generator) -> Scene:
-    """The same scene in another recon frame."""
+    """Transform the scene to another recon frame."""
     S_new_recon = similarity(scale, R, scale * rng.normal(0, 3, 3))
     return replace(
         scene,
@@ -103,7 +103,7 @@ def resimilated(scene: Scene, scale: float, R: Array, rng: np.random.Generator) 
 
 
 def without_robot(scene: Scene) -> Scene:
-    """The images with the robot replaced by its surroundings."""
+    """Replace the robot in the images by its surroundings."""
     with _renderer(scene) as renderer:
         views = [
             replace(view, image_srgb=_painted_over(view.image_srgb, _robot_mask(scene, view, renderer)))
@@ -113,7 +113,7 @@ def without_robot(scene: Scene) -> Scene:
 
 
 def mirrored(scene: Scene) -> Scene:
-    """The whole scene as a mirror shows it: consistent in itself, but no robot is built that way."""
+    """Mirror the whole scene: it is consistent in itself, but no robot is built that way."""
     views = [
         replace(
             view,
@@ -132,7 +132,7 @@ def mirrored(scene: Scene) -> Scene:
 
 
 def _solvable(scene: Scene, rng: np.random.Generator) -> tuple[Scene, list[str]]:
-    """Half of all disturbances, drawn again until the scene still `is_solvable`."""
+    """Apply half of all disturbances, drawn again until the scene still `is_solvable`."""
     while True:
         disturbed, done = scene, []
         for name, disturb in _DISTURBANCES.items():
@@ -146,10 +146,10 @@ def _solvable(scene: Scene, rng: np.random.Generator) -> tuple[Scene, list[str]]
 
 
 def _wrong_joints(scene: Scene, rng: np.random.Generator) -> tuple[Scene, str]:
-    """One to three joints off by 10 to 40 degrees.
+    """Change one to three joints by 10 to 40 degrees.
 
-    The first joint is left alone: turning it turns the arm against its round base only, which is
-    a turn of the world.
+    The first joint is not changed: it only rotates the arm relative to its round base, which is
+    equivalent to a rotation of the world.
     """
     joints = scene.configuration.joints.copy()
     chosen = rng.choice(np.arange(1, len(joints)), int(rng.integers(1, 4)), replace=False)
@@ -160,7 +160,7 @@ def _wrong_joints(scene: Scene, rng: np.random.Generator) -> tuple[Scene, str]:
 
 
 def _disturb_boxes(scene: Scene, rng: np.random.Generator) -> Scene:
-    """Sides moved by 10 to 20 % of the box's size: grown, shrunk or shifted."""
+    """Move sides by 10 to 20 % of the box's size: larger, smaller or shifted boxes."""
     boxes = []
     for box in scene.robot_boxes:
         size = np.tile(box.box_px[2:] - box.box_px[:2], 2)
@@ -184,7 +184,7 @@ def _remove_box(scene: Scene, rng: np.random.Generator) -> Scene:
 
 
 def _cut_images(scene: Scene, rng: np.random.Generator) -> Scene:
-    """Images of boxes lose a strip, so that the border cuts a tenth to a quarter off the robot."""
+    """Cut a strip off images with boxes, so that the border removes a tenth to a quarter of the robot."""
     centers = {tuple(view.camera_recon.center): index for index, view in enumerate(scene.views)}
     views, boxes = list(scene.views), []
     for box in scene.robot_boxes:
@@ -204,7 +204,7 @@ def _cut_images(scene: Scene, rng: np.random.Generator) -> Scene:
 
 
 def _shake_cameras(scene: Scene, rng: np.random.Generator) -> Scene:
-    """Every camera off by some 2 mm and 0.05 degrees, on top of what the structure is off."""
+    """Displace every camera by about 2 mm and 0.05 degrees, in addition to the structure's own errors."""
     scale, _, _ = similarity_parts(scene.S_world_recon)
     shaken: dict[bytes, Camera] = {}
 
@@ -225,7 +225,7 @@ def _shake_cameras(scene: Scene, rng: np.random.Generator) -> Scene:
 
 
 def _fewer_views(scene: Scene, rng: np.random.Generator) -> Scene:
-    """A third to two thirds of the images, in order."""
+    """Keep a third to two thirds of the images, in order."""
     count = int(len(scene.views) * rng.uniform(1 / 3, 2 / 3))
     kept = np.sort(rng.choice(len(scene.views), max(8, count), replace=False))
     return replace(scene, views=[scene.views[index] for index in kept])
@@ -247,14 +247,14 @@ def _renderer(scene: Scene) -> SilhouetteRenderer:
 
 
 def _robot_mask(scene: Scene, view: AlignmentImage, renderer: SilhouetteRenderer) -> NDArray[np.bool_]:
-    """Pixels (H, W) of the robot at its true place, with a rim."""
+    """Render the pixels (H, W) of the robot at its true pose, with a margin."""
     camera = camera_in_world(scene.S_world_recon, view.camera_recon)
     bodies, _ = renderer.draw(camera, scene.configuration.joints, scene.configuration.gripper)
     return binary_dilation(bodies >= 0, iterations=max(3, round(0.012 * camera.width)))
 
 
 def _painted_over(image: NDArray[np.uint8], mask: NDArray[np.bool_]) -> NDArray[np.uint8]:
-    """Masked pixels take the nearest unmasked ones, smoothed."""
+    """Fill masked pixels with the nearest unmasked ones, smoothed."""
     if not mask.any() or mask.all():
         return image
     nearest = np.empty((2, *mask.shape), np.int32)

@@ -19,7 +19,7 @@ GROUPS = ("alignment.", "cameras.median", "demo_camera.", "parts.", "images.repl
 
 
 def with_paper_alignment(results: Results, folder: Path) -> tuple[Results, float]:
-    """A run with the paper's alignment in a separate folder, and the seconds that it took.
+    """Align a run by the paper's method in a separate folder; also returns the seconds that it took.
 
     Raises:
         AlignmentError: The method refuses.
@@ -33,7 +33,7 @@ def with_paper_alignment(results: Results, folder: Path) -> tuple[Results, float
 
 
 def with_parts(results: Results, folder: Path, evidence: MotionEvidence) -> tuple[Results, float]:
-    """A run with parts found anew in a folder of their own, and the seconds that they took.
+    """Find the parts of a run again in a separate folder; also returns the seconds that it took.
 
     Raises:
         ReconstructionError: The method refuses.
@@ -46,18 +46,18 @@ def with_parts(results: Results, folder: Path, evidence: MotionEvidence) -> tupl
 
 
 def bound_twin(results: Results) -> TwinModel:
-    """The scan of a run bound to its bodies, nothing refined."""
+    """Bind the scan of a run to its bodies, without refinement."""
     return bind_scan(results.scene, results.parts, results.motion.joint, results.configuration)
 
 
 def paper_figures(scored: dict[str, Any], seconds: float) -> dict[str, Any]:
-    """The comparable ones of a twin's figures, under names of their own."""
+    """Select the comparable metrics of a twin, under separate names."""
     kept = {name: value for name, value in scored.items() if name.startswith(GROUPS)}
     return {PREFIX + name: value for name, value in kept.items()} | {f"{PREFIX}seconds": round(seconds, 1)}
 
 
 def methods_table(figures: dict[str, Any]) -> str:
-    """One row for each figure that both methods have."""
+    """Format one row for each metric of both methods."""
     names = [name.removeprefix(PREFIX) for name in figures if name.startswith(PREFIX)]
     return as_table(
         [

@@ -1,4 +1,4 @@
-"""Decide which starts of the alignment have a solution: a question of geometry, not of any method."""
+"""Test whether a start of the alignment has a solution: a question of geometry, independent of any method."""
 
 import numpy as np
 
@@ -20,9 +20,9 @@ def is_solvable(
     """Return whether images and prompts determine the solution, whatever the method.
 
     Half of the robot or more is in at least `MIN_VIEWS` images, two of them from directions
-    `MIN_ANGLE_DEG` apart, which fixes place and scale to the pixel; and one prompted box has at
-    least half in common with the robot's true extent in its image (intersection over union).
-    Cameras may be off by what an end effector within tolerance allows. Not checked: what stands
+    `MIN_ANGLE_DEG` apart, which determines location and scale to the pixel; and one prompted box overlaps
+    with the robot's true extent in its image by at least half (intersection over union).
+    Cameras may have errors that the end effector's tolerance allows. Not checked: obstacles
     before the robot.
     """
     points = configuration.points_world(300)
@@ -45,7 +45,7 @@ def is_solvable(
 
 
 def _overlap(a: Array, b: Array) -> float:
-    """Intersection over union of two boxes (4,)."""
+    """Compute the intersection over union of two boxes (4,)."""
     sides = np.minimum(a[2:], b[2:]) - np.maximum(a[:2], b[:2])
     common = float(np.prod(np.maximum(sides, 0)))
     return common / float(np.prod(a[2:] - a[:2]) + np.prod(b[2:] - b[:2]) - common)

@@ -1,4 +1,4 @@
-"""Thresholds that a twin has to reach: one a metric, the same for every capture."""
+"""Thresholds that a twin has to reach: one per metric, the same for every capture."""
 
 from dataclasses import dataclass
 from typing import Final
@@ -6,7 +6,7 @@ from typing import Final
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Bar:
-    """A limit on a figure.
+    """A limit on a metric.
 
     Attributes:
         limit: The value that still passes.

@@ -1,6 +1,6 @@
-"""Runs inside Blender: reads a scene, then renders one image for every line of standard input.
+"""Script inside Blender that reads a scene, then renders one image for every line of standard input.
 
-Not imported by anything else here: Blender's Python has its own packages.
+No other module imports it: Blender's Python has its own packages.
 """
 
 import json
@@ -20,7 +20,7 @@ SENSOR_MM = 36.0
 
 
 def make_material(index: int, row: dict, folder: Path) -> bpy.types.Material:
-    """A principled surface of one color or texture."""
+    """Make a principled surface of one color or texture."""
     material = bpy.data.materials.new(f"material_{index}")
     material.use_nodes = True
     nodes, links = material.node_tree.nodes, material.node_tree.links
@@ -39,7 +39,7 @@ def make_material(index: int, row: dict, folder: Path) -> bpy.types.Material:
 
 
 def make_object(name: str, mesh: dict, material: bpy.types.Material) -> bpy.types.Object:
-    """Triangles with texture coordinates of their corners."""
+    """Make triangles with texture coordinates of their corners."""
     data = bpy.data.meshes.new(name)
     data.from_pydata(mesh["vertices"], [], mesh["faces"])
     if len(mesh["uvs"]):
@@ -53,7 +53,7 @@ def make_object(name: str, mesh: dict, material: bpy.types.Material) -> bpy.type
 
 
 def make_light(light: dict) -> None:
-    """An environment from Blender's own files, and an area light."""
+    """Make an environment from Blender's own files, and an area light."""
     world = bpy.data.worlds.new("world")
     bpy.context.scene.world = world
     world.use_nodes = True
@@ -77,7 +77,7 @@ def make_light(light: dict) -> None:
 
 
 def read_scene(folder: Path) -> list[bpy.types.Object]:
-    """The scene's objects, in the order of its meshes."""
+    """Read the scene's objects, in the order of its meshes."""
     bpy.ops.wm.read_factory_settings(use_empty=True)
     scene = json.loads((folder / "scene.json").read_text())
     arrays = np.load(folder / "meshes.npz")
@@ -101,7 +101,7 @@ def read_scene(folder: Path) -> list[bpy.types.Object]:
 
 
 def draw(job: dict, objects: list[bpy.types.Object]) -> None:
-    """One image of one state."""
+    """Render one image of one state."""
     for item, T, hidden in zip(objects, job["Ts_world_mesh"], job["hidden"], strict=True):
         item.matrix_world, item.hide_render = Matrix(T), hidden
     camera, render = bpy.context.scene.camera, bpy.context.scene.render

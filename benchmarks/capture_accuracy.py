@@ -1,4 +1,4 @@
-"""`python -m benchmarks accuracy`: run a capture up to its twin, then score what it wrote and drew."""
+"""`python -m benchmarks accuracy`: run a capture up to its twin, then score its estimates and renderings."""
 
 import tempfile
 from collections.abc import Callable
@@ -38,7 +38,7 @@ def run_accuracy(
     saga: bool = False,
     paper: bool = False,
 ) -> dict[str, Any]:
-    """Figures of one capture, by dotted name, as the capture format defines them.
+    """Compute metrics of one capture, by dotted name, as the capture format defines them.
 
     Args:
         capture_folder: A capture with `truth/`.
@@ -97,7 +97,7 @@ def _score(results: Results, estimates: dict[str, Any], truth: Truth, twin: Twin
 
 
 def _beside_paper(results: Results, truth: Truth) -> dict[str, Any]:
-    """Figures of the paper's alignment, link boxes and motion, under names of their own."""
+    """Compute metrics of the paper's alignment, link boxes and motion, under separate names."""
     aligned, seconds = with_paper_alignment(results, results.out / "paper" / "alignment")
     labelled, _ = with_parts(aligned, results.out / "paper" / "parts", lambda scene, labels: None)
     moved = describe_estimates(labelled, results.motion, [])
@@ -110,7 +110,7 @@ def _beside_paper(results: Results, truth: Truth) -> dict[str, Any]:
 def _beside_saga(
     results: Results, estimates: dict[str, Any], truth: Truth, figures: dict[str, Any]
 ) -> dict[str, Any]:
-    """IoUs of a twin whose parts were found with affinity features, beside those of the run."""
+    """Compute IoUs of a twin whose parts were found with affinity features, and those of the run."""
     project = results.project.model_copy(update={"parts_method": "saga"})
     asked = replace(results, project=project)
     labelled, seconds = with_parts(asked, results.out / "saga", partial(motion_evidence, asked))

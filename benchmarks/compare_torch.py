@@ -1,4 +1,4 @@
-"""The engine against a tile rasterizer in plain torch, timed in turn on one thread."""
+"""The engine and a tile rasterizer in plain torch, timed alternately on one thread."""
 
 import time
 from collections.abc import Callable
@@ -16,7 +16,7 @@ from benchmarks.torch_tiles import render
 
 
 def compare(gaussians: Gaussians, camera: Camera, rounds: int, tile_px: int) -> dict[str, float]:
-    """Medians of both, medians of the ratios round by round, and the difference of the images."""
+    """Compute medians of both, medians of the ratios of each round, and the difference of the images."""
     context = native.Context(1)
     torch_forward, torch_training = _torch_passes(gaussians, camera, tile_px)
     functions = {
@@ -38,7 +38,7 @@ def compare(gaussians: Gaussians, camera: Camera, rounds: int, tile_px: int) -> 
 
 
 def _difference(gaussians: Gaussians, camera: Camera, context: native.Context, tile_px: int) -> np.ndarray:
-    """Red, green, blue and alpha (4, H, W), engine minus torch."""
+    """Compute red, green, blue and alpha (4, H, W), engine minus torch."""
     parameters, degree = parameters_of(gaussians), gaussians.sh_degree
     with torch.no_grad():
         expected = render(parameters, camera, degree, tile_px=tile_px)

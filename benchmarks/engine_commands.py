@@ -27,15 +27,15 @@ def splatting(json_file: JsonFile = None) -> None:
 
 @engine_app.command("compare-torch")
 def compare_torch(
-    gaussians: Annotated[int, typer.Option(min=1, help="Of the table-top scene.")] = 20_000,
+    gaussians: Annotated[int, typer.Option(min=1, help="Gaussians of the table-top scene.")] = 20_000,
     size: Annotated[tuple[int, int], typer.Option(help="Width and height, [px].")] = (320, 240),
-    rounds: Annotated[int, typer.Option(min=1, help="Timed in turn so often.")] = 5,
+    rounds: Annotated[int, typer.Option(min=1, help="Number of rounds, timed alternately.")] = 5,
     tile: Annotated[int, typer.Option(min=4, help="Side of torch's tiles, [px].")] = 16,
     json_file: JsonFile = None,
 ) -> None:
-    """Time the rasterizer beside one in plain torch, on one thread, and compare their images.
+    """Time the rasterizer and one in plain torch, on one thread, and compare their images.
 
-    Times are processor time, so that other programs on the machine disturb them little.
+    Times are processor time, so that other programs on the machine affect them little.
     """
     from benchmarks.compare_torch import compare
     from benchmarks.scenes import table_camera, table_top

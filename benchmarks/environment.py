@@ -1,4 +1,4 @@
-"""`python -m benchmarks environment`: does the twin in closed loop judge rightly, show what episodes show, and how fast."""
+"""`python -m benchmarks environment`: verdicts, images and speed of the twin in closed loop."""
 
 import time
 import warnings
@@ -28,10 +28,10 @@ from aomgen.results import Results
 SIZES: Final = ((320, 240), (128, 128))
 # Number of episodes of each asset whose images are compared, and frames of each of them.
 COMPARED_EPISODES, COMPARED_FRAMES = 3, 10
-# Trials whose resets and steps are timed, after one that opens everything.
+# Trials whose resets and steps are timed, after one that opens all files.
 TIMED_TRIALS: Final = 3
 SEED: Final = 7
-# Equal images have no finite ratio of signal to noise; this is reported for it, [dB].
+# Value reported for equal images, whose signal-to-noise ratio is infinite, [dB].
 EQUAL_DB: Final = 100.0
 
 
@@ -42,9 +42,9 @@ def run_environment(
 
     Args:
         run: Folder of the run.
-        folder: Keeps suite and rollouts; a bench that was killed goes on.
-        trials: Of each action space.
-        workers: Processes.
+        folder: Folder of suite and rollouts; a killed benchmark continues from it.
+        trials: Number of trials of each action space.
+        workers: Number of processes.
         tell: Receives the progress.
 
     Returns:
@@ -77,13 +77,13 @@ def run_environment(
 
 
 def resized(world: World, size: tuple[int, int]) -> World:
-    """The same trials, drawn in another size."""
+    """Change the image size of the trials."""
     cameras = {name: camera.resize(*size) for name, camera in world.suite.cameras.items()}
     return World(replace(world.suite, cameras=cameras, drawn_size=size), world.factory.results)
 
 
 def worst_psnr(results: Results) -> float:
-    """PSNR of the environment's images against an episode's before they are encoded, in the same states, [dB]."""
+    """Compute the least PSNR of the environment's images against an episode's unencoded ones, [dB]."""
     folder, worst = results.folders["episodes"], EQUAL_DB
     factory = EpisodeFactory(results, folder)
     for asset in range(len(results.fitted_assets)):
@@ -112,7 +112,7 @@ def _psnrs(factory: EpisodeFactory, path: Path) -> list[float]:
 
 
 def time_steps(world: World) -> tuple[float, float]:
-    """Median CPU time of a step, [ms], and of a reset, [s], with images, on one thread."""
+    """Measure the median CPU time of a step, [ms], and of a reset, [s], with images, on one thread."""
     env = OpenEnv(world)
     policy = OracleReplay(world)
     steps, resets = [], []
@@ -132,10 +132,10 @@ def time_steps(world: World) -> tuple[float, float]:
 
 
 def passes_check(world: World) -> bool:
-    """Run Gymnasium's own check; raises what it finds."""
+    """Run Gymnasium's own check; raises the errors that it finds."""
     env = OpenEnv(resized(world, (64, 48)))
     with warnings.catch_warnings():
-        # Joints and poses have no bounds of their own.
+        # Joints and poses have no own bounds.
         warnings.filterwarnings("ignore", message=".*(infinity|Box action space|alternative render modes).*")
         check_env(env)
     return True

@@ -9,25 +9,25 @@ import typer
 from aomgen.cli.run import run_project
 from aomgen.errors import ConfigError
 
-JsonFile = Annotated[Path | None, typer.Option("--json", help="Write the figures here.")]
+JsonFile = Annotated[Path | None, typer.Option("--json", help="Write the metrics here.")]
 estimate_app = typer.Typer()
 
 
 @estimate_app.command("accuracy")
 def accuracy(
     capture: Annotated[Path | None, typer.Argument(help="A capture with truth/.")] = None,
-    synthetic: Annotated[int, typer.Option(help="Instead: make and score so many synthetic captures.")] = 0,
+    synthetic: Annotated[int, typer.Option(help="Instead: make and score this many synthetic captures.")] = 0,
     synthetic_motion: Annotated[
-        int, typer.Option(help="Instead: so many cheap worlds for AOMotion alone.")
+        int, typer.Option(help="Instead: this many cheap worlds for AOMotion alone.")
     ] = 0,
     category: Annotated[
         str | None,
         typer.Option(help="Only such synthetic captures: cabinet, drawer, laptop, microwave or toolbox."),
     ] = None,
     harsh: Annotated[
-        bool, typer.Option("--harsh", help="Make synthetic captures worse, as phones and labs do.")
+        bool, typer.Option("--harsh", help="Degrade synthetic captures as phones and labs do.")
     ] = False,
-    seed: Annotated[int | None, typer.Option(help="First seed: 1000, of motion worlds 2000.")] = None,
+    seed: Annotated[int | None, typer.Option(help="First seed: 1000, for motion worlds 2000.")] = None,
     saga: Annotated[bool, typer.Option("--saga", help="Also score parts from affinity features.")] = False,
     paper: Annotated[bool, typer.Option("--paper", help="Also score the paper's own methods.")] = False,
     json_file: JsonFile = None,
@@ -35,11 +35,11 @@ def accuracy(
 ) -> None:
     """Run a capture up to its twin and score estimates and renders against its ground truth.
 
-    With --synthetic N, N captures of different objects, rooms, cameras and noise are made, run and
-    scored one after the other (about four minutes each): median and worst of every figure; categories
-    take turns unless --category names one.
-    With --synthetic-motion N, N demonstrations are simulated and filmed, upstream results perturbed
-    by measured errors, and the motion alone recovered (half a minute each; --out keeps the worlds).
+    With --synthetic N, N captures of different objects, rooms, cameras and noise are made, run and scored
+    one after the other (about four minutes each): median and worst of every metric; categories alternate
+    unless --category names one. With --synthetic-motion N, N demonstrations are simulated and rendered to
+    video, upstream results perturbed by measured errors, and the motion alone recovered (half a minute each;
+    --out keeps the worlds).
     """
     if category is not None and synthetic == 0:
         raise ConfigError("--category", "holds for --synthetic N alone", "add --synthetic or leave it out")
@@ -68,7 +68,7 @@ def accuracy(
 
 @estimate_app.command("scores")
 def scores(
-    folder: Annotated[Path, typer.Argument(help="Runs and figures; what is there is kept.")],
+    folder: Annotated[Path, typer.Argument(help="Runs and metrics; existing ones are kept.")],
     capture: Annotated[
         list[Path] | None, typer.Option(help="A capture with truth/; may be repeated.")
     ] = None,
@@ -80,14 +80,15 @@ def scores(
         ),
     ] = None,
     seed: Annotated[
-        int | None, typer.Option(help="First seed of captures and worlds that are made; 77000.")
+        int | None, typer.Option(help="First seed of generated captures and worlds; 77000.")
     ] = None,
-    against: Annotated[Path | None, typer.Option(help="A former scores.json to be compared with.")] = None,
+    against: Annotated[Path | None, typer.Option(help="An earlier scores.json to compare with.")] = None,
 ) -> None:
-    """Run all benchmarks that a change is held against (hours); gather their figures in FOLDER/scores.json.
+    """Run all benchmarks that evaluate a change (hours); gather their metrics in FOLDER/scores.json.
 
-    With --against, a verdict for each figure: images within 0.2 dB, errors, times and rates within 5 %, success
-    rates within the 95 % interval (Wilson's) of those before. The exit code is 1 if one is worse or missing.
+    With --against, print a verdict for each metric: images within 0.2 dB, errors, times and rates
+    within 5 %, success rates within the 95 % interval (Wilson's) of those before. The exit code is 1 if
+    one is worse or missing.
     """
     from aomgen.io.artifact import read_json
     from benchmarks.score_tolerances import as_rows, judge
@@ -107,11 +108,11 @@ def scores(
 @estimate_app.command("alignment")
 def alignment(
     paths: Annotated[list[Path], typer.Argument(help="Captures with truth/, or finished runs of such.")],
-    starts: Annotated[int, typer.Option(help="Good and bad starts, over all paths; some 10 s each.")] = 200,
-    seed: Annotated[int, typer.Option(help="Same seed, same starts.")] = 0,
+    starts: Annotated[int, typer.Option(help="Good and bad starts, over all paths; about 10 s each.")] = 200,
+    seed: Annotated[int, typer.Option(help="Equal seeds give equal starts.")] = 0,
     json_file: JsonFile = None,
 ) -> None:
-    """Disturb frames, prompts, cameras and joint values: what is answered, how well, what is refused.
+    """Disturb frames, prompts, cameras and joint values: measure accuracy and refusals of the alignment.
 
     Six of ten starts have a solution; in the others the robot is missing, has another pose than the
     prompts, has other joint values than the log, or is mirrored.
@@ -132,7 +133,7 @@ def intervals(
     seed: Annotated[int, typer.Option(help="First seed.")] = 5000,
     json_file: JsonFile = None,
 ) -> None:
-    """Hide joints behind end effector paths that slip and pivot: do the stated 95 % intervals hold them?
+    """Test the stated 95 % intervals on hidden joints behind end effector paths that slip and pivot.
 
     `held` is the share of intervals that hold the truth, `width` their median over the median error.
     """
@@ -165,13 +166,13 @@ def _measure_motion(count: int, seed: int | None, out: Path | None, json_file: P
 
 
 def show(figures: dict, json_file: Path | None) -> None:
-    """Print figures as JSON, and write them where a file is given."""
+    """Print metrics as JSON, and write them where a file is given."""
     print(json.dumps(figures, indent=1))
     write(figures, json_file)
 
 
 def write(figures: dict, json_file: Path | None) -> None:
-    """Write figures where a file is given."""
+    """Write metrics where a file is given."""
     from aomgen.io.atomic import write_json
 
     if json_file:

@@ -21,14 +21,15 @@ from benchmarks.foreign_scene import ForeignScene
 # Columns of a dataset.
 STATE, EE_POSE = "observation.state", "annotation.ee_pose"
 FORCE, THETA = "annotation.finger_force", "annotation.object_joint"
-# Newton steps a pose; the next one is a few centimetres away.
+# Newton steps per pose; the next one is a few centimetres away.
 IK_STEPS: Final = 6
-# An object that stands this much farther along the gripper's approach cannot be opened or closed by the same actions, [m].
+# An object moved by this along the gripper's approach cannot be opened or closed by the same actions, [m].
 AWAY_M: Final = 0.08
 # Time that the arm rests before the first and after the last action, [s]; a lid would fall meanwhile.
 BEFORE_S, AFTER_S = 0.2, 1.0
-# Limits of a successful replay, as in `simulation.judge.PassRule`: share of the planned travel made, share of the
-# progress made while pads carry force, what counts as force [N], and share of the way made before it.
+# Limits of a successful replay, as in `simulation.judge.PassRule`: share of the planned travel made,
+# share of the progress made while pads carry force, least force of a contact [N], and share of the
+# travel made before it.
 OPENED_SHARE, CONTACT_SHARE, CARRIED_N, EARLY_SHARE = 0.9, 0.8, 0.5, 0.02
 
 
@@ -37,15 +38,15 @@ class Exported:
     """Exported values of one episode.
 
     Attributes:
-        usd: The object's file.
+        usd: USD file of the object.
         T_world_object: Its pose (4, 4).
         states: (T, J + 1), arm joints [rad] and gripper 0..1.
         actions: By space: "joint" (T, J + 1), "ee_absolute" (T, 8), "ee_delta" (T, 7).
         ee_poses: Observed end effector (T, 7), position [m] and quaternion wxyz.
-        forces: Of the fingers on the part (T,), [N].
+        forces: Forces of the fingers on the part (T,), [N].
         thetas: Stored joint value of the object (T,), [rad] or [m].
         planned: First and final joint value of the plan.
-        fps: Frames a second.
+        fps: Frames per second.
     """
 
     usd: Path
@@ -59,12 +60,12 @@ class Exported:
     fps: int
 
     def shares(self, thetas: Array) -> Array:
-        """Share of the planned way at joint values (N,)."""
+        """Compute the share of the planned travel at joint values (N,)."""
         first, last = self.planned
         return (thetas - first) / (last - first)
 
     def moved_away(self, robot: RobotModel) -> "Exported":
-        """The same actions with the object AWAY_M farther along the approach of the gripper that first touches it."""
+        """Move the object by AWAY_M along the gripper's approach at first contact, with the same actions."""
         touching = poses_of(self.ee_poses[[np.argmax(self.forces > 0)]])[0]
         T = self.T_world_object.copy()
         T[:3, 3] += AWAY_M * touching[:3, :3] @ robot.approach_ee
@@ -72,7 +73,7 @@ class Exported:
 
 
 def exported_of(episode: Episode, usd: Path) -> Exported:
-    """An episode as its dataset holds it, in single precision."""
+    """Convert an episode to the values of its dataset, in single precision."""
     columns = {
         name: values.astype(np.float32).astype(np.float64)
         for name, values in feature_columns(episode).items()
@@ -83,7 +84,7 @@ def exported_of(episode: Episode, usd: Path) -> Exported:
 def exported_from(
     columns: dict[str, Array], usd: Path, T_world_object: Array, verdict: Mapping[str, Any], fps: int
 ) -> Exported:
-    """An episode of its columns in the dataset (T, D) by name, and its certificate."""
+    """Build an episode from its columns in the dataset (T, D) by name, and its certificate."""
     return Exported(
         usd=usd,
         T_world_object=T_world_object,
@@ -102,14 +103,14 @@ def exported_from(
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Opening:
     """Result of a replay: the object's joint (T + 1,) at every frame and after the last action, [rad] or [m], and
-    whether a pad carried force there (T + 1,)."""
+    where a pad carried force (T + 1,)."""
 
     thetas: Array
     carried: NDArray[np.bool_]
 
 
 class Replay:
-    """One episode in one foreign scene; a builder that holds what all its steps share."""
+    """One episode in one foreign scene, with the state that all steps share."""
 
     def __init__(
         self,
@@ -119,7 +120,7 @@ class Replay:
         space: str = "joint",
         setting: int = 0,
     ) -> None:
-        """Choose a space of actions, and one of the resistances that the object's file names."""
+        """Choose an action space, and one of the resistances in the object's file."""
         model = copy.copy(scene.model)
         self._steps = math.ceil(1 / (episode.fps * model.opt.timestep))
         model.opt.timestep = 1 / (episode.fps * self._steps)
@@ -133,9 +134,9 @@ class Replay:
         self._lead = biases[:, 2] / biases[:, 1]
 
     def run(self) -> Opening:
-        """Replay without looking ahead.
+        """Replay without access to future actions.
 
-        At frame t nothing but `actions[: t + 1]` is known: the command moves straight from the last
+        At frame t only `actions[: t + 1]` is known: the command moves straight from the last
         target to the new one, which it reaches at frame t + 1.
         """
         episode, data = self._episode, self._data
@@ -171,7 +172,7 @@ class Replay:
         return total >= CARRIED_N
 
     def _joint_target(self, action: Array, last: Array) -> Array:
-        """Arm joints and gripper (J + 1,) that an action asks for; a delta counts from the last target."""
+        """Compute arm joints and gripper (J + 1,) of an action; a delta is relative to the last target."""
         if self._space == "joint":
             return action
         if self._space == "ee_absolute":
@@ -181,7 +182,7 @@ class Replay:
         return np.append(self._solved(T[0], last[:-1]), action[-1])
 
     def _solved(self, T_world_target: Array, near: Array) -> Array:
-        """Arm joints (J,) that reach a pose, by Newton steps from joints nearby."""
+        """Solve arm joints (J,) that reach a pose, by Newton steps from joints nearby."""
         model, data = self._scene.model, self._scratch
         data.qpos[:] = self._data.qpos
         data.qpos[self._scene.arm] = near
@@ -213,5 +214,5 @@ class Replay:
 
 
 def poses_of(vectors: Array) -> Array:
-    """Transforms (T, 4, 4) of positions and quaternions wxyz in the first seven columns of (T, D)."""
+    """Build transforms (T, 4, 4) from positions and quaternions wxyz in the first seven columns of (T, D)."""
     return transform(matrix_from_quat(vectors[:, 3:7]), vectors[:, :3])

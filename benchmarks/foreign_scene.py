@@ -1,7 +1,7 @@
-"""A MuJoCo scene from an exported USD file alone, as somebody else's importer would build it.
+"""A MuJoCo scene from an exported USD file alone, as another importer would build it.
 
-Nothing here uses the product's own reader, scene or simulator, so what they know and the file does not say is
-missed at once.
+The product's own reader, scene and simulator are not used here, so any knowledge of theirs that is missing in
+the file makes the replay fail.
 """
 
 from dataclasses import dataclass
@@ -25,16 +25,16 @@ class ForeignScene:
     Attributes:
         model: Robot and object.
         arm, dofs: Addresses of arm joints in qpos and qvel (J,).
-        actuators: Of the arm (J,).
+        actuators: Actuators of the arm (J,).
         gripper: Actuator of the gripper.
         control_range: Its control at gripper 0 and 1.
         ee_site: Id of the end effector.
         theta, theta_dof: Addresses of the object's joint in qpos and qvel.
         pads: Geoms with which the fingers hold.
         moving: Body of the object's moving link.
-        resistances: Damping and dry friction of its joint: the file's own, then the other settings it was verified in.
-        category: Of the object.
-        revolute: Its joint turns.
+        resistances: Damping and dry friction of its joint: the file's own, then the other verified settings.
+        category: Category of the object.
+        revolute: Whether its joint is revolute.
     """
 
     model: mujoco.MjModel
@@ -54,11 +54,11 @@ class ForeignScene:
 
 
 def foreign_scene(robot: RobotModel, usd: Path, T_world_object: Array) -> ForeignScene:
-    """Place the object of a USD file beside a robot.
+    """Place the object of a USD file next to a robot.
 
     Args:
-        robot: With position actuators; its bodies are gravity compensated here.
-        usd: Metres, Z up, one joint between two links of cubes, as `assets.usd_write` writes it.
+        robot: Robot with position actuators; its bodies are gravity compensated here.
+        usd: File in metres, Z up, one joint between two links of cubes, as `assets.usd_write` writes it.
         T_world_object: Pose of the file's root (4, 4).
 
     Raises:
@@ -80,7 +80,8 @@ def foreign_scene(robot: RobotModel, usd: Path, T_world_object: Array) -> Foreig
     for body, relation in ((static, "physics:body0"), (moving, "physics:body1")):
         _add_link(body, stage.GetPrimAtPath(joint.GetRelationship(relation).GetTargets()[0]))
     _add_joint(moving, joint)
-    # A parent that is welded to the world does collide with its child in MuJoCo; in USD a joint's bodies do not.
+    # A parent that is welded to the world collides with its child in MuJoCo, unlike the two
+    # bodies of a joint in USD.
     spec.add_exclude(bodyname1=STATIC, bodyname2=MOVING)
     model = spec.compile()
     return ForeignScene(
@@ -102,7 +103,7 @@ def foreign_scene(robot: RobotModel, usd: Path, T_world_object: Array) -> Foreig
 
 
 def _add_link(body: mujoco.MjsBody, prim: Any) -> None:
-    """Box geoms of the colliders below a rigid body's prim, which share its mass by volume."""
+    """Add box geoms of the colliders below a rigid body's prim, which share its mass by volume."""
     from pxr import Usd, UsdGeom, UsdPhysics, UsdShade
 
     cubes = [p for p in Usd.PrimRange(prim) if p.HasAPI(UsdPhysics.CollisionAPI)]
@@ -167,7 +168,7 @@ def _actuator_of(model: mujoco.MjModel, joint: int) -> int:
 
 
 def _quat(T: Array) -> Array:
-    """Quaternion wxyz (4,) of a pose whose axes may be scaled."""
+    """Compute the quaternion wxyz (4,) of a pose whose axes may be scaled."""
     quat = np.zeros(4)
     mujoco.mju_mat2Quat(quat, (T[:3, :3] / np.linalg.norm(T[:3, :3], axis=0)).ravel())
     return quat

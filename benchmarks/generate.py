@@ -1,4 +1,4 @@
-"""`python -m benchmarks generate`: how many verified, rendered and exported demonstrations a minute this machine makes."""
+"""`python -m benchmarks generate`: verified and exported demonstrations per minute on this machine."""
 
 import os
 import threading
@@ -22,12 +22,12 @@ from aomgen.pipeline.runner import results_of
 from aomgen.pipeline.stages import STAGES
 from aomgen.results import Results
 
-# The workload: two made assets in the bundled recording, images as the paper's policies take them, [px].
+# The workload: two generated assets in the bundled recording, images as the paper's policies take them, [px].
 ASSETS: Final = ("microwave:1", "microwave:2")
 IMAGE_SIZE: Final = (256, 256)
-# Memory is looked at this often, [s].
+# Interval at which memory is measured, [s].
 WATCH_S: Final = 0.1
-# Memory is reported when this number of episodes is there, and at the end.
+# Memory is reported at this number of episodes, and at the end.
 EARLY_EPISODES: Final = 10
 
 
@@ -40,7 +40,7 @@ class MemoryWatch:
 
     @contextmanager
     def watching(self) -> Iterator[None]:
-        """Look at the memory while the block runs."""
+        """Measure the memory while the block runs."""
         thread = threading.Thread(target=self._watch)
         thread.start()
         try:
@@ -62,14 +62,14 @@ def run_generate(
     progress: Progress,
     **machine: Any,
 ) -> dict[str, Any]:
-    """Make episodes of both assets and their dataset from a twin on disk, rejects included.
+    """Make episodes of both assets and their dataset from a twin on disk, rejected attempts included.
 
     Args:
         out: Run folder; the run up to its fitted assets is kept and not timed.
         capture: The recording.
-        episodes: Committed in the end, over both assets.
+        episodes: Number of committed episodes at the end, over both assets.
         run_project: Runs a project until a stage.
-        progress: Of the episodes.
+        progress: Receives the progress of the episodes.
         machine: See `results_of`.
     """
     project = Project(
@@ -77,7 +77,7 @@ def run_generate(
     )
     run_project(project, until="replacement")
     folders = results_of(project, STAGES).folders
-    # In a separate folder: a bench starts with nothing made.
+    # The benchmark uses a separate folder, in which nothing has been made.
     scratch = {name: out / "bench" / folders[name].name for name in ("episodes", "dataset")}
     for folder in scratch.values():
         if folder.exists():
@@ -127,7 +127,7 @@ def run_generate(
 
 
 def _resident_mb() -> float:
-    """Resident memory of this process and its descendants, [MB]."""
+    """Measure the resident memory of this process and its descendants, [MB]."""
     total, waiting = 0, [os.getpid()]
     while waiting:
         process = Path(f"/proc/{waiting.pop()}")

@@ -1,4 +1,4 @@
-"""Commands that measure what is generated: assets, episodes, their replay, policies, and runs after faults."""
+"""Commands that measure generated assets, episodes, their replay, policies, and runs after faults."""
 
 import sys
 import tempfile
@@ -21,7 +21,8 @@ def replay_exported(
 ) -> None:
     """Replay exported actions in a scene made of the exported USD alone, by category.
 
-    Also with the object 8 cm farther along the gripper's approach, where the same actions must fail.
+    This is repeated with the object 8 cm farther along the gripper's approach, where the same actions must
+    fail.
     """
     from benchmarks.replay_exported import run_replay
 
@@ -33,14 +34,15 @@ def generate(
     out: Annotated[Path, typer.Option(help="Run folder; its twin and fitted assets are kept.")] = Path(
         "out-bench"
     ),
-    episodes: Annotated[int, typer.Option(min=2, help="Committed in the end, over two assets.")] = 60,
-    workers: Annotated[int, typer.Option(min=0, help="Processes; 0 for one a processor.")] = 0,
+    episodes: Annotated[int, typer.Option(min=2, help="Committed episodes, over two assets.")] = 60,
+    workers: Annotated[int, typer.Option(min=0, help="Processes; 0 for one per processor.")] = 0,
     json_file: JsonFile = None,
 ) -> None:
-    """Make verified, rendered and exported demonstrations of the bundled recording: how many a minute, and why no more.
+    """Make verified, rendered and exported demonstrations of the bundled recording; count them per minute.
 
-    Two cameras of 256 x 256, the paper's ranges, full length and rate, rejects included; wall clock from the first
-    worker's start to the finished dataset. `core_seconds` and `share` are by part, a committed episode.
+    Two cameras of 256 x 256, the paper's ranges, full length and rate, rejected attempts included;
+    wall clock from the first worker's start to the finished dataset. `core_seconds` and `share` are by
+    step, per committed episode.
     """
     from benchmarks.generate import run_generate
 
@@ -54,14 +56,14 @@ def generate(
 @generate_app.command("environment")
 def environment(
     run: Annotated[Path, typer.Argument(help="Folder of a run that has committed episodes.")],
-    trials: Annotated[int, typer.Option(min=1, help="Of each action space.")] = 100,
+    trials: Annotated[int, typer.Option(min=1, help="Trials of each action space.")] = 100,
     workers: Annotated[int, typer.Option(min=1, help="Processes.")] = 2,
     json_file: JsonFile = None,
     out: Annotated[
-        Path | None, typer.Option(help="Keeps suite and rollouts; continued when it exists.")
+        Path | None, typer.Option(help="Folder of suite and rollouts; continued when it exists.")
     ] = None,
 ) -> None:
-    """Replay plans in closed loop in every action space, compare images with episodes', time steps and resets."""
+    """Replay plans in closed loop in every action space, compare images, time steps and resets."""
     from benchmarks.environment import run_environment
 
     with tempfile.TemporaryDirectory() as scratch:
@@ -71,26 +73,24 @@ def environment(
 
 @generate_app.command("policy")
 def policy(
-    out: Annotated[
-        Path, typer.Argument(help="Keeps runs, datasets, trainings and rollouts; continued when it exists.")
-    ],
+    out: Annotated[Path, typer.Argument(help="Folder of all results; continued when it exists.")],
     cells: Annotated[
         list[str] | None,
-        typer.Option(help="Only tables whose name begins so, for example curve.microwave; repeatable."),
+        typer.Option(help="Only tables with this prefix, for example curve.microwave; repeatable."),
     ] = None,
     quick: Annotated[
-        bool, typer.Option("--quick", help="A few demonstrations, steps and trials: whether all of it works.")
+        bool, typer.Option("--quick", help="A few demonstrations, steps and trials, as a functional test.")
     ] = False,
     assets: Annotated[
         list[str] | None,
-        typer.Option("--asset", help="Also opened in unseen_table: a USD file, or FILE#JOINT; repeatable."),
+        typer.Option("--asset", help="Also tested in unseen_table: a USD file, or FILE#JOINT; repeatable."),
     ] = None,
     workers: Annotated[
         int, typer.Option(min=1, help="Trainings, episodes and rollouts at the same time.")
     ] = 2,
     json_file: JsonFile = None,
 ) -> None:
-    """Train policies on generated demonstrations with LeRobot and count how often they open what they have not seen.
+    """Train policies on generated demonstrations with LeRobot and count how often they open unseen objects.
 
     Run it from .venv-policy (`make policy-env`). Hours for all tables; `docs/policies.md` explains the metrics.
     """
@@ -120,11 +120,11 @@ def policy(
 @generate_app.command("replay")
 def replay(
     attempts: Annotated[int, typer.Option(help="Plans of each category; a tenth of it beyond.")] = 200,
-    seed: Annotated[int, typer.Option(help="Of the first motion world and of all draws.")] = 7000,
+    seed: Annotated[int, typer.Option(help="Seed of the first motion world and of all draws.")] = 7000,
     json_file: JsonFile = None,
-    out: Annotated[Path | None, typer.Option(help="Keeps what was done; continued when it exists.")] = None,
+    out: Annotated[Path | None, typer.Option(help="Folder of all results; continued when it exists.")] = None,
 ) -> None:
-    """Plan for made objects from recovered demonstrations, and replay what is exported (the paper's Table 1).
+    """Plan for generated objects from recovered demonstrations, and replay the exports (the paper's Table 1).
 
     `docs/dataset.md` explains the metrics.
     """
@@ -138,18 +138,18 @@ def replay(
 @generate_app.command("replace")
 def replace(
     out: Annotated[
-        Path | None, typer.Argument(help="Also path-traced rooms; keeps them and what is made of them.")
+        Path | None, typer.Argument(help="Also score path-traced rooms; folder of these and their results.")
     ] = None,
     rooms: Annotated[list[str] | None, typer.Option("--room", help="Only this room; repeatable.")] = None,
     assets: Annotated[
         list[str] | None, typer.Option("--asset", help="Also a USD file, or FILE#JOINT; repeatable.")
     ] = None,
-    meshes: Annotated[bool, typer.Option(help="Draw assets as Gaussians beside their meshes.")] = True,
+    meshes: Annotated[bool, typer.Option(help="Render assets as Gaussians and as meshes.")] = True,
     fits: Annotated[bool, typer.Option(help="Scale assets to recovered motions.")] = True,
-    seed: Annotated[int, typer.Option(help="Of the first made asset and of all views.")] = 100,
+    seed: Annotated[int, typer.Option(help="Seed of the first generated asset and of all views.")] = 100,
     json_file: JsonFile = None,
 ) -> None:
-    """Draw assets as Gaussians and as meshes, fit them to motions, and compare with path-traced images.
+    """Render assets as Gaussians and as meshes, fit them to motions, and compare with path-traced images.
 
     Rooms need Blender (`make blender-env`) and half an hour each. `docs/replacement.md` explains the metrics.
     """
@@ -175,7 +175,7 @@ def faults(
     kills: Annotated[int, typer.Option(min=1, help="Points at which a run is killed.")] = 200,
     json_file: JsonFile = None,
 ) -> None:
-    """Kill runs that make episodes, fill their disk, kill workers, here and on a Ray cluster; then let them continue.
+    """Kill runs that make episodes, fill their disk, kill workers, here and on a Ray cluster; continue them.
 
     Episodes are real but small. `docs/dataset.md` explains the metrics.
     """
@@ -188,7 +188,7 @@ def faults(
 
 @generate_app.command("style-pictures")
 def style_pictures(file: Annotated[Path, typer.Argument(help="JPEG to write.")]) -> None:
-    """Render all styles of made assets into one image, a category a row."""
+    """Render all styles of generated assets into one image, one row per category."""
     from benchmarks.style_pictures import draw_styles
 
     draw_styles(file)

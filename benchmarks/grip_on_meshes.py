@@ -1,4 +1,4 @@
-"""Contact of the pads of a gripper that holds a fitted asset with its meshes, which physics does not simulate."""
+"""Contact of a gripper's pads with the visible meshes of a held asset, which the simulation does not use."""
 
 from collections.abc import Callable
 from functools import cache
@@ -20,20 +20,20 @@ from aomgen.robots.robot import FingerPad, RobotModel
 SPACING_M, NEAR_M = 1e-3, 0.06
 # Points farther behind a pad's face are on the other side of the finger, [m].
 BEHIND_M: Final = 0.012
-# Halvings of the gripper's range until its value is known: to far below a tenth of a millimetre.
+# Bisections of the gripper's range until its value is known: to far below a tenth of a millimetre.
 HALVINGS: Final = 12
 # Points along each side of a box.
 BOX_STEPS: Final = 41
-# Poses of the contact that are measured: the pads lie on the handle alike all along it.
+# Number of measured poses of the contact: the pads touch the handle in the same manner along it.
 POSES: Final = 5
-# Pads that are farther off hold nothing, and that are deeper in cut into what is seen, [mm].
+# Pads with a larger gap hold nothing, and pads that are deeper cut into the visible surface, [mm].
 MAX_GAP_MM, MAX_PENETRATION_MM = 3.0, 2.0
 
 
 class Grip(NamedTuple):
-    """The worst over the contact and over both fingers, [mm]; an infinite gap where nothing is between the pads.
+    """Worst value over the contact and both fingers, [mm]; an infinite gap where the pads enclose nothing.
 
-    `tried` grasps were looked at before it.
+    `tried` counts the grasps that were examined before it.
     """
 
     gap_mm: float
@@ -42,15 +42,15 @@ class Grip(NamedTuple):
 
     @property
     def holds(self) -> bool:
-        """Return whether the pads lie on the meshes and not in them."""
+        """Return whether the pads touch the meshes without penetrating them."""
         return self.gap_mm <= MAX_GAP_MM and self.penetration_mm <= MAX_PENETRATION_MM
 
 
 def grip_on_meshes(fitted: FittedAsset, demo: Demonstration, robot: RobotModel) -> Grip:
-    """Close the pads on the colliders and measure them on the meshes.
+    """Close the pads on the colliders and measure their contact with the meshes.
 
-    Of the grasps that planning tries, in its order, the first that holds; else the first.
-    Not checked: whether the arm can be there, and the fingers beside their pads; planning does that, on colliders.
+    The result is that of the first grasp that holds, in the order of planning; else of the first grasp.
+    Not checked: reachability, and the fingers next to their pads; planning checks these on colliders.
     """
     shown = DemonstratedMotion(demo)
     boxes, surface = (_near(points(fitted.asset), fitted) for points in (_box_points, _mesh_points))
@@ -66,7 +66,7 @@ Pads = Callable[[float], list[tuple[FingerPad, Array]]]
 
 
 def _grip(motion: RetargetedMotion, pads: Pads, boxes: Array, surface: Array) -> Grip:
-    """Contact of one grasp, on points of colliders and meshes (N, 3)."""
+    """Measure the contact of one grasp, on points of colliders and meshes (N, 3)."""
     knots, fitted = motion.shown.knots[MOVE], motion.fitted
     times = np.linspace(knots[0], knots[-1], POSES)
     moved = fitted.T_world_asset @ fitted.asset.joint.motion(motion.thetas(times))
@@ -77,7 +77,7 @@ def _grip(motion: RetargetedMotion, pads: Pads, boxes: Array, surface: Array) ->
 
 
 def _stall(pads: Pads, T_part_ee: Array, points: Array) -> float:
-    """Gripper value at which the pads, on average, touch points (N, 3)."""
+    """Find the gripper value at which the pads, on average, touch points (N, 3)."""
     opened, closed = 0.0, 1.0
     for _ in range(HALVINGS):
         middle = (opened + closed) / 2
@@ -93,7 +93,7 @@ def _pad_poses(robot: RobotModel, gripper: float) -> list[tuple[FingerPad, Array
 
 
 def _clearances(pads: list[tuple[FingerPad, Array]], T_part_ee: Array, points: Array) -> list[float]:
-    """Distance of points (N, 3) before the pads from the faces of these, below 0 inside, [m]."""
+    """Measure the distance of points (N, 3) before the pads from their faces, below 0 inside, [m]."""
     return [_clearance(pad, T_part_ee @ T_ee_pad, points) for pad, T_ee_pad in pads]
 
 
@@ -105,7 +105,7 @@ def _clearance(pad: FingerPad, T_part_pad: Array, points: Array) -> float:
 
 
 def _box_points(asset: ArticulatedAsset) -> Array:
-    """Points (N, 3) on what physics holds: the handle's boxes, or all of the part."""
+    """Sample points (N, 3) on the held colliders: the handle's boxes, or all of the part."""
     steps = np.linspace(-1, 1, BOX_STEPS)
     cube = np.stack(np.meshgrid(steps, steps, steps), -1).reshape(-1, 3)
     cube = cube[np.abs(cube).max(1) == 1]
@@ -115,7 +115,7 @@ def _box_points(asset: ArticulatedAsset) -> Array:
 
 
 def _mesh_points(asset: ArticulatedAsset) -> Array:
-    """Points (N, 3) all over the visible moving part."""
+    """Sample points (N, 3) all over the visible moving part."""
     rng = np.random.default_rng(0)
     points = []
     for mesh in asset.moving.meshes:

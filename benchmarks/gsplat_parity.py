@@ -3,9 +3,9 @@
     python -m benchmarks.gsplat_parity
     python -m benchmarks.gsplat_parity --wheels wheels --gaussians 20000,100000,300000 --size 640x480
 
-Uses the Python it runs on if its torch finds the GPU; otherwise makes an environment and installs torch from
-the registries. What else is missing, gsplat first of all, goes into the folder too, and nowhere else. gsplat
-compiles its kernels at the first run (minutes), with nvcc; the engine is built if it is not there.
+It uses its own Python if the torch of that finds the GPU; otherwise it makes an environment and installs
+torch from the registries. Other missing packages, such as gsplat, are installed into the same folder only.
+gsplat compiles its kernels at the first run (minutes), with nvcc; the engine is built if it is missing.
 """
 
 import argparse
@@ -48,7 +48,7 @@ def main() -> None:
 
 
 def _python_with_gpu(folder: Path) -> str:
-    """This Python, or one of an environment in the folder with torch from the registries."""
+    """Return this Python, or one of an environment in the folder with torch from the registries."""
     if _capability(sys.executable):
         return sys.executable
     if shutil.which("nvidia-smi") is None and not Path("/dev/nvidia0").exists():
@@ -65,13 +65,13 @@ def _python_with_gpu(folder: Path) -> str:
 
 
 def _capability(python: str) -> str:
-    """Such as 9.0, empty where torch or the GPU is missing."""
+    """Return the compute capability such as 9.0, empty where torch or the GPU is missing."""
     found = subprocess.run([python, "-c", DEVICE], capture_output=True, text=True)
     return found.stdout.strip() if found.returncode == 0 else ""
 
 
 def _environment(python: str, folder: Path, site: Path) -> dict[str, str]:
-    """Packages and sources to be found, and kernels for this GPU alone, on all processors."""
+    """Return the environment variables: package and source paths, kernels for this GPU alone."""
     paths = [str(site / "bin"), str(Path(python).parent), os.environ["PATH"], "/usr/local/cuda/bin"]
     return {
         **os.environ,

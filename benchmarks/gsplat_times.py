@@ -2,7 +2,7 @@
 
     python -m benchmarks.gsplat_times 20000,100000,300000 640x480
 
-Wall times, medians: the engine with all processors, gsplat with the GPU waited for.
+Wall times, medians: the engine with all processors, gsplat synchronized with the GPU.
 """
 
 import sys
@@ -25,7 +25,7 @@ COLUMNS = ("Gaussians", "forward", "with ids", "with 16 features", "forward+back
 
 
 def tensors(gaussians: Gaussians, device: str) -> GaussianTensors:
-    """Parameters as the optimizer holds them, on a device, with gradients."""
+    """Convert parameters to those of the optimizer, on a device, with gradients."""
     opacities = np.clip(gaussians.opacities.astype(np.float64), 1e-6, 1 - 1e-6)
 
     def leaf(array: np.ndarray) -> Tensor:
@@ -41,7 +41,7 @@ def tensors(gaussians: Gaussians, device: str) -> GaussianTensors:
 
 
 def passes(draw: Rasterizer, gaussians: GaussianTensors, camera: Camera) -> dict[str, Callable[[], Tensor]]:
-    """Timed operations, by column."""
+    """Return the timed operations, by column."""
     shape = (len(gaussians.means), 16)
     featured = replace(gaussians, features=torch.ones(shape, device=gaussians.means.device))
     with_ids = replace(OPTIONS, with_ids=True)
@@ -63,7 +63,7 @@ def passes(draw: Rasterizer, gaussians: GaussianTensors, camera: Camera) -> dict
 
 
 def median_ms(function: Callable[[], Tensor], repeats: int = 15) -> float:
-    """Median wall time after two unmeasured calls, [ms]."""
+    """Measure the median wall time after two unmeasured calls, [ms]."""
     times = []
     for _ in range(repeats + 2):
         start = time.perf_counter()
@@ -74,7 +74,7 @@ def median_ms(function: Callable[[], Tensor], repeats: int = 15) -> float:
 
 
 def rows_of(count: int, size: tuple[int, int], rasterizers: dict[str, tuple[Rasterizer, str]]) -> list[list]:
-    """One row of the table for every rasterizer; the images are compared with the first one's."""
+    """Make one row of the table for every rasterizer; the images are compared with the first one's."""
     scene, camera = table_top(count, 3), table_camera(*size)
     rows, pictures = [], []
     for name, (draw, device) in rasterizers.items():

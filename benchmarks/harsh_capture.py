@@ -1,4 +1,4 @@
-"""A worse copy of a capture, as phones and labs make them, with the same ground truth."""
+"""A degraded copy of a capture, as phones and labs make them, with the same ground truth."""
 
 import re
 import shutil
@@ -18,38 +18,38 @@ from aomgen.io.images import encode_jpeg, encode_png, read_image, read_labels
 from aomgen.io.video import encode_video, read_video
 from synthetic.world import joints_csv
 
-# Stated focal length against the true one, as a share, and a lens distortion that is not stated.
+# Error of the stated focal length, as a share, and a lens distortion that is not stated.
 FOCAL_SHARE, K1 = 0.01, -0.03
-# Zero of each joint, [rad]: what a mastered arm still has.
+# Zero offset of each joint, [rad]: the residual of a calibrated arm.
 JOINT_ZERO_RAD = np.deg2rad(0.25)
-# Exposure and white balance of a phone on automatic, relative spread of each image.
+# Exposure and white balance of a phone with automatic exposure, relative spread of each image.
 GAIN_SPREAD, COLOR_SPREAD = 0.12, 0.04
 # Share of blurred stills, and the camera's motion during the exposure, as a share of the width.
 BLURRED_SHARE, BLUR_SHARE = 0.25, 0.008
 JPEG_QUALITY, VIDEO_CRF = 70, 30
-# Log: jitter of its stamps, [s], and share of the rows that get lost.
+# Log: jitter of its time stamps, [s], and share of lost rows.
 STAMP_JITTER_S, LOST_SHARE = 0.003, 0.01
-# Prompts of a person: boxes off by a share of their size, clicks by a number of pixels.
+# Errors of a person's prompts: boxes by a share of their size, clicks by a number of pixels.
 BOX_SHARE, CLICK_PX = 0.03, 3.0
 
 Image8 = NDArray[np.uint8]
 
 
 def degrade_capture(source: Path, target: Path, rng: np.random.Generator) -> None:
-    """Write a worse copy of a capture of stills with stated intrinsics and one fixed camera.
+    """Write a degraded copy of a capture of stills with stated intrinsics and one fixed camera.
 
-    Stills and video have one size and one lens. Everything goes wrong at once: stated focal lengths, lens, joint zeros, exposure, colors, blur,
-    compression, stamps and rows of the log, boxes and clicks. `truth/` stays, its label images seen
-    through the lens.
+    Stills and video have one size and one lens. All errors occur at once: stated focal lengths, lens, joint
+    zeros, exposure, colors, blur, compression, time stamps and lost rows of the log, boxes and clicks.
+    `truth/` is kept, with its label images distorted by the lens.
 
     Args:
         source: A clean capture.
         target: Created or replaced.
-        rng: Draws what is wrong by how much.
+        rng: Draws the errors.
 
     Raises:
         InputError: The source cannot be read.
-        StorageError: The disk refuses.
+        StorageError: A file cannot be written.
     """
     capture = read_capture(source)
     source_pixels = _source_pixels(_lens(capture))
@@ -78,9 +78,9 @@ def _lens(capture: Recording) -> Lens:
 
 
 def _source_pixels(lens: Lens) -> Array:
-    """For every pixel of a bent image, the point (H, W, 2) of the straight one that it shows, [px].
+    """Compute the point (H, W, 2) of the undistorted image that every pixel of a distorted one shows, [px].
 
-    Beyond the border there is nothing to show: its pixels are repeated.
+    Beyond the border, its pixels are repeated.
     """
     u, v = np.meshgrid(np.arange(lens.width) + 0.5, np.arange(lens.height) + 0.5)
     straight = replace(lens, k1=0.0)
@@ -89,7 +89,7 @@ def _source_pixels(lens: Lens) -> Array:
 
 
 def _moved(image: Image8, rng: np.random.Generator) -> Image8:
-    """Some images are smeared along a row or a column."""
+    """Smear some images along a row or a column."""
     if rng.uniform() > BLURRED_SHARE:
         return image
     length = max(2, round(BLUR_SHARE * image.shape[1]))

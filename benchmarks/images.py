@@ -1,4 +1,4 @@
-"""Scores renders of a finished run's twin against the capture's own images and true masks."""
+"""Scores of renderings of a finished run's twin against the capture's own images and true masks."""
 
 from collections.abc import Callable, Collection
 from dataclasses import dataclass
@@ -31,7 +31,7 @@ class TrueMasks:
 
     Attributes:
         folder: `truth/masks/<camera>`, masks of the images as photographed.
-        lens: What bends those images; None = nothing. The product's images are straight.
+        lens: Lens of those images; None without distortion. The product's images are undistorted.
     """
 
     folder: Path
@@ -42,7 +42,7 @@ class TrueMasks:
         return (self.folder / f"{stem}.png").is_file()
 
     def read(self, stem: str) -> NDArray[np.uint8]:
-        """Labels (H, W) of the undistorted image.
+        """Read the labels (H, W) of the undistorted image.
 
         Raises:
             MissingFileError: There is none.
@@ -52,7 +52,7 @@ class TrueMasks:
 
 
 def is_heldout(index: int) -> bool:
-    """Return whether the scan image at this index in name order is kept for evaluation."""
+    """Return whether the scan image at this index in name order is held out for evaluation."""
     return index % 8 == 4
 
 
@@ -63,10 +63,10 @@ def score_scan(
     masks: TrueMasks,
     render: RenderTwin,
 ) -> tuple[dict[str, Any], dict[str, list[float]]]:
-    """PSNR and SSIM of the held-out scan views, and part IoUs there.
+    """Compute PSNR and SSIM of the held-out scan views, and part IoUs there.
 
     Returns:
-        Figures by dotted name, and IoUs by part (one a view) to be pooled with the video's.
+        Metrics by dotted name, and IoUs by part (one per view), to be pooled with the video's.
     """
     values: dict[str, list[float]] = {"psnr": [], "ssim": [], "objects": []}
     ious: dict[str, list[float]] = {name: [] for name in PARTS}
@@ -102,16 +102,15 @@ def score_replay(
     render: RenderTwin,
     fitted: Collection[int],
 ) -> tuple[dict[str, Any], dict[str, list[float]]]:
-    """PSNR of the twin's replay against frames it was not fitted to, split by true masks; IoUs on
-    every 5th frame.
+    """Compute PSNR of the twin's replay against unfitted frames, by true masks, and IoUs on every 5th frame.
 
     Args:
         video: The demonstration video.
         camera: Its estimated camera, world frame.
         states: Estimated state at every frame.
         masks: True masks of its frames.
-        render: Draws the twin.
-        fitted: Frames that the twin's looks were fitted to.
+        render: Renders the twin.
+        fitted: Frames to which the twin's appearance was fitted.
     """
     unseen = sorted(set(range(len(states))) - set(fitted))
     errors: dict[str, list[NDArray]] = {"robot": [], "moving": [], "rest": []}
@@ -136,7 +135,7 @@ def score_replay(
 
 
 def pooled_ious(*sources: dict[str, list[float]]) -> dict[str, float | None]:
-    """Mean and 10th percentile of each part's IoUs over all scored images."""
+    """Compute mean and 10th percentile of each part's IoUs over all scored images."""
     figures: dict[str, float | None] = {}
     for name in PARTS:
         values = [value for source in sources for value in source[name]]
@@ -154,7 +153,7 @@ def add_ious(ious: dict[str, list[float]], labels: NDArray[np.uint8], true: NDAr
 
 
 def masked_psnr(image: NDArray[np.uint8], real: NDArray[np.uint8], mask: NDArray[np.bool_]) -> float:
-    """PSNR over the masked pixels, [dB]; nan for an empty mask."""
+    """Compute the PSNR over the masked pixels, [dB]; nan for an empty mask."""
     if not mask.any():
         return float("nan")
     difference = (image[mask].astype(np.float64) - real[mask]) / 255

@@ -1,10 +1,10 @@
-"""Grippers that hold a part while it moves: they slide, give way and tilt as in contact simulations.
+"""Grippers that hold a part while it moves: they slide, yield and tilt as in contact simulations.
 
-Sizes are those measured (60 doors, 15 drawers with firm grasps, 50 of five categories): over a door's opening
-the grasp slips 1 mm outwards and 1.5 mm along the bar, the handle turns by up to 0.4 of the door's turn
-in the fingers, the gripper tilts by 0.15 degrees. A straight pull slips along the fingers' pads only. In
-most worlds the gripper slides along the bar besides, by up to 11 mm. Loose grasps slip by up to 15 mm and
-tilt by degrees.
+Magnitudes are measured (60 doors, 15 drawers with firm grasps, 50 of five categories): while a door
+opens, the grasp slips 1 mm outwards and 1.5 mm along the bar, the handle rotates in the fingers by up to
+0.4 of the door's rotation, the gripper tilts by 0.15 degrees. A straight pull slips along the fingers'
+pads only. In most worlds the gripper also slides along the bar, by up to 11 mm. Loose grasps slip by up
+to 15 mm and tilt by degrees.
 """
 
 import numpy as np
@@ -15,25 +15,29 @@ from aomgen.core.values import Array
 
 # A slow grasp slips by at most this per travel, [m/m].
 MAX_SLIP_RATE = 0.05
-# Share of grippers that slide along the bar as people let them, the largest distance [m], and by which share of that
-# they give way across it, along their pads.
+# Share of grippers that slide along the bar as those of human operators do, the largest distance [m], and the
+# share of that by which they yield across it, along their pads.
 SLIDING = 0.6
 MAX_SLIDE_M = 0.011
 ASIDE = (0.3, 1.2)
-# Share of pulls with fingers that close along the motion, and the lean of the gripper about the bar else, [rad].
+# Share of pulls with fingers that close along the motion, and otherwise the tilt of the
+# gripper about the bar, [rad].
 CLOSING_ALONG = {"revolute": 0.6, "prismatic": 0.4}
 MAX_LEAN_RAD = 0.4
-# Firm fingers let a straight pull slip by this per travel in the direction in which they close, [m/m].
+# Slip per travel of firm fingers in a straight pull along their closing direction, [m/m].
 CLOSING_RATE = 0.0003
 LOG_HZ = 100.0
-# White noise of end effector poses from a joint log (0.5 mrad a joint), [m], [rad].
+# White noise of end effector poses from a joint log (0.5 mrad per joint), [m], [rad].
 LOG_SD_M, LOG_SD_RAD = 0.00025, 0.0007
 
 
 def hand_in_part(
     joint: Joint, handle: Array, thetas: Array, rng: np.random.Generator, *, loose: bool
 ) -> tuple[Array, Array, Array]:
-    """End effector poses (T, 4, 4) in the part's frame (as at value 0); held point and closing direction in the end effector's frame."""
+    """Compute end effector poses (T, 4, 4) in the part's frame (as at value 0).
+
+    Returned with them are the held point and the closing direction in the end effector's frame.
+    """
     share = thetas / joint.upper
     bar, closing, pads = _fingers(joint, handle, rng)
     length = joint.upper * (_radius(joint, handle) if joint.type == "revolute" else 1.0)
@@ -44,7 +48,7 @@ def hand_in_part(
     lag = rng.uniform(0.001, 0.003) * (0.5 * np.minimum(1, share / 0.03) + 0.5 * speed / speed.max())
     slip = slip - np.outer(lag * (1 + 0.1 * _slow(share, rng)), tangent)
     slip = slip + np.outer(0.03 * lag, rng.normal() * across + rng.normal() * along)
-    # The handle turns in the fingers, about nearly the joint's axis.
+    # The handle rotates in the fingers, about nearly the joint's axis.
     tilt = np.radians(1.5 if loose else 0.15)
     turns = np.stack([_slow(share, rng) for _ in range(3)], 1) * tilt
     if joint.type == "revolute":
@@ -66,15 +70,16 @@ def _slips(
     *,
     loose: bool,
 ) -> Array:
-    """Slow slip (T, 3) of the gripper along the part, [m].
+    """Draw the slow slip (T, 3) of the gripper along the part, [m].
 
-    Ways are outwards or along the pads, along the bar, and in which the fingers close (3,).
+    The directions `ways` are outwards or along the pads, along the bar, and the fingers' closing direction
+    (3,).
     """
     worst = rng.uniform(0.2, 1.0, 2) * min(0.015, MAX_SLIP_RATE * length_m)
     if joint_type == "revolute":
         sizes = np.append(worst if loose else np.array([0.001, 0.0017]) * length_m / 0.34, 0.0)
     else:
-        # A handle that does not turn in the fingers slips less: drawers by 0.2 mm over 0.18 m.
+        # A handle that does not rotate in the fingers slips less: drawers by 0.2 mm over 0.18 m.
         usual = 0.3 * worst if loose else np.array([0.0009, 0.0015]) * length_m
         sizes = np.append(usual, CLOSING_RATE * length_m)
     slip = np.stack([size * _slow(share, rng) for size in sizes], 1) @ np.stack(ways)
@@ -87,7 +92,7 @@ def _slips(
 
 
 def _held_frame(joint: Joint, handle: Array) -> tuple[Array, Array, Array]:
-    """Outwards, along the axis (or two directions across the way) and forwards (3,) at the handle."""
+    """Return directions (3,) at the handle: outwards, along the axis (or two lateral ones), forwards."""
     if joint.type == "prismatic":
         upright = np.array([0.0, 0.0, 1.0] if abs(joint.axis[2]) < 0.9 else [1.0, 0.0, 0.0])
         side = np.asarray(np.cross(joint.axis, upright), np.float64)
@@ -99,7 +104,7 @@ def _held_frame(joint: Joint, handle: Array) -> tuple[Array, Array, Array]:
 
 
 def _fingers(joint: Joint, handle: Array, rng: np.random.Generator) -> tuple[Array, Array, Array]:
-    """Along the bar, in which the fingers close, and along their pads across the bar (3,)."""
+    """Return directions (3,): along the bar, of closing fingers, and along their pads across the bar."""
     across, bar, tangent = _held_frame(joint, handle)
     if joint.type == "prismatic" and rng.random() < 0.5:
         across, bar = bar, across
@@ -114,16 +119,16 @@ def _radius(joint: Joint, handle: Array) -> float:
 
 
 def _slow(share: Array, rng: np.random.Generator, steady: float = 1.0) -> Array:
-    """A slow course (T,) whose end has a standard deviation of `steady`: a steady part, a bend, a wave.
+    """Draw a slow curve (T,) whose end has a standard deviation of `steady`: a steady part, a bend, a wave.
 
-    Measured: the middle of the path is off the steady course by 0.15 to 0.3 of the end's deviation.
+    Measured: the middle of the path deviates from the steady curve by 0.15 to 0.3 of the end's deviation.
     """
     steady, bend, wave = rng.normal(size=3) * [steady, 0.9, 0.15]
     return steady * share + bend * share * (1 - share) + wave * np.sin(2 * np.pi * share)
 
 
 def logged(Ts_world_ee: Array, rng: np.random.Generator) -> Array:
-    """The end effector's poses (T, 4, 4) as a joint log has them."""
+    """Add the noise of a joint log to end effector poses (T, 4, 4)."""
     noise = transform(
         matrix_from_rotvec(rng.normal(size=(len(Ts_world_ee), 3)) * LOG_SD_RAD),
         rng.normal(size=(len(Ts_world_ee), 3)) * LOG_SD_M,

@@ -19,13 +19,13 @@ class IntervalRow:
     """Result of one world.
 
     Attributes:
-        seed: Of the world.
+        seed: Seed of the world.
         kind: Its joint type.
-        loose: Whether its grasp was a bad one.
+        loose: Whether its grasp was loose.
         axis: Error and stated radius of the direction, [deg].
         origin: The same of the axis line nearest the held point, [mm]; zeros for a prismatic joint.
         values: Share of the joint values within their bounds, all of them and the last one alone, 0..1.
-        failure: "" or why there is no right result: the error's name, or "wrong type".
+        failure: "" or why there is no correct result: the error's name, or "wrong type".
     """
 
     seed: int
@@ -38,7 +38,7 @@ class IntervalRow:
 
 
 def measure_world(seed: int) -> IntervalRow:
-    """Ask for one world's joint."""
+    """Estimate one world's joint."""
     world = draw_world(seed)
     nothing = (float("inf"), 0.0)
     kind = world.joint.type
@@ -89,7 +89,7 @@ def _origin(world: JointWorld, fit: JointFit) -> tuple[float, float]:
 
 
 def interval_figures(rows: list[IntervalRow]) -> list[dict[str, Any]]:
-    """One line for each group of worlds: errors, share of intervals that hold the truth, width over error.
+    """Compute one row per group of worlds: errors, coverage of the intervals, width over error.
 
     Failures count in `worlds` and `failures` only, as they state no interval.
     """
@@ -115,7 +115,7 @@ def interval_figures(rows: list[IntervalRow]) -> list[dict[str, Any]]:
 
 
 def _figures(name: str, unit: str, pairs: Array) -> dict[str, float | None]:
-    """Coverage of errors and radii (N, 2)."""
+    """Compute the coverage of errors and radii (N, 2)."""
     keys = (f"{name}_{unit}", f"{name}_{unit}_p90", f"{name}_held", f"{name}_width")
     if not len(pairs):
         return dict.fromkeys(keys)

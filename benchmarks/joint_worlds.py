@@ -1,6 +1,6 @@
 """Joints behind an end effector's path, with truth: test data of AOMotion's joint estimate, without images.
 
-One world in seven has a loose grasp. Geometry is off by what reconstructed parts are off by.
+One world in seven has a loose grasp. The geometry has the errors of reconstructed parts.
 """
 
 from dataclasses import dataclass
@@ -17,25 +17,25 @@ from benchmarks.joint_hands import LOG_HZ, hand_in_part, logged
 DOORS = 0.65
 LOOSE = 0.15
 MISLED = 0.1
-# Error of the first guess of the held point in each direction (patches of 25 simulated demonstrations are off by
-# 8.6 mm in all, root mean square), [m].
+# Error of the first estimate of the held point in each direction (patches of 25 simulated demonstrations have
+# an error of 8.6 mm in all, root mean square), [m].
 GRASP_SD_M = 0.005
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class JointWorld:
-    """One hidden joint and what is seen of it.
+    """One hidden joint and its observations.
 
     Attributes:
         joint: World frame, axis positive in the demonstrated direction.
         held_world: Point of the part that the gripper held at first (3,), [m].
         Ts_world_ee: End effector poses (T, 4, 4) by the log, start to end of the motion.
         thetas: True joint values (T,), 0 at first.
-        grasp_ee: First guess of the held point (3,), end-effector frame, [m].
+        grasp_ee: First estimate of the held point (3,), end-effector frame, [m].
         closing_ee: Unit direction in which the fingers close (3,), same frame.
         points_moving, points_static: Reconstructed parts (N, 3), world frame, [m].
-        loose: Whether the grasp was a bad one.
-        misled: Whether the parts' boxes say nothing about the joint.
+        loose: Whether the grasp was loose.
+        misled: Whether the parts' boxes are unrelated to the joint.
     """
 
     joint: Joint
@@ -53,11 +53,11 @@ class JointWorld:
 
 
 def draw_world(seed: int, joint_type: JointType | None = None, travel: float | None = None) -> JointWorld:
-    """A joint, an object around it, a demonstration and what is reconstructed of all.
+    """Draw a joint, an object around it, a demonstration and their reconstruction.
 
     Args:
-        seed: Same seed, same world.
-        joint_type, travel: Given instead of drawn, [rad] or [m].
+        seed: Equal seeds give equal worlds.
+        joint_type, travel: Given values instead of drawn ones, [rad] or [m].
     """
     rng = np.random.default_rng([seed, 77])
     drawn: JointType = "revolute" if rng.random() < DOORS else "prismatic"
@@ -88,7 +88,7 @@ def draw_world(seed: int, joint_type: JointType | None = None, travel: float | N
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Box:
-    """An object in its own frame: the moving part is a box from `low` to `high`, its body stands behind (+y)."""
+    """An object in its own frame: its moving part is a box from `low` to `high` before its body (+y)."""
 
     low: Array
     high: Array
@@ -99,9 +99,9 @@ class _Box:
 
 
 def _draw_box(rng: np.random.Generator, kind: JointType) -> _Box:
-    """Front towards -y. A door turns about one of its four sides, a drawer comes out forwards or slides.
+    """Draw a box with its front towards -y: a door on one of its four sides, a drawer, or a sliding panel.
 
-    The handle is opposite the hinge; hinges are a little inside the edge, anywhere in the thickness.
+    The handle is opposite the hinge; hinges are slightly inside the edge, anywhere in the thickness.
     """
     reach = rng.uniform(0.15, 0.60)
     other = rng.uniform(0.12, 0.45)
@@ -133,7 +133,7 @@ def _draw_box(rng: np.random.Generator, kind: JointType) -> _Box:
 
 
 def _progress(rng: np.random.Generator) -> Array:
-    """Share of the travel (T,) over 2 to 5 s at the log's rate; minimum jerk, a third with a pause."""
+    """Draw the share of the travel (T,) over 2 to 5 s: minimum jerk, a third with a pause."""
     count = int(rng.uniform(2.0, 5.0) * LOG_HZ)
     u = np.linspace(0.0, 1.0, count)
     share = u**3 * (10 - 15 * u + 6 * u**2)
@@ -144,14 +144,14 @@ def _progress(rng: np.random.Generator) -> Array:
 
 
 def _reconstructed(box: _Box, rng: np.random.Generator, *, misled: bool) -> tuple[Array, Array]:
-    """Points of both parts: faces off by millimetres, the whole tilted, the handle sticking out; or nonsense."""
+    """Sample points of both parts with displaced faces, a tilt and a handle; or unrelated ones."""
     low = box.low + rng.normal(size=3) * 0.006
     high = np.maximum(box.high + rng.normal(size=3) * 0.006, low + 0.002)
     moving = _surface(low, high, 600, rng)
     moving = np.concatenate([moving, box.handle + rng.normal(size=(40, 3)) * [0.01, 0.004, 0.02]])
     behind = np.array([0.0, high[1] - low[1], 0.0])
     static = _surface(low + behind, high + [0.05, box.depth_m, 0.05], 1500, rng)
-    # Yaw of what is seen of the object, tilt of the alignment.
+    # The rotation combines the yaw error of a partly seen object and the tilt of the alignment.
     tilt = rng.normal(size=3) * np.radians([0.2, 0.2, rng.uniform(0.2, 1.5)])
     if misled:
         tilt = rng.normal(size=3)
@@ -163,7 +163,7 @@ def _reconstructed(box: _Box, rng: np.random.Generator, *, misled: bool) -> tupl
 
 
 def _surface(low: Array, high: Array, count: int, rng: np.random.Generator) -> Array:
-    """Points (N, 3) on the box's faces."""
+    """Sample points (N, 3) on the box's faces."""
     points = rng.uniform(low, high, (count, 3))
     face = rng.integers(0, 3, count)
     side = np.where(rng.random(count) < 0.5, 0, 1)
@@ -172,7 +172,7 @@ def _surface(low: Array, high: Array, count: int, rng: np.random.Generator) -> A
 
 
 def _anywhere(rng: np.random.Generator) -> Array:
-    """A place on a table: yaw and shift; a fifth leans, as objects on wedges do."""
+    """Draw a pose on a table: yaw and shift; a fifth is tilted, as objects on wedges are."""
     lean = np.radians(rng.uniform(5, 40)) if rng.random() < 0.2 else 0.0
     R = matrix_from_rotvec([0, 0, rng.uniform(-np.pi, np.pi)]) @ matrix_from_rotvec([lean, 0, 0])
     return transform(R, rng.uniform(-0.5, 0.5, 3))
@@ -183,5 +183,5 @@ def _unit(vector: Array) -> Array:
 
 
 def in_part(world: JointWorld) -> Array:
-    """The held point (T, 3) in the part's frame: what slipped, for looking at a world."""
+    """Compute the held point (T, 3) in the part's frame, which shows the slip."""
     return apply(invert(world.joint.motion(world.thetas)) @ world.Ts_world_ee, world.grasp_ee)

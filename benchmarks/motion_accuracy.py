@@ -28,19 +28,19 @@ from benchmarks.motion_worlds import (
 from benchmarks.other_objects import OTHER_OBJECTS
 from benchmarks.segmented import segmented
 
-# Seeds below are for looking at while working on the methods; a score wants unseen ones.
+# Seeds below are for inspection during development; a score requires unseen ones.
 FIRST_SEED: Final = 2000
 NORMAL_95: Final = 1.96
-# Unsolvable cases, and worlds beyond the usual pinch that opens, beside every solvable world.
+# Number of unsolvable cases, and of worlds beyond an opening pinch, relative to solvable worlds.
 UNSOLVABLE_SHARE: Final = 0.4
 BEYOND_SHARE: Final = 0.2
-# "open" is done with objects beyond the five.
+# "open" uses objects beyond the five categories.
 BEYOND: Final[tuple[Kind, ...]] = ("closing", "hook", "push", "open", "open")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Case:
-    """Identity of a world: its category, seed and kind, and the group it is counted in."""
+    """Identity of a world: its category, seed and kind, and its group in the table."""
 
     category: str
     seed: int
@@ -50,15 +50,15 @@ class Case:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Outcome:
-    """One world and what a method made of it.
+    """One world and the result of a method.
 
     Attributes:
-        case: Which world.
-        joint_type: The true one.
+        case: The world.
+        joint_type: The true joint type.
         method: "ours", or a variant of the paper's.
         refusal: Name of the error, empty when there is an estimate.
-        reason: Its sentence.
-        figures: By dotted name; empty when refused.
+        reason: Message of the error.
+        figures: Metrics by dotted name; empty when refused.
         moving_share: Share of the video in which the part moves.
         seconds: Processor time of the estimate.
     """
@@ -83,12 +83,12 @@ class Outcome:
         return self.refusal in UNSOLVABLE.get(self.case.kind, ())
 
     def error(self, name: str) -> float:
-        """A figure; infinite where the method failed."""
+        """Return a metric; infinite where the method failed."""
         value = self.figures.get(name)
         return float("inf") if self.failed or value is None else float(value)
 
     def row(self) -> dict[str, Any]:
-        """For tables and JSON."""
+        """Return a row for tables and JSON."""
         return {
             "world": self.case.category,
             "seed": self.case.seed,
@@ -103,9 +103,9 @@ class Outcome:
 
 
 def cases(count: int, first_seed: int) -> list[Case]:
-    """A number of worlds of the five categories, then unsolvable ones, then some beyond; categories take turns.
+    """List worlds of the five categories, then unsolvable ones, then some beyond; categories alternate.
 
-    Beyond are other manners of the five, and other objects.
+    Those beyond are other kinds of motion of the five categories, and other objects.
     """
     categories = sorted(MAKERS)
     groups: tuple[tuple[str, int, Sequence[Kind]], ...] = (
@@ -116,7 +116,7 @@ def cases(count: int, first_seed: int) -> list[Case]:
     result = []
     for group, number, kinds in groups:
         for k in range(number):
-            # Kinds shift against categories, so that few cases hold many pairs.
+            # Kinds are shifted against categories, so that few cases contain many pairs.
             kind = kinds[(k + k // len(categories)) % len(kinds)]
             category = categories[k % len(categories)]
             if group == "beyond" and kind == "open":
@@ -133,13 +133,13 @@ def run_motion(
     tell: Callable[[Outcome], None],
     skipped: Callable[[Case, str], None],
 ) -> list[Outcome]:
-    """Make worlds, recover their motion, score it.
+    """Make worlds, recover and score their motion.
 
     Args:
         wanted: Requested worlds.
-        out: Keeps the worlds, which are made but once; temporary when None.
+        out: Folder of the worlds, which are made only once; temporary when None.
         tell: Receives every outcome as soon as it is known.
-        skipped: Gets every case that no demonstration was found for, with the reason; it is left out.
+        skipped: Receives every case without a demonstration, with the reason; it is left out.
     """
     outcomes = []
     with tempfile.TemporaryDirectory() as scratch:
@@ -159,7 +159,7 @@ def run_motion(
 def judged(world: MotionWorld, case: Case) -> Iterator[Outcome]:
     """Recover the motion of a world and score it: ours, then the paper's variants where there is a motion.
 
-    The paper is given true masks with a segmenter's errors, and the true type of the joint.
+    The paper's method is given true masks with a segmenter's errors, and the true joint type.
     """
     truth, times = world.truth, world.demonstration.video.times_s
     solvable = case.kind not in UNSOLVABLE
@@ -208,7 +208,7 @@ def _paper(world: MotionWorld, blank: Outcome) -> Iterator[Outcome]:
 
 
 def scored(estimate: MotionEstimate, world: MotionWorld) -> dict[str, Any]:
-    """Metrics of an estimate, with its intervals and whether it distinguishes opening from closing."""
+    """Compute metrics of an estimate, its intervals, and whether it distinguishes opening from closing."""
     times = world.demonstration.video.times_s
     figures = score_motion(motion_estimates(estimate), world.truth, times, CAMERA)
     direction = read_json(world.truth.folder / "truth.json")["direction"]
@@ -216,7 +216,7 @@ def scored(estimate: MotionEstimate, world: MotionWorld) -> dict[str, Any]:
 
 
 def intervals(estimate: MotionEstimate, world: MotionWorld, figures: dict[str, Any]) -> dict[str, Any]:
-    """Half-widths of the 95 % intervals, and the share of truth within them: 0, 1, or of the frames."""
+    """Compute half-widths of the 95 % intervals, and the share of truth in them: 0, 1, or of the frames."""
     truth = world.truth
     widths = {"axis_deg": np.degrees(estimate.axis_ci95_rad)}
     inside = {"axis": figures["joint.axis_deg"] <= widths["axis_deg"]}

@@ -1,4 +1,4 @@
-"""The paper's motion recovery beside ours, on a finished run."""
+"""The paper's motion recovery and ours, on a finished run."""
 
 from typing import Any
 
@@ -25,9 +25,9 @@ REFUSAL = "refusal"
 
 
 def paper_variants(joint_type: JointType) -> dict[str, PaperMotionParams]:
-    """As printed; with a threshold that fires; and with the signs that the text means as well.
+    """Return parameters as printed; with a threshold that fires; and also with the text's signs.
 
-    The middle one shows what the printed signs do where the printed threshold refuses.
+    The middle one shows the effect of the printed signs where the printed threshold refuses.
     """
     return {
         "printed": PaperMotionParams(joint_type=joint_type),
@@ -39,7 +39,7 @@ def paper_variants(joint_type: JointType) -> dict[str, PaperMotionParams]:
 def paper_estimates(
     demonstration: MotionInput, masks: PartMasks, joint_type: JointType
 ) -> dict[str, dict[str, Any]]:
-    """Result of each variant, as entries of estimates.json; refused ones have the reason under "refusal"."""
+    """Compute each variant's entries of estimates.json; refused ones have the reason under "refusal"."""
     answers = {}
     for name, params in paper_variants(joint_type).items():
         try:
@@ -50,14 +50,14 @@ def paper_estimates(
 
 
 def paper_motion_figures(results: Results, truth: Truth, masks: TrueMasks) -> dict[str, Any]:
-    """Figures of the paper's motion recovery on a finished run, under names of their own.
+    """Compute metrics of the paper's motion recovery on a finished run, under separate names.
 
-    The paper takes masks and the type of the joint as given: masks are the true ones with a segmenter's
+    The paper's method is given masks and joint type: masks are the true ones with a segmenter's
     errors, the type is the true one.
 
     Args:
-        results: Of a run that is finished up to its motion.
-        truth: Of the capture.
+        results: Results of a run that is finished up to its motion.
+        truth: Truth of the capture.
         masks: True masks of the first camera's video.
     """
     demonstration = motion_input(results, results.scene, results.parts.labels)
@@ -73,7 +73,7 @@ def paper_motion_figures(results: Results, truth: Truth, masks: TrueMasks) -> di
 
 
 def motion_methods_table(figures: dict[str, Any]) -> str:
-    """One row a figure, a column for our estimator and for each variant of the paper's."""
+    """Format one row per metric, a column for our estimator and for each variant of the paper's."""
     variants = tuple(paper_variants("revolute"))
     names = [name for name in figures if name.startswith(GROUPS)]
     rows = [

@@ -1,4 +1,4 @@
-"""A scene as a scan leaves it behind: Gaussians where the walk saw surface, off by what reconstructions are off."""
+"""A scene as a scan represents it: Gaussians on the visible surfaces, with the errors of reconstructions."""
 
 from dataclasses import dataclass
 from typing import Final
@@ -22,12 +22,12 @@ from benchmarks.motion_upstream import SolidStatistics, Upstream
 # Distance between neighboring Gaussians by label, [m]; with these the counts are those of finished runs:
 # moving 1900-3300, static 5800-10600, robot 17000-20000, everything else about 70000.
 SPACING_M: Final = {MOVING: 0.0065, STATIC: 0.0075, ROBOT: 0.0068}
-# On bars a training puts more: 40-80 solid ones on a handle.
+# Training puts more Gaussians on bars: 40-80 solid ones on a handle.
 BAR_SPACING_M: Final = 0.004
-# Spacing of the background: near the table, and as share of the distance from it.
+# Spacing of the background: near the table, and as a share of the distance from it.
 NEAR_SPACING_M: Final = 0.012
 FAR_SPACING_SHARE: Final = 0.03
-# Depth steps larger than this share of the depth are outlines, not slopes.
+# Larger depth steps, as a share of the depth, are outlines, not slopes.
 OUTLINE_SHARE: Final = 0.02
 # Iterations that fit colors and opacities to the scan's images.
 LESSONS: Final = 220
@@ -35,7 +35,7 @@ LESSONS: Final = 220
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Surface:
-    """Points that the scan saw, world frame; N of each.
+    """Points that the scan shows, world frame; N of each.
 
     Attributes:
         points: (N, 3), [m].
@@ -50,7 +50,7 @@ class Surface:
     labels: NDArray[np.uint8]
 
     def select(self, which: NDArray) -> "Surface":
-        """The points of a mask or an index array."""
+        """Select the points of a mask or an index array."""
         return Surface(
             points=self.points[which],
             normals=self.normals[which],
@@ -62,14 +62,14 @@ class Surface:
 def seen_surface(
     painter: SceneRenderer, cameras: list[Camera], qpos: Array, middle: Array, rng: np.random.Generator
 ) -> tuple[Surface, list[NDArray[np.uint8]]]:
-    """Unproject the images of a walk, thin the points to the density of a reconstruction.
+    """Unproject the images of a walk and reduce the points to the density of a reconstruction.
 
     Args:
-        painter: Of the compiled world.
+        painter: Renderer of the compiled world.
         cameras: The walk.
         qpos: State (nq,) of the world during the scan.
-        middle: Where the object stands (3,), world frame, [m].
-        rng: Chooses which points stay.
+        middle: Position of the object (3,), world frame, [m].
+        rng: Chooses the remaining points.
 
     Returns:
         The surface and the clean images.
@@ -107,7 +107,7 @@ def _unprojected(
 
 
 def _slope(points: Array, depths: Array, axis: int) -> Array:
-    """Difference to the neighbor (H, W, 3) on that side where the depth changes less."""
+    """Compute the difference to the neighbor (H, W, 3) on the side where the depth changes less."""
     ahead, behind = np.roll(points, -1, axis) - points, points - np.roll(points, 1, axis)
     step_ahead, step_behind = (
         np.abs(np.roll(depths, -1, axis) - depths),
@@ -119,7 +119,7 @@ def _slope(points: Array, depths: Array, axis: int) -> Array:
 
 
 def spacings(points: Array, labels: NDArray[np.uint8], middle: Array) -> Array:
-    """Required distance between neighbors (N,), [m]."""
+    """Compute the required distance between neighbors (N,), [m]."""
     away = np.maximum(np.linalg.norm(points - middle, axis=1) - 0.6, 0.0)
     result = np.maximum(NEAR_SPACING_M, FAR_SPACING_SHARE * away)
     for label, spacing in SPACING_M.items():
@@ -128,13 +128,13 @@ def spacings(points: Array, labels: NDArray[np.uint8], middle: Array) -> Array:
 
 
 def _thinned(surface: Surface, bars: NDArray[np.bool_], middle: Array, rng: np.random.Generator) -> Surface:
-    """One point of every cell; cells are cubes as wide as the spacing, rounded to steps of 20 %."""
+    """Keep one point of every cell; cells are cubes as wide as the spacing, rounded to steps of 20 %."""
     order = rng.permutation(len(surface.points))
     points, labels = surface.points[order], surface.labels[order]
     wanted = np.where(bars[order], BAR_SPACING_M, spacings(points, labels, middle))
     steps = np.round(np.log(wanted) / np.log(1.2))
     cells = np.floor((points - middle) / (1.2**steps)[:, None]).astype(np.int64)
-    # One number a cell: 2^17 cells along each axis, 2^8 steps and labels.
+    # Each cell gets one number: 2^17 cells along each axis, 2^8 steps and labels.
     kinds = 4 * (steps - steps.min()).astype(np.int64) + labels
     keys = ((cells + (1 << 16)) << np.array([0, 17, 34])).sum(1) + (kinds << 51)
     _, first = np.unique(keys, return_index=True)
@@ -142,7 +142,7 @@ def _thinned(surface: Surface, bars: NDArray[np.bool_], middle: Array, rng: np.r
 
 
 def displaced(surface: Surface, upstream: Upstream, rng: np.random.Generator) -> Array:
-    """Places (N, 3) of the reconstructed surface: off along the normal, in patches."""
+    """Displace the reconstructed surface along its normals, in patches; returns positions (N, 3)."""
     places = surface.points.copy()
     draws = _patchy(surface.points, upstream, rng)
     thin = _on_bars(surface)
@@ -156,7 +156,7 @@ def displaced(surface: Surface, upstream: Upstream, rng: np.random.Generator) ->
 
 
 def _patchy(points: Array, upstream: Upstream, rng: np.random.Generator) -> Array:
-    """Normal scores (N,): shared within a patch, and each point's own."""
+    """Draw normal scores (N,): a shared one within each patch, and one of each point."""
     cells = np.floor(points / upstream.patch_m + rng.uniform(0, 1, 3)).astype(np.int64)
     _, which = np.unique(cells, axis=0, return_inverse=True)
     shared = rng.standard_normal(int(which.max()) + 1)[which.ravel()]
@@ -165,7 +165,7 @@ def _patchy(points: Array, upstream: Upstream, rng: np.random.Generator) -> Arra
 
 
 def _on_bars(surface: Surface) -> NDArray[np.bool_]:
-    """Points of the moving part (N,) behind which, within 2.5 cm, its other side is seen as well: handles."""
+    """Find points of the moving part (N,) with its opposite surface within 2.5 cm behind them: handles."""
     result = np.zeros(len(surface.points), bool)
     moving = np.flatnonzero(surface.labels == MOVING)
     if not len(moving):
@@ -178,7 +178,7 @@ def _on_bars(surface: Surface) -> NDArray[np.bool_]:
 
 
 def raw_gaussians(surface: Surface, middle: Array, upstream: Upstream, rng: np.random.Generator) -> Gaussians:
-    """Gaussians (N) of the measured shapes and opacities at displaced points."""
+    """Make Gaussians (N) of the measured shapes and opacities at displaced points."""
     count = len(surface.points)
     statistics: SolidStatistics = upstream.walls
     opacities = statistics.opacities(rng.random(count))
@@ -204,9 +204,9 @@ def raw_gaussians(surface: Surface, middle: Array, upstream: Upstream, rng: np.r
 def learned(
     gaussians: Gaussians, cameras: list[Camera], images: list[NDArray[np.uint8]], rng: np.random.Generator
 ) -> Gaussians:
-    """Colors and opacities fitted to the scan's images; positions stay where they are.
+    """Fit colors and opacities to the scan's images; positions are fixed.
 
-    All Gaussians stay, in order, however faint.
+    All Gaussians are kept, in order, whatever their opacity.
     """
     params = TrainingParams(
         iterations=LESSONS,

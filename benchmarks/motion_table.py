@@ -14,7 +14,7 @@ from benchmarks.table import as_table
 SHARES: Final = (0.05, 0.80)
 # A stated interval may be this many times as wide as the median error.
 WIDEST: Final = 3.0
-# Bounds between which moving shares are grouped, and what an error of start or end may be, [s].
+# Bounds of the groups of moving shares, and largest error of start or end, [s].
 FRACTIONS: Final = (0.0, 0.05, 0.2, 0.4, 0.6, 0.8, 1.0)
 SOON_S: Final = 0.2
 COUNTS: Final = (
@@ -30,7 +30,7 @@ COUNTS: Final = (
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MotionBar:
-    """Limits on a figure; None where nothing is asked."""
+    """Limits on a metric; None where there is no limit."""
 
     median: float | None
     p90: float | None = None
@@ -50,7 +50,7 @@ OF_TYPE: Final = {"joint.origin_mm": "revolute", "theta.rmse_deg": "revolute", "
 
 
 def percentile(values: Sequence[float], share: float) -> float | None:
-    """Linear percentile where infinities are failures; None where it falls on one, or nothing is there."""
+    """Compute the linear percentile of values; None where it is an infinity (failure), or without values."""
     if not values:
         return None
     ordered = np.sort(np.asarray(values, np.float64))
@@ -62,7 +62,7 @@ def percentile(values: Sequence[float], share: float) -> float | None:
 
 
 def summaries_of(outcomes: Sequence[Outcome]) -> dict[str, dict[str, Any]]:
-    """`summary` of ours on all solvable worlds, of other methods, of ours by category, and beyond by kind."""
+    """Compute `summary` of ours on solvable worlds, of other methods, and of ours by category and kind."""
     groups: dict[str, list[Outcome]] = {"all": []}
     for outcome in sorted(
         outcomes, key=lambda outcome: (outcome.case.group == "beyond", outcome.method != "ours")
@@ -79,7 +79,7 @@ def summaries_of(outcomes: Sequence[Outcome]) -> dict[str, dict[str, Any]]:
 
 
 def unsolvable_of(outcomes: Sequence[Outcome]) -> list[dict[str, Any]]:
-    """One row a kind of unsolvable world, then all: how many were refused, and for the right reason."""
+    """Make one row per kind of unsolvable world, then all: refusals, and those with the right reason."""
     asked = [o for o in outcomes if o.case.group == "unsolvable" and o.method == "ours"]
     kinds = sorted({outcome.case.kind for outcome in asked})
     groups = {kind: [o for o in asked if o.case.kind == kind] for kind in kinds} | {"all": asked}
@@ -99,7 +99,7 @@ def unsolvable_of(outcomes: Sequence[Outcome]) -> list[dict[str, Any]]:
 
 
 def fractions_of(outcomes: Sequence[Outcome]) -> list[dict[str, Any]]:
-    """Errors of start and end against the share of the video in which the part moves."""
+    """Compute errors of start and end against the share of the video in which the part moves."""
     asked = [o for o in outcomes if o.case.group == "solvable" and o.method == "ours"]
     rows = []
     for low, high in pairwise(FRACTIONS):
@@ -114,7 +114,7 @@ def fractions_of(outcomes: Sequence[Outcome]) -> list[dict[str, Any]]:
 
 
 def told(outcome: Outcome) -> str:
-    """One line of progress."""
+    """Format one line of progress."""
     case = outcome.case
     name = f"{case.category}-{case.seed} {case.kind} {outcome.method} {outcome.seconds:.1f} s"
     if outcome.refusal:
@@ -126,7 +126,7 @@ def told(outcome: Outcome) -> str:
 
 
 def summary(outcomes: Sequence[Outcome]) -> dict[str, Any]:
-    """Median and 90th percentile of every figure with counts, of one method."""
+    """Compute median and 90th percentile of every metric with counts, of one method."""
     figures: dict[str, Any] = {
         "worlds": len(outcomes),
         "refusals": sum(bool(outcome.refusal) for outcome in outcomes),
@@ -149,7 +149,7 @@ def summary(outcomes: Sequence[Outcome]) -> dict[str, Any]:
 
 
 def _intervals(outcomes: Sequence[Outcome]) -> dict[str, Any]:
-    """Share of truth within the stated 95 % intervals; their median half-width over the median error."""
+    """Compute the share of truth within the 95 % intervals; their median half-width over the median error."""
     result = {}
     pairs = {
         "axis": ("axis_deg", "joint.axis_deg"),
@@ -171,7 +171,7 @@ def _intervals(outcomes: Sequence[Outcome]) -> dict[str, Any]:
 
 
 def motion_table(summaries: dict[str, dict[str, Any]]) -> str:
-    """One row a figure, median / 90th percentile of every group.
+    """Format one row per metric, median / 90th percentile of every group.
 
     Args:
         summaries: `summary` by group, for example "all", "drawer", "paper".

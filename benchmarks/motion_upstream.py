@@ -1,4 +1,4 @@
-"""Errors of the stages before the motion, as measured, and their application to a true world."""
+"""Measured errors of the stages before the motion, and their application to a true world."""
 
 from dataclasses import dataclass, field
 from typing import Final
@@ -13,7 +13,7 @@ from aomgen.core.camera import Camera
 from aomgen.core.transforms import matrix_from_rotvec, similarity, transform
 from aomgen.core.values import Array
 
-# Shares at which the tables below are given.
+# Quantiles of the tables below.
 QUANTILES: Final = (0.01, 0.05, 0.25, 0.5, 0.75, 0.9, 0.95, 0.99)
 
 
@@ -23,7 +23,7 @@ class SolidStatistics:
 
     Attributes:
         offsets_mm: Distance along the outward normal at `QUANTILES`; inside is negative.
-        opacity: At `QUANTILES`.
+        opacity: Opacity at `QUANTILES`.
         scales_m: Median standard deviations, thinnest first, [m].
         size_log_sd: Spread of the size, in logarithms.
         tilt_rad: Spread of the disc's normal about each axis, [rad].
@@ -36,42 +36,43 @@ class SolidStatistics:
     tilt_rad: float = 0.35
 
     def offsets_m(self, scores: Array) -> Array:
-        """Offsets (N,), [m], of normal scores (N,)."""
+        """Compute offsets (N,), [m], from normal scores (N,)."""
         return 1e-3 * np.interp(ndtr(scores), QUANTILES, self.offsets_mm)
 
     def opacities(self, shares: Array) -> Array:
-        """Opacities (N,) of shares (N,), 0..1."""
+        """Compute opacities (N,) from shares (N,), 0..1."""
         return np.interp(shares, QUANTILES, self.opacity)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Upstream:
-    """Errors of scene, camera and clock that AOMotion is given, one standard deviation where not stated otherwise.
+    """Errors of scene, camera and clock in AOMotion's input, standard deviations unless stated otherwise.
 
     Measured on seven finished runs (synthetic captures of 320x240 to 640x480 px, three arms): the scene's
     similarity against the true one, the fixed camera against the scene, the clock against the true one,
     and solid Gaussians of both parts against the true meshes.
 
     Attributes:
-        rotation_deg: Of scene against world, about each axis; measured size .01-.12, rms .073 in all.
-        scale_pct: Of scene against world; measured .01-.12, rms .061.
-        shift_mm: Of scene against world at the object, along each axis; measured size .5-2.6, rms 1.6 in all.
-        camera_mm: Of the camera against the scene, along each axis; measured size .4-2.6, rms 1.4 in all.
-            The camera turns along, so that the object stays where it is in the image but for
-        camera_px: this, along each axis (measured size .1-.7, rms .36 in all),
-        roll_deg: and this about its optical axis; measured turns .02-.22, rms .12 in all.
-        clock_ms: Of the offset between video and log; measured .03-2.1, rms .98.
-        clock_sd_ms: What the alignment states; 1.0 on six runs, 1.4 on one.
-        walls, bars: Where and how large Gaussians are, on walls and on handles.
-        patch_m, patch_share: Width of patches that are off alike, and their share of the variance:
+        rotation_deg: Rotation of the scene about each axis; measured size .01-.12, rms .073 in all.
+        scale_pct: Scale error of the scene; measured .01-.12, rms .061.
+        shift_mm: Shift of the scene at the object, along each axis; measured size .5-2.6, rms 1.6 in all.
+        camera_mm: Shift of the camera against the scene, along each axis; measured size .4-2.6, rms 1.4 in
+            all. The camera rotates with it, so that the object keeps its image position except for
+        camera_px: this shift, along each axis (measured size .1-.7, rms .36 in all),
+        roll_deg: and this rotation about its optical axis; measured rotations .02-.22, rms .12 in all.
+        clock_ms: Error of the offset between video and log; measured .03-2.1, rms .98.
+        clock_sd_ms: Standard deviation that the alignment states; 1.0 on six runs, 1.4 on one.
+        walls, bars: Positions and sizes of Gaussians, on walls and on handles.
+        patch_m, patch_share: Width of patches with a common error, and their share of the variance:
             neighbors within 6 mm correlate by .3-.5, beyond 25 mm not at all.
-        floaters: Share of Gaussians that float before the surface; most of them fade while colors are
-            learned. Measured: 4-5 % of the solid ones of a part are further than 10 mm from all of its object.
-        floaters_mm: How far on average.
-        border_mm, border_local_mm: How far the border between the labels moving and static is moved, all
-            along and locally. Measured: 0-24 % of the moving part's solid Gaussians are labelled static
+        floaters: Share of Gaussians that float before the surface; most of them fade during the fit of the
+            colors. Measured: 4-5 % of the solid ones of a part are further than 10 mm from all of its object.
+        floaters_mm: Their mean distance.
+        border_mm, border_local_mm: Displacement of the border between the labels moving and static, as a
+            whole
+            and locally. Measured: 0-24 % of the moving part's solid Gaussians are labelled static
             (0-8 % of those further than 10 mm from the static part), 1-6 % of the static part's moving.
-        strip_share: Chance that a strip of the other part along half of the border is taken along;
+        strip_share: Probability that a strip of the other part along half of the border is included;
             measured: 6 % of the solid Gaussians labelled moving are further than 10 mm from the part on
             drawers, 15-19 % on microwaves.
         strip_mm: Width of that strip, uniform from 0.
@@ -105,11 +106,12 @@ class Upstream:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Misplacement:
-    """One draw of how scene, camera and clock are off.
+    """One sample of the errors of scene, camera and clock.
 
     Attributes:
-        S_given_world: Similarity (4, 4) from the true scene to the one given.
-        camera: As given.
+        S_given_world: Similarity (4, 4) from the true scene to the given one.
+        camera: The given camera.
+        clock_s: Error of the offset, [s].
         clock_s: Of the offset, [s].
     """
 
@@ -124,10 +126,10 @@ def draw_misplacement(
     """Draw errors of scene, camera and clock.
 
     Args:
-        upstream: How large they are.
-        camera: The true one.
-        middle: The object's place (3,), world frame, [m]; the scene turns about it.
-        rng: Draws.
+        upstream: Size of the errors.
+        camera: The true camera.
+        middle: Position of the object (3,), world frame, [m], about which the scene is rotated.
+        rng: Generator of the errors.
     """
     R = matrix_from_rotvec(np.deg2rad(upstream.rotation_deg) * rng.standard_normal(3))
     scale = 1 + upstream.scale_pct / 100 * rng.standard_normal()
@@ -144,7 +146,7 @@ def draw_misplacement(
 
 
 def _moved(upstream: Upstream, camera: Camera, middle: Array, rng: np.random.Generator) -> Camera:
-    """The camera off its place, turned so that it still has the object in nearly the same place."""
+    """Displace the camera, and rotate it so that the object stays at nearly the same image position."""
     center = camera.center + 1e-3 * upstream.camera_mm * rng.standard_normal(3)
     before, after = middle - camera.center, middle - center
     turn = np.cross(before, after) / (np.linalg.norm(before) * np.linalg.norm(after))
@@ -157,13 +159,13 @@ def _moved(upstream: Upstream, camera: Camera, middle: Array, rng: np.random.Gen
 def mislabelled(
     points: Array, labels: NDArray[np.uint8], upstream: Upstream, rng: np.random.Generator
 ) -> NDArray[np.uint8]:
-    """Labels (N,) as masks and votes give them: the border is moved, strips are taken along, some are lost.
+    """Make labels (N,) as masks and votes give them: the border is moved, strips are included, some are lost.
 
     Args:
-        points: True places (N, 3), world frame, [m].
+        points: True positions (N, 3), world frame, [m].
         labels: True labels (N,).
-        upstream: How much is wrong.
-        rng: Draws.
+        upstream: Size of the errors.
+        rng: Generator of the errors.
     """
     result = labels.copy()
     ours, others = np.flatnonzero(labels == MOVING), np.flatnonzero(labels == STATIC)
@@ -172,7 +174,7 @@ def mislabelled(
         return result
     to_moving = cKDTree(points[ours]).query(points[others])[0]
     to_static = cKDTree(points[others]).query(points[ours])[0]
-    # Positive inside the moving part, negative outside.
+    # The depth is positive inside the moving part, negative outside.
     depth = np.concatenate([to_static, -to_moving])
     border = 1e-3 * upstream.border_mm * rng.standard_normal()
     border = border + 1e-3 * upstream.border_local_mm * _waves(points[both], rng)
@@ -186,7 +188,7 @@ def mislabelled(
 
 
 def _strip(points: Array, upstream: Upstream, rng: np.random.Generator) -> Array:
-    """Displacement of the border (N,), [m]: to one side along half of it."""
+    """Draw the displacement of the border (N,), [m]: to one side along half of it."""
     direction = rng.standard_normal(3)
     heights = (points - points.mean(0)) @ (direction / np.linalg.norm(direction))
     sign = 1.0 if rng.random() < 0.5 else -1.0
@@ -194,7 +196,7 @@ def _strip(points: Array, upstream: Upstream, rng: np.random.Generator) -> Array
 
 
 def _waves(points: Array, rng: np.random.Generator) -> Array:
-    """A smooth random field (N,) of unit variance; waves of some 5 to 20 cm."""
+    """Draw a smooth random field (N,) of unit variance, with waves of about 5 to 20 cm."""
     waves = rng.standard_normal((16, 3)) * (2 * np.pi / rng.uniform(0.05, 0.20, (16, 1)))
     phases = rng.uniform(0, 2 * np.pi, 16)
     return np.sqrt(2 / 16) * np.cos(points @ waves.T + phases).sum(1)

@@ -1,6 +1,6 @@
-"""Cheap worlds for AOMotion alone: a filmed demonstration, and upstream results as wrong as real ones are.
+"""Cheap worlds for AOMotion alone: a demonstration video, and upstream results with realistic errors.
 
-The demonstration is simulated (the object moves by contact alone) and filmed as captures are; scene,
+The demonstration is simulated (the object moves by contact alone) and rendered as captures are; scene,
 labels, camera and clock are true ones perturbed by `motion_upstream.Upstream`.
 """
 
@@ -82,18 +82,18 @@ class MotionWorld:
 
 
 def motion_world(category: str, seed: int, folder: Path, kind: Kind = "open") -> MotionWorld:
-    """Load a world, made first when it is not there.
+    """Load a world, which is made first if it does not exist.
 
     Args:
-        category: One that `other_objects.make_object` knows.
-        seed: Chooses everything else.
-        folder: Where worlds are kept; this one in "<category>-<seed>", or "<category>-<seed>-<kind>".
-        kind: What is demonstrated.
+        category: A category of `other_objects.make_object`.
+        seed: Seed of all other choices.
+        folder: Folder of all worlds; this one is in "<category>-<seed>", or "<category>-<seed>-<kind>".
+        kind: Kind of the demonstration.
 
     Raises:
-        ConfigError: Unknown category, or no setting of this seed can be reached.
+        ConfigError: The category is unknown, or no setting of this seed is reachable.
         BackendError: No OpenGL driver works.
-        StorageError: The disk refuses.
+        StorageError: A file cannot be written.
     """
     place = folder / (f"{category}-{seed}" + ("" if kind == "open" else f"-{kind}"))
     if not (place / _WORLD).is_file():
@@ -135,7 +135,7 @@ def load_motion_world(place: Path) -> MotionWorld:
     """Load a world's folder.
 
     Raises:
-        MissingFileError, MalformedFileError: It is not complete.
+        MissingFileError, MalformedFileError: The folder is incomplete.
     """
     content, arrays = read_json(place / _WORLD), read_npz(place / _ARRAYS)
     fx, fy, cx, cy, width, height = content["intrinsics"]
@@ -166,7 +166,7 @@ def load_motion_world(place: Path) -> MotionWorld:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Recorded:
-    """Everything recorded of one performance, exact but for the sensors' noise."""
+    """Recorded data of one performance, exact except for the sensors' noise."""
 
     video: RecordedVideo
     fps: int
@@ -200,10 +200,10 @@ def _recorded(
 def performed(
     robot: RobotModel, category: str, seed: int, kind: Kind, rng: np.random.Generator
 ) -> Performance:
-    """A demonstration of a kind; manners are drawn until one can be done.
+    """Find a demonstration of a kind; styles are drawn until one is feasible.
 
     Raises:
-        ConfigError: None of MAX_MANNERS can.
+        ConfigError: None of MAX_MANNERS is feasible.
     """
     asset = make_object(category, seed)
     for _ in range(MAX_MANNERS - 1):
@@ -215,7 +215,7 @@ def performed(
 
 
 def draw_kind_style(kind: Kind, asset: ArticulatedAsset, rng: np.random.Generator) -> DemonstrationStyle:
-    """A random manner of a kind."""
+    """Draw a random style of a kind."""
     if kind == "short":
         style = draw_style(asset, rng)
         return replace(style, travel=SHORT[asset.joint.type], pause_s=0.0, slip_m=0.0, grip=1.0)
@@ -232,7 +232,7 @@ def draw_kind_style(kind: Kind, asset: ArticulatedAsset, rng: np.random.Generato
 
 
 def _answers(performance: Performance, video: RecordedVideo) -> dict[str, Any]:
-    """Content of truth.json, as `synthetic.write` gives it for captures."""
+    """Make the content of truth.json, as `synthetic.write` does for captures."""
     joint, demonstration, steps = performance.joint, performance.demonstration, video.schedule.steps
     theta = performance.theta[steps]
     start, end = find_moved_range(theta, joint)
@@ -265,7 +265,7 @@ def _intrinsics(camera: Camera) -> list[float]:
 
 
 def picture(world: MotionWorld) -> NDArray[np.uint8]:
-    """First frame next to the scene rendered from the same camera (H, 2 W, 3), for inspection."""
+    """Render the scene next to the first frame from the same camera (H, 2 W, 3), for inspection."""
     demonstration = world.demonstration
     drawn = render(demonstration.scene, demonstration.camera).rgb
     drawn = np.clip(np.asarray(drawn) * 255, 0, 255).astype(np.uint8)

@@ -1,4 +1,4 @@
-"""Scenes of which a part moves before a fixed camera, for render sessions."""
+"""Scenes with moving parts before a fixed camera, for render sessions."""
 
 from dataclasses import dataclass
 from typing import Annotated
@@ -19,14 +19,14 @@ PERIOD_FRAMES = 24
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MovingScene:
-    """Gaussians that stand, and P parts that swing about a vertical axis.
+    """Static Gaussians, and P parts that swing about a vertical axis.
 
     Attributes:
         camera: The fixed view.
-        static: What stands, world frame.
-        moving: What moves, world frame at rest.
+        static: Static Gaussians, world frame.
+        moving: Moving Gaussians, world frame at rest.
         parts: Part of every moving Gaussian (M,) int32.
-        swings_deg: How far each part swings to either side (P,).
+        swings_deg: Amplitude of each part's swing (P,).
         pivot: Point on the axis (3,), world frame, [m].
     """
 
@@ -42,7 +42,7 @@ class MovingScene:
         freeze_arrays(self)
 
     def Ts_world_part(self, frame: int) -> Array:
-        """Poses of the parts (P, 4, 4) relative to rest; no two neighbouring frames are alike."""
+        """Compute poses of the parts (P, 4, 4) relative to rest; neighboring frames always differ."""
         phase = np.sin(2 * np.pi * (frame + 0.3) / PERIOD_FRAMES)
         angles = np.radians(self.swings_deg) * phase
         R = matrix_from_rotvec(angles[:, None] * [0.0, 0.0, 1.0])
@@ -50,9 +50,10 @@ class MovingScene:
 
 
 def objects_scene(count: int, camera: Camera, share: float) -> MovingScene:
-    """The table-top scene, of which the round objects nearest to the camera sway.
+    """Make the table-top scene, in which the round objects nearest to the camera sway.
 
-    As many objects move as are seen in a share of the tiles, as nearly as objects allow.
+    The number of moving objects is chosen so that they are visible in a share of the tiles, as nearly as
+    possible.
     """
     gaussians, surfaces = table_top_surfaces(count, 3)
     objects = np.unique(surfaces[surfaces >= FIRST_OBJECT])
@@ -72,9 +73,9 @@ def objects_scene(count: int, camera: Camera, share: float) -> MovingScene:
 
 
 def arm_scene(static: int, moving: int, camera: Camera) -> MovingScene:
-    """The table-top scene with a swinging arm of eight links over it, and an object with a door.
+    """Make the table-top scene with a swinging arm of eight links over it, and an object with a door.
 
-    Harmonics of degree 2 and parts one after the other, as twins have them.
+    Harmonics are of degree 2 and parts are in order, as in twins.
     """
     along = np.linspace(0, 1, 8)
     links = np.stack([0.6 - 0.55 * along, 0.1 - 0.45 * along, 0.1 + 1.5 * along * (1.2 - along)], 1)
@@ -94,13 +95,13 @@ def arm_scene(static: int, moving: int, camera: Camera) -> MovingScene:
 
 
 def touched_share(scene: MovingScene, frame: int) -> float:
-    """Share of the tiles in which moving Gaussians are seen in a frame or in the one before."""
+    """Compute the share of tiles in which moving Gaussians are visible in a frame or in the previous one."""
     frames = (frame - 1, frame)
     return float(np.logical_or.reduce([touched_tiles(moved(scene, f), scene.camera) for f in frames]).mean())
 
 
 def touched_tiles(gaussians: Gaussians, camera: Camera) -> NDArray[np.bool_]:
-    """Tiles (rows, columns) of the image in which Gaussians, drawn alone, are seen."""
+    """Find tiles (rows, columns) of the image in which Gaussians, rendered alone, are visible."""
     columns, rows = -(-camera.width // TILE_PX), -(-camera.height // TILE_PX)
     seen = np.zeros((rows * TILE_PX, columns * TILE_PX), bool)
     seen[: camera.height, : camera.width] = render(gaussians, camera).alpha > 0
@@ -108,6 +109,6 @@ def touched_tiles(gaussians: Gaussians, camera: Camera) -> NDArray[np.bool_]:
 
 
 def moved(scene: MovingScene, frame: int) -> Gaussians:
-    """The moving Gaussians at a frame, world frame; harmonics turn along."""
+    """Move the moving Gaussians to a frame, world frame; harmonics rotate with them."""
     Ts = scene.Ts_world_part(frame)
     return concatenate([scene.moving.select(scene.parts == part).transform(T) for part, T in enumerate(Ts)])

@@ -1,4 +1,4 @@
-"""Objects beyond the product's categories, to see whether methods hold for them: an oven, a cupboard."""
+"""Objects beyond the product's categories, to test generalization: an oven, a cupboard."""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -52,7 +52,7 @@ OVEN = {
     "body_mass": (9.0, 13.0),
     "door_mass": (1.4, 2.0),
 }
-# Colors of usual bodies and doors, sRGB 0..1; the maker's taste.
+# Colors of typical bodies and doors, sRGB 0..1.
 BODIES = ((0.72, 0.73, 0.74), (0.20, 0.21, 0.22), (0.86, 0.85, 0.82), (0.58, 0.18, 0.15), (0.40, 0.52, 0.50))
 # Dark glass, steel, grey.
 DOORS = ((0.12, 0.12, 0.13), (0.66, 0.67, 0.68), (0.18, 0.20, 0.22))
@@ -80,7 +80,7 @@ CUPBOARD = {
 
 
 def make_object(category: str, seed: int) -> ArticulatedAsset:
-    """A made asset of the product's categories, an oven or a cupboard.
+    """Make an asset of the product's categories, an oven or a cupboard.
 
     Raises:
         ConfigError: The category is unknown.
@@ -94,7 +94,7 @@ def make_object(category: str, seed: int) -> ArticulatedAsset:
 
 
 def make_oven(rng: np.random.Generator) -> ArticulatedAsset:
-    """Door hinged at its lower edge, bar handle across its upper edge, dials above it."""
+    """Make an oven: a door hinged at its lower edge, a bar handle at its upper edge, dials above it."""
     s = draw_sizes(rng, OVEN)
     color, door_color = pick(rng, BODIES), pick(rng, DOORS)
     s.front, s.door_top = -s.depth / 2 - SEAL - s.door, s.height - s.strip - 0.003
@@ -103,7 +103,7 @@ def make_oven(rng: np.random.Generator) -> ArticulatedAsset:
     _add_oven_body(body, s, color, rng)
     _add_cavity(body, s, rng)
     _add_oven_door(door, s, door_color, bar, rng)
-    # On the door's outer lower edge, so that the door swings clear of the plinth.
+    # The hinge is on the door's outer lower edge, so that the door swings clear of the plinth.
     joint = hinge(LEVEL, [0.0, s.front, s.plinth], s.opening)
     return assemble("oven", body.link(s.body_mass), door.link(s.door_mass), joint, bar)
 
@@ -113,7 +113,7 @@ def _add_oven_body(body: LinkBuilder, s: SimpleNamespace, color: Color, rng: np.
     below = z1 - s.strip
     sheet = textures.make_brushed_metal if rng.random() < 0.5 else textures.make_speckles
     shell = {
-        # The plinth stands back, as the opened door's lower edge turns into the room before it.
+        # The plinth is set back, as the opened door's lower edge rotates into the space before it.
         "plinth": box(-w, w, y0, y1, 0.0, z0),
         "top": box(-w, w, y0, y1, below, z1),
         "left": box(-w, -w + wall, y0, y1, z0, below, "zZ"),
@@ -138,7 +138,7 @@ def _add_oven_body(body: LinkBuilder, s: SimpleNamespace, color: Color, rng: np.
 
 
 def _add_cavity(body: LinkBuilder, s: SimpleNamespace, rng: np.random.Generator) -> None:
-    """Dark lining and a rack."""
+    """Add a dark lining and a rack."""
     w, y0, y1, thin = s.width / 2 - s.wall, -s.depth / 2, s.depth / 2 - s.wall, 0.001
     z0, z1 = s.plinth, s.height - s.strip
     enamel = textures.make_speckles(rng, (0.22, 0.22, 0.24), 256)
@@ -172,7 +172,7 @@ def _add_oven_door(
 
 
 def make_cupboard(rng: np.random.Generator) -> ArticulatedAsset:
-    """A drawer above a hinged door; the one that does not move belongs to the static part."""
+    """Make a drawer above a hinged door; the one that does not move belongs to the static part."""
     s = draw_sizes(rng, CUPBOARD)
     s.right, s.shelf = s.side < 0.5, s.height - s.board - s.drawer_height
     s.start = -s.depth / 2 - GAP
@@ -238,7 +238,7 @@ def _add_drawer(drawer: LinkBuilder, s: SimpleNamespace, paint: Color, rng: np.r
 
 def _add_door(door: LinkBuilder, s: SimpleNamespace, paint: Color, rng: np.random.Generator) -> Handle:
     w, front = s.width / 2, s.start - s.front
-    # A finger's breadth below the drawer's front, so that neither rubs the other.
+    # The door ends a finger's width below the drawer's front, so that they do not rub.
     low, top = s.feet, s.shelf - 0.004 - GAP
     sheet = Material(texture_srgb=textures.make_speckles(rng, paint), roughness=0.5)
     art = Material(texture_srgb=textures.stickers(rng, paint, 320, 320, 5), roughness=0.6)
@@ -256,7 +256,7 @@ def _bar(link: LinkBuilder, s: SimpleNamespace, foot: list[float], axis: np.ndar
 
 
 def draw_knobs(rng: np.random.Generator, color_srgb: Color, width: int = 512, height: int = 96) -> Texture:
-    """Control strip of an oven: three dials with their scales, a clock, a name."""
+    """Draw the control strip of an oven: three dials with their scales, a clock, a name."""
     image = Image.new("RGB", (width, height), tuple(int(255 * c) for c in color_srgb))
     draw = ImageDraw.Draw(image)
     ink = (235, 235, 230) if float(np.mean(color_srgb)) < 0.5 else (30, 30, 34)

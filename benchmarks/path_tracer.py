@@ -25,7 +25,7 @@ from aomgen.simulation.scene_renderer import SceneRenderer
 # A Python that has the package bpy.
 INTERPRETER: Final = Path(__file__).parents[1] / ".venv-blender" / "bin" / "python"
 WORKER: Final = Path(__file__).with_name("blender_tracer.py")
-# Paths a pixel; what noise they leave is taken by Blender's denoiser.
+# Paths per pixel; the remaining noise is removed by Blender's denoiser.
 SAMPLES: Final = 24
 # Surfaces with a color and no material: between paint and plastic.
 PLAIN_ROUGHNESS: Final = 0.5
@@ -34,7 +34,7 @@ SHININESS: Final = 0.6
 
 
 def blender_python() -> Path:
-    """The Python that has Blender, which may not be installed."""
+    """Return the Python that has Blender, which may not be installed."""
     return Path(os.environ.get("AOMGEN_BLENDER_PYTHON", INTERPRETER))
 
 
@@ -44,13 +44,13 @@ class RoomLight:
 
     Attributes:
         environment: File among Blender's studio lights.
-        strength: Of the environment.
-        turn: Of the environment about z, [rad].
+        strength: Strength of the environment.
+        turn: Rotation of the environment about z, [rad].
         lamp_w, lamp_m: Power and side of a square light source; none at 0 W.
-        lamp_color: Linear.
-        lamp_from, lamp_at: Position of the light source, and the point that it shines on, world frame, [m].
+        lamp_color: Linear color of the light source.
+        lamp_from, lamp_at: Position of the light source, and its target point, world frame, [m].
         view_transform: Tone curve of all cameras.
-        exposure: Of all cameras, stops.
+        exposure: Exposure of all cameras, stops.
     """
 
     environment: str
@@ -66,13 +66,13 @@ class RoomLight:
 
 
 class PathTracedRenderer(SceneRenderer):
-    """Draws one compiled scene with Blender's Cycles; labels and depths stay those of the rasterizer.
+    """Renderer of one compiled scene with Blender's Cycles; labels and depths stay those of the rasterizer.
 
     Args:
-        scene: Compiled with what is seen.
-        size: As of `SceneRenderer`.
-        folder: Keeps the scene's files and every image, so that none is rendered twice.
-        light: Of the room.
+        scene: Compiled scene.
+        size: As for `SceneRenderer`.
+        folder: Folder of the scene's files and of every image, so that none is rendered twice.
+        light: Light of the room.
     """
 
     def __init__(self, scene: Scene, size: tuple[int, int], folder: Path, light: RoomLight) -> None:
@@ -87,7 +87,7 @@ class PathTracedRenderer(SceneRenderer):
         self._described, self._blender = described, None
 
     def draw(self, camera: Camera, qpos: Array, without: tuple[str, ...] = ()) -> NDArray[np.uint8]:
-        """Image (H, W, 3) of a state; bodies whose names begin with one of `without` are not there."""
+        """Render an image (H, W, 3) of a state, without bodies whose names begin with one of `without`."""
         self.data.qpos[:] = qpos
         mujoco.mj_kinematics(self.model, self.data)
         Ts = np.tile(np.eye(4), (len(self._geoms), 1, 1))
@@ -105,7 +105,7 @@ class PathTracedRenderer(SceneRenderer):
         name = hashlib.sha256(json.dumps(job).encode()).hexdigest()[:24]
         file = self.folder / "pictures" / f"{name}.png"
         if not file.is_file():
-            # A process that dies while it writes leaves half an image.
+            # A process that dies while it writes leaves an incomplete image.
             partial = file.with_suffix(".part.png")
             self._ask({**job, "file": str(partial)})
             partial.replace(file)
@@ -124,7 +124,7 @@ class PathTracedRenderer(SceneRenderer):
         blender = self._blender
         if blender.stdin is None or blender.stdout is None:
             raise ValueError("Blender was started without pipes")
-        # A process that has died does not read either.
+        # A process that has died does not read; its exit code is reported below.
         with suppress(BrokenPipeError):
             blender.stdin.write(json.dumps(job) + "\n")
             blender.stdin.flush()
@@ -214,7 +214,7 @@ def _mesh_arrays(model: mujoco.MjModel, mesh: int) -> dict[str, NDArray]:
     corners = np.zeros((0, 2))
     if (start := model.mesh_texcoordadr[mesh]) >= 0:
         corners = model.mesh_texcoord[start + model.mesh_facetexcoord[begin : begin + faces]].reshape(-1, 2)
-        # MuJoCo's v points down.
+        # The v axis of MuJoCo points down.
         corners = corners * [1, -1] + [0, 1]
     return {
         "vertices": model.mesh_vert[first : first + count],

@@ -1,7 +1,7 @@
-"""`python -m benchmarks policy`: demonstrations from one recording, policies that LeRobot trains on them, how often they open.
+"""`python -m benchmarks policy`: success rates of LeRobot policies trained from one recording.
 
-Every table consists of cells: who is tried, and where. A cell's rollouts are made once and kept; figures are counted
-from them, so that they can be printed again without training anything.
+Every table consists of cells: a policy, and where it is tested. A cell's rollouts are made once and kept;
+metrics are computed from them, so that they can be printed again without training.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -27,28 +27,28 @@ from benchmarks.policy_video import mean_trajectory_error, video_error
 
 # Packages whose versions are reported with the metrics.
 MADE_WITH: Final = ("aomgen", "lerobot", "torch", "mujoco", "numpy")
-# Two policies that differ by chance less often than this are reported to differ.
+# Policies whose difference has a smaller p-value than this are reported to differ.
 SIGNIFICANT: Final = 0.05
 
 
 @dataclass(frozen=True, kw_only=True)
 class PolicyBench:
-    """Lets policies try, and counts.
+    """Benchmark that tests policies and counts successes.
 
     Attributes:
         data: Runs, datasets and suites.
-        trainer: Of the policies.
+        trainer: Trainer of the policies.
     """
 
     data: PolicyData
     trainer: Trainer
 
     def figures(self, tables: Sequence[str]) -> dict[str, Any]:
-        """Figures of the tables, after everything that is missing has been made; kept rollouts need nothing else.
+        """Compute metrics of the tables, after making everything that is missing; kept rollouts suffice.
 
         Raises:
             BackendError: LeRobot is not installed here, and policies are missing.
-            AomgenError: Whatever a run, a training or a rollout refuses.
+            AomgenError: Any error of a run, a training or a rollout.
         """
         rows = {name: TABLES[name] for name in tables if name != VIDEO}
         cells = [(policy, row) for table in rows.values() for row in table for policy in row.policies]
@@ -59,7 +59,7 @@ class PolicyBench:
         return figures | ({VIDEO: self.video_errors()} if VIDEO in tables else {})
 
     def _train(self, policies: Sequence[Training]) -> None:
-        """All at once, of which as many as there are workers run."""
+        """Train all policies, as many at a time as there are workers."""
         if policies:
             self.trainer.require_lerobot()
         trainings = dict.fromkeys(policies)
@@ -69,7 +69,7 @@ class PolicyBench:
             list(pool.map(self.trainer.train, trainings))
 
     def video_errors(self) -> dict[str, float]:
-        """Mean distance of the end effector that policies foresee from the recorded one, on the recorded video, [mm]."""
+        """Compute mean errors of the predicted end effector on the recorded video, [mm]."""
         suite, results = open_suite(self.data.suite(Trials(world="microwave")))
         learned = {
             name: video_error(self.trainer.home(item), suite, results) for name, item in FILMED.items()
@@ -77,12 +77,12 @@ class PolicyBench:
         return learned | {"mean_trajectory": mean_trajectory_error(results)}
 
     def counted(self, rows: list[Row]) -> Iterator[tuple[Row, list[dict[str, Any]]]]:
-        """Every row with what came of each of its policies."""
+        """Yield every row with the results of each of its policies."""
         for row in rows:
             yield row, [self.tried(policy, row) for policy in row.policies]
 
     def tried(self, policy: Training | str, row: Row) -> dict[str, Any]:
-        """Figures of a policy in a row's trials, as `aomgen evaluate` gives them, and what they were made of."""
+        """Test a policy in a row's trials; returns the metrics of `aomgen evaluate` and their inputs."""
         kept = self._kept(policy, row)
         if not kept.is_file():
             suite, results = open_suite(self.data.suite(row.test))
@@ -101,18 +101,18 @@ class PolicyBench:
 
 
 def folder_digest(folder: Path) -> str:
-    """Digest of the names and contents of all files."""
+    """Compute the digest of the names and contents of all files."""
     files = sorted(path for path in folder.rglob("*") if path.is_file())
     return text_digest("".join(f"{path.relative_to(folder)} {file_digest(path)}\n" for path in files))
 
 
 def versions() -> dict[str, str]:
-    """Versions of the packages that train and simulate."""
+    """Return versions of the packages that train and simulate."""
     return {name: version(name) for name in MADE_WITH}
 
 
 def table_figures(rows: Iterator[tuple[Row, list[dict[str, Any]]]]) -> list[dict[str, Any]]:
-    """A table's rows: counts over all seeds, and which other rows of the same trials are beaten."""
+    """Compute a table's rows: counts over all seeds, and which other rows of the same trials are beaten."""
     made = list(rows)
     found = []
     for row, tried in made:

@@ -25,12 +25,12 @@ Tell = Callable[[str], None]
 Sight = Literal["splat", "simulator", "pose"]
 # Demonstrations of a policy, and of one that learns from many objects.
 FULL, MANY = 150, 240
-# Images are rendered at twice the size that policies see, [px].
+# Images are rendered at twice the size of the policies' input, [px].
 DRAWN_SIZE: Final = (192, 192)
 SEEN_SIZE: Final = (96, 96)
-# Seed of the synthetic capture; it was not looked at while the policy was chosen.
+# Seed of the synthetic capture, unseen while the policy was chosen.
 DRAWER_SEED: Final = 9100
-# Seed of the trials; none was looked at while grasps and policy were chosen.
+# Seed of the trials, none of which was seen while grasps and policy were chosen.
 SUITE_SEED: Final = 3
 # Stages from here on differ between worlds that share their objects.
 OWN_STAGES: Final = ("episodes", "dataset")
@@ -38,14 +38,14 @@ OWN_STAGES: Final = ("episodes", "dataset")
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class World:
-    """A run of the pipeline: a recording, objects, and how their demonstrations differ.
+    """A run of the pipeline: a recording, objects, and the variation of their demonstrations.
 
     Attributes:
         recording: "microwave": the bundled one; "drawer": a synthetic one.
         assets: As in a project.
-        demonstrations: Over all objects; 0 where policies are only tried.
+        demonstrations: Number over all objects; 0 where policies are only tested.
         episodes: Parameters of the stage that are not at their defaults.
-        like: Name of a world with the same recording, whose results are taken as far as they are the same.
+        like: Name of a world with the same recording, whose results are reused as far as they are equal.
     """
 
     recording: str
@@ -55,17 +55,17 @@ class World:
     like: str = ""
 
 
-# Seeds of microwaves to learn from, and the share of them that finds room on the recorded table, about.
+# Seeds of microwaves for training, and approximate share of them that fits on the recorded table.
 LEARNED: Final = range(101, 161)
 WITH_ROOM: Final = 0.65
 UNSEEN: Final = "unseen_microwaves"
-# Drawers of 0.6 are opened too seldom where that is the smallest size in training.
+# Drawers of scale 0.6 are opened too rarely if that is the smallest size in training.
 SIZES: Final = {"microwave": {"ranges": {"scale": [0.6, 1.0]}}, "drawer": {"ranges": {"scale": [0.5, 1.0]}}}
 VIEWS: Final = {
     "ranges": {"around": {"turn_deg": [-8.0, 8.0], "tilt_deg": [-8.0, 8.0], "distance": [0.9, 1.1]}}
 }
 PUSHES: Final = {"ranges": {"push_m": [0.0, 0.02]}}
-# A camera on the end effector shows what the gripper has missed.
+# A camera on the end effector shows when the gripper misses the handle.
 HAND: Final = {"images": {"robot_cameras": True}}
 WORLDS: Final = {
     "microwave": World(recording="microwave", assets=("microwave:1",)),
@@ -99,12 +99,12 @@ WORLDS: Final = {
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Trials:
-    """Trials.
+    """Trials of policies.
 
     Attributes:
-        world: Whose objects are opened.
-        scale: Their size.
-        moved_m: How far every camera stands from its place.
+        world: World of the objects.
+        scale: Size of the objects.
+        moved_m: Displacement of every camera.
     """
 
     world: str
@@ -113,22 +113,22 @@ class Trials:
 
     @property
     def name(self) -> str:
-        """For files."""
+        """Name in files."""
         return f"{self.world}-{self.scale:g}-{1000 * self.moved_m:g}mm"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PolicyData:
-    """Runs, datasets and suites in one folder; what is there is kept.
+    """Runs, datasets and suites in one folder; existing ones are kept.
 
     Attributes:
-        folder: Of all of them.
+        folder: Folder of all results.
         capture: The bundled recording.
         run_project: Runs a project until a stage.
-        trials: Of a suite.
+        trials: Number of trials of a suite.
         demonstrations: Largest number of a world, over all its objects.
-        assets: Of the user's, tried in addition to the made objects that no policy saw.
-        workers: Processes.
+        assets: The user's assets, tested in addition to the generated objects unseen in training.
+        workers: Number of processes.
         tell: Receives the progress.
     """
 
@@ -142,7 +142,7 @@ class PolicyData:
     assets: tuple[str, ...] = ()
 
     def run(self, name: str) -> Path:
-        """Folder of a world's run, up to its episodes, or to its fitted objects where it has none."""
+        """Return the folder of a world's run, finished up to its episodes, or else its fitted objects."""
         world, home = WORLDS[name], self.folder / "runs" / name
         wanted = min(world.demonstrations, self.demonstrations)
         assets = (*world.assets, *(self.assets if name == UNSEEN else ()))
@@ -153,7 +153,7 @@ class PolicyData:
             capture=self._capture(world.recording),
             out=home,
             assets=assets,
-            # Some of many objects find no place: the others make up for them.
+            # Some of many objects do not fit on the table: the others make up for them.
             poses=max(1, math.ceil(wanted / len(assets) / (WITH_ROOM if len(assets) > 1 else 1))),
             image_size=DRAWN_SIZE,
             params={"episodes": dict(world.episodes)} if world.episodes else {},
@@ -163,7 +163,7 @@ class PolicyData:
         return home
 
     def dataset(self, name: str, sees: Sight = "splat") -> Path:
-        """Folder of a world's demonstrations for LeRobot."""
+        """Return the folder of a world's demonstrations for LeRobot."""
         label = name if sees == "splat" else f"{name}-{sees}"
         home = self.folder / "datasets" / label
         if not (home / MARK).is_file():
@@ -178,7 +178,7 @@ class PolicyData:
         return home
 
     def suite(self, test: Trials) -> Path:
-        """File of a test's trials."""
+        """Return the file of a test's trials."""
         path = self.folder / "suites" / f"{test.name}.json"
         if path.is_file():
             return path
@@ -188,7 +188,7 @@ class PolicyData:
             write_suite(path, replace(suite, cameras=cameras).seal())
             return path
         project = open_results(self.run(test.world)).project
-        # Uniform over the paper's places, whatever else the training varies.
+        # Poses are uniform over the paper's ranges, whatever else the training varies.
         episodes = {**WORLDS[test.world].episodes, "ranges": {"scale": [test.scale, test.scale]}}
         changed = project.model_copy(update={"params": {"episodes": episodes}})
         request = SuiteRequest(trials=self.trials, seed=SUITE_SEED, size=SEEN_SIZE)
@@ -208,7 +208,7 @@ class PolicyData:
 
 
 def moved_cameras(cameras: Mapping[str, Camera], way_m: float) -> dict[str, Camera]:
-    """Every camera moved by a distance in a separate direction, the same for all distances."""
+    """Move every camera by a distance in a separate direction, the same for all distances."""
     rng = np.random.default_rng(SUITE_SEED)
 
     def moved(camera: Camera) -> Camera:

@@ -1,4 +1,4 @@
-"""Tables of `python -m benchmarks policy`: which policies learn from what, and where each is tried."""
+"""Tables of `python -m benchmarks policy`: training data of the policies, and where each is tested."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -12,11 +12,11 @@ from benchmarks.policy_data import FULL, MANY, UNSEEN, Sight, Trials
 SEEDS: Final = (0, 1, 2)
 SCALES: Final = (0.6, 0.7, 0.8, 0.9)
 MOVED_M: Final = (0.0, 0.05, 0.10, 0.20)
-# Worlds that are tried where only the success matters.
+# Worlds that are tested where only the success matters.
 QUICK: Final = "quick"
 
 
-# Kinds of policies: the small one of our plug-in, and LeRobot's own, which want a GPU.
+# Kinds of policies: the small one of our plug-in, and LeRobot's own, which need a GPU.
 Kind = Literal["small_act", "act", "diffusion"]
 
 
@@ -25,12 +25,12 @@ class Training:
     """A policy.
 
     Attributes:
-        world: Whose demonstrations it learns from.
-        demonstrations: How many; none for an untrained one.
-        seed: Of the training.
-        sees: What the demonstrations show.
-        kind: Its network.
-        fixed_camera: Whether it has only the camera that the recording was filmed with.
+        world: World of the demonstrations.
+        demonstrations: Number of demonstrations; none for an untrained policy.
+        seed: Seed of the training.
+        sees: Observations of the demonstrations.
+        kind: Network of the policy.
+        fixed_camera: Whether it uses only the camera of the recorded video.
     """
 
     world: str
@@ -42,7 +42,7 @@ class Training:
 
     @property
     def name(self) -> str:
-        """For files."""
+        """Name in files."""
         own = [self.sees] * (self.sees != "splat") + [self.kind] * (self.kind != "small_act")
         words = [self.world, str(self.demonstrations), str(self.seed), *own, *["front"] * self.fixed_camera]
         return "-".join(words)
@@ -50,13 +50,13 @@ class Training:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Row:
-    """A line of a table: one kind of policy, maybe trained several times, in the same trials.
+    """A row of a table: one kind of policy, possibly trained several times, in the same trials.
 
     Attributes:
-        label: What sets it apart from the table's other rows.
+        label: Difference from the table's other rows.
         policies: Trained ones; or a name of `evaluation.policies`.
         test: The trials.
-        visuals: What is seen.
+        visuals: Source of the observed images.
     """
 
     label: Mapping[str, Any]
@@ -160,14 +160,14 @@ TABLES: Final = {
 }
 
 
-# Policies that are shown the recorded video, by what they learned from.
+# Policies that are tested on the recorded video, by their training data.
 FILMED: Final = {name: Training(world="microwave", sees=name, fixed_camera=True) for name in VISUALS}
 VIDEO: Final = "video_error_mm"
 NOT_BY_DEFAULT: Final = (QUICK, "gpu.")
 
 
 def chosen_tables(names: list[str]) -> list[str]:
-    """Tables by their names or the beginnings of these; where none is named, all that a CPU can make in hours.
+    """Select tables by their names or prefixes; without names, all that a CPU can make in hours.
 
     Raises:
         ConfigError: There is no such table.

@@ -1,4 +1,4 @@
-"""Trains policies with LeRobot's own command on the datasets of `python -m benchmarks policy`, each once."""
+"""Training of policies by LeRobot's command on the datasets of `python -m benchmarks policy`."""
 
 import json
 import os
@@ -19,10 +19,11 @@ from aomgen.io.atomic import remove_folder
 from benchmarks.policy_data import PolicyData
 from benchmarks.policy_tables import Kind, Training
 
-# Settings of every training: AdamW's steps, demonstrations a step, and steps between checkpoints, from which a killed one goes on.
+# Settings of every training: AdamW steps, batch size, and steps between checkpoints, from which a killed
+# training continues.
 STEPS, BATCH, SAVE_EVERY = 5000, 32, 1000
 QUICK_STEPS: Final = 3
-# LeRobot's own policies would ask its hub for the weights of an encoder.
+# LeRobot's own policies would download the weights of an encoder from its hub.
 ON_GPU: Final = ("--policy.device=cuda", "--policy.pretrained_backbone_weights=null")
 NETWORKS: Final[Mapping[Kind, tuple[str, ...]]] = {
     "small_act": ("--policy.type=small_act", "--policy.device=cpu"),
@@ -33,11 +34,11 @@ NETWORKS: Final[Mapping[Kind, tuple[str, ...]]] = {
 
 @dataclass(frozen=True, kw_only=True)
 class Trainer:
-    """Trains.
+    """Trainer of policies.
 
     Attributes:
-        data: Where datasets are, and policies go.
-        steps: Of each training.
+        data: Folders of datasets and policies.
+        steps: Number of steps of each training.
         command: `lerobot-train`.
     """
 
@@ -59,11 +60,11 @@ class Trainer:
             )
 
     def home(self, training: Training) -> Path:
-        """Folder of a policy."""
+        """Return the folder of a policy."""
         return self.data.folder / "trainings" / training.name
 
     def train(self, training: Training) -> Path:
-        """Folder of a policy; LeRobot goes on where it was killed."""
+        """Train a policy and return its folder; LeRobot continues a killed training."""
         home, steps = self.home(training), self.steps if training.demonstrations else 1
         last = home / LAST
         if (last / WEIGHTS).is_file() and (home / "checkpoints" / "last").resolve().name == f"{steps:06d}":
@@ -84,7 +85,7 @@ class Trainer:
                 *([f"--policy.input_features={json.dumps(front_features(dataset))}"] if training.fixed_camera else []),
             ]  # fmt: skip
         self.data.tell(f"training {training.name}")
-        # A third faster than float32, and the loss is the same.
+        # Mixed precision is a third faster than float32, at an equal loss.
         precision = {"ACCELERATE_MIXED_PRECISION": "bf16"}
         environment = {**precision, **os.environ, "HF_HUB_OFFLINE": "1", "OMP_NUM_THREADS": "1"}
         log = home.with_suffix(".log")
@@ -99,7 +100,7 @@ class Trainer:
 
 
 def first_draws(dataset: Path, count: int) -> list[int]:
-    """Numbers of some demonstrations, of as many objects as there are; draws fill their ranges evenly from the first on.
+    """Select demonstrations of all objects; draws fill their ranges evenly from the first on.
 
     Raises:
         NotEnoughEpisodesError: The dataset has fewer.
@@ -112,7 +113,7 @@ def first_draws(dataset: Path, count: int) -> list[int]:
 
 
 def front_features(dataset: Path) -> dict[str, Any]:
-    """Features of a policy that has only the dataset's first camera, as LeRobot's settings name them."""
+    """Return features of a policy with only the dataset's first camera, as LeRobot's settings name them."""
     features = read_json(dataset / "meta" / "info.json")["features"]
     first = next(name for name in features if name.startswith(IMAGES))
     height, width, channels = features[first]["shape"]

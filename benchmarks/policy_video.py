@@ -1,4 +1,4 @@
-"""The recorded video, which no policy learned from: distance of the foreseen end effector from the recorded one."""
+"""Prediction error on the recorded video, unseen in training: distance of the predicted end effector."""
 
 from pathlib import Path
 from typing import Final
@@ -17,7 +17,7 @@ HORIZON_S: Final = 1.0
 
 
 def video_error(trained: Path, suite: Suite, results: Results) -> float:
-    """Mean distance of the end effectors that a policy with the recording's camera foresees at every frame, [mm]."""
+    """Compute the mean error of a policy's predicted end effectors over all frames, [mm]."""
     policy, camera = LerobotPolicy(trained, suite), suite.cameras[results.demo_camera]
     demo, video, steps = results.demonstration, results.videos[results.demo_camera], _steps(results)
     shown = np.abs(video.times_s - demo.times_s[:, None]).argmin(1)
@@ -32,11 +32,11 @@ def video_error(trained: Path, suite: Suite, results: Results) -> float:
 
 
 def mean_trajectory_error(results: Results) -> float:
-    """The same of one who knows how demonstrations go on the average, and does not look, [mm]."""
+    """Compute the error of a prediction by the mean demonstration, without observations, [mm]."""
     folders = list_committed(results.folders["episodes"])
     paths = [read_episode(folder).episode.Ts_world_ee[:, :3, 3] for folder in folders]
     frames, steps = len(results.demonstration.times_s), _steps(results)
-    # End effectors stay where they are once they are done.
+    # End effectors stay at their last position.
     lasting = [path[np.minimum(np.arange(frames), len(path) - 1)] for path in paths]
     mean = np.mean(lasting, 0)
     return _mean_error_mm(np.array([mean[k + 1 : k + 1 + steps] for k in range(frames - steps)]), results)
@@ -47,7 +47,7 @@ def _steps(results: Results) -> int:
 
 
 def _mean_error_mm(foreseen: Array, results: Results) -> float:
-    """Positions of the end effector (frames, steps, 3), [m], after every frame of the recording."""
+    """Compute the mean error of positions (frames, steps, 3), [m], predicted after every frame."""
     path, steps = results.demonstration.Ts_world_ee[:, :3, 3], foreseen.shape[1]
     recorded = np.array([path[k + 1 : k + 1 + steps] for k in range(len(foreseen))])
     return float(1000 * np.linalg.norm(foreseen - recorded, axis=-1).mean())

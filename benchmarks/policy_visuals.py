@@ -1,4 +1,4 @@
-"""Episodes drawn again by MuJoCo's renderer: what a policy learns from that never saw a splat."""
+"""Episodes rendered again by MuJoCo's renderer: training data of a policy without splats."""
 
 from functools import cache, partial
 from pathlib import Path
@@ -13,7 +13,7 @@ from benchmarks.replay_runs import start_workers
 
 
 def redraw(run: Path, home: Path) -> list[Path]:
-    """Folders of a run's committed episodes with the simulator's images, in `home`; those that are there are kept."""
+    """Write a run's episodes with the simulator's images to folders in `home`; existing ones are kept."""
     committed = list_committed(open_results(run).folders["episodes"])
     missing = [path for path in committed if not (home / path.name).is_dir()]
     with start_workers() as pool:

@@ -1,4 +1,4 @@
-"""Gaussians to ellipses on the image in torch, any float type, differentiable by autograd."""
+"""Projection of Gaussians to ellipses on the image in torch, any float type, differentiable by autograd."""
 
 from dataclasses import dataclass
 
@@ -12,7 +12,7 @@ from aomgen.core.gaussians import Gaussians
 NEAR_DEPTH = 0.01
 DILATION_PX2 = 0.1
 MIN_ALPHA, MAX_ALPHA, MIN_TRANSMITTANCE = 1 / 255, 0.99, 1e-4
-# Centres further outside the image than this share of its size get the Jacobian of that limit.
+# Centres that are further outside the image than this share of its size get the Jacobian of that limit.
 OUTSIDE_SHARE = 0.15
 PARAMETERS = ("means", "quats", "log_scales", "logit_opacities", "sh")
 
@@ -36,12 +36,12 @@ class Splats:
     half_sizes: Tensor
 
     def differentiable(self) -> list[Tensor]:
-        """Centres, precisions, opacities, values."""
+        """Return centres, precisions, opacities, values."""
         return [self.centers, self.precisions, self.opacities, self.values]
 
 
 def parameters_of(gaussians: Gaussians) -> dict[str, Tensor]:
-    """The optimizer's float32 tensors (logs and logits) of Gaussians, by the names in `PARAMETERS`."""
+    """Convert Gaussians to the optimizer's float32 tensors (logs, logits), by the names in `PARAMETERS`."""
     opacities = gaussians.opacities.astype(np.float64).clip(1e-7, 1 - 1e-7)
     arrays = {
         "means": gaussians.means,
@@ -54,7 +54,7 @@ def parameters_of(gaussians: Gaussians) -> dict[str, Tensor]:
 
 
 def project(parameters: dict[str, Tensor], camera: Camera, degree: int) -> Splats:
-    """Splats of all Gaussians, those behind the camera too.
+    """Project all Gaussians to splats, including those behind the camera.
 
     Args:
         parameters: Tensors by the names in `PARAMETERS`, one float type.
@@ -62,7 +62,7 @@ def project(parameters: dict[str, Tensor], camera: Camera, degree: int) -> Splat
         degree: Spherical harmonics that are evaluated, 0..3.
 
     Source: Kerbl et al. 2023, sec. 4; limits as in gsplat. Not checked: depths
-    near zero, where everything overflows; the caller drops what is nearer than `NEAR_DEPTH`.
+    near zero, where values overflow; the caller drops splats nearer than `NEAR_DEPTH`.
     """
     means = parameters["means"]
     T_cam_world = torch.tensor(camera.T_cam_world, dtype=means.dtype)
@@ -91,10 +91,10 @@ def project(parameters: dict[str, Tensor], camera: Camera, degree: int) -> Splat
 
 
 def sh_basis(directions: Tensor, degree: int) -> Tensor:
-    """Spherical harmonics (N, (degree + 1)^2) at unit directions (N, 3), signs of the 3DGS files.
+    """Compute spherical harmonics (N, (degree + 1)^2) at unit directions (N, 3), signs of the 3DGS files.
 
-    Built by the recurrences of the associated Legendre polynomials times (x + iy)^m, so that it
-    shares nothing with the expanded polynomials of the engine.
+    They are built by the recurrences of the associated Legendre polynomials times (x + iy)^m, so that they
+    share no code with the expanded polynomials of the engine.
     """
     x, y, z = directions.unbind(1)
     cosines, sines = [torch.ones_like(x)], [torch.zeros_like(x)]  # parts of (x + iy)^m
@@ -125,7 +125,7 @@ def _limited(ratio: Tensor, size: int, center: float, focal: float) -> Tensor:
 
 
 def _rotations(quats: Tensor) -> Tensor:
-    """(N, 3, 3) of quaternions (N, 4) wxyz, normalised here: (w^2 - v.v) I + 2 v v^T + 2 w [v]x."""
+    """Convert quaternions (N, 4) wxyz, normalised here, to (N, 3, 3): (w^2 - v.v) I + 2 v v^T + 2 w [v]x."""
     q = torch.nn.functional.normalize(quats, dim=1)
     w, v = q[:, :1, None], q[:, 1:]
     unit = torch.eye(3, dtype=q.dtype)

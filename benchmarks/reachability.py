@@ -1,6 +1,6 @@
-"""Can an arm hold a handle all the way that its part moves? Random restarts, and none of the planner's code.
+"""Test whether an arm can hold a handle along the part's motion, without the planner's code.
 
-What the planner refuses here although the arm could, it missed.
+Refusals of the planner are errors where this test succeeds.
 """
 
 from dataclasses import dataclass
@@ -18,18 +18,18 @@ from aomgen.simulation.scene import Scene
 
 # Random arms and grasps tried: flat laptops, the hardest, need some hundred where they are feasible at all.
 RESTARTS: Final = 400
-# The gripper leans this far up or down from the front's normal, about the handle, while it holds [rad]: a person's
-# does as well.
+# The gripper may be tilted up or down from the front's normal by this angle, about the handle, while it
+# holds, [rad], as with human operators.
 LEAN_RAD: Final = np.deg2rad(50.0)
 # Positions of the bar between the pads, from the end effector towards the tips, [m].
 DEPTHS_M: Final = (-0.005, 0.012)
-# Samples along the contact, and damped steps: first from anywhere, then from the sample before.
+# Samples along the contact, and damped steps: first from a random start, then from the previous sample.
 SAMPLES, FIRST_STEPS, NEXT_STEPS = 24, 60, 10
 # Least squares damping, and largest step of a joint, [rad]: a random start is far away.
 DAMPING, LONGEST_STEP_RAD = 1e-3, 0.5
-# A pose within this is reached: [m] and [rad].
+# Errors within which a pose counts as reached: [m] and [rad].
 REACHED_M, REACHED_RAD = 0.001, np.deg2rad(0.5)
-# The arm may turn a joint by this much between samples, else it has changed its branch, [rad].
+# A larger rotation of a joint between samples is a change of the branch, [rad].
 BRANCH_RAD: Final = 0.6
 # Deeper overlap is a collision, [m]; the robot's own colliders overlap in its start pose already.
 OVERLAP_M: Final = 0.001
@@ -44,14 +44,15 @@ def can_hold(
 ) -> bool:
     """Return whether some arm motion holds the handle from the first to the last planned joint value.
 
-    The gripper may lean within LEAN_RAD about the handle, and change its lean steadily as the part moves; the
+    The gripper may tilt within LEAN_RAD about the handle, and change its tilt steadily as the part moves; the
     fingers may be exchanged.
 
     Args:
-        scene: With the object at its pose.
-        start_joints: Of the demonstration (J,), where the robot's colliders may touch one another.
-        rng: Chooses arms and grasps.
-        restarts: How many.
+        scene: Scene with the object at its pose.
+        start_joints: Arm joints of the demonstration (J,), at which the robot's colliders may touch one
+            another.
+        rng: Generator of arms and grasps.
+        restarts: Number of restarts.
 
     Not checked: the motion to the handle and back, speed, forces, the fingers' grip.
     """
@@ -63,7 +64,7 @@ def can_hold(
 
 @dataclass(frozen=True, slots=True)
 class _Hold:
-    """One way to hold: lean at the first and the last value [rad], which finger is up, depth of the bar [m]."""
+    """One grasp: tilt at the first and last value [rad], orientation of the fingers, depth of the bar [m]."""
 
     leans: tuple[float, float]
     side: float
@@ -71,7 +72,7 @@ class _Hold:
 
 
 class _Checker:
-    """A scene, its state, and the path of the handle; a builder that holds what all restarts share."""
+    """A scene, its state, and the path of the handle, shared by all restarts."""
 
     def __init__(self, scene: Scene, fitted: FittedAsset, start_joints: Array) -> None:
         asset = fitted.asset
@@ -92,7 +93,7 @@ class _Checker:
         self._allowed = OVERLAP_M + self._overlap(start_joints, 0.0, own=True)
 
     def stands_in_robot(self) -> bool:
-        """Return whether the object overlaps the robot's foot; MuJoCo sees no contact of two bodies that never move."""
+        """Return whether the object overlaps the robot's base; MuJoCo skips pairs of static bodies."""
         model, roles = self._scene.model, self._scene.roles
         welded = model.body_weldid[model.geom_bodyid] == 0
         solid = model.geom_contype | model.geom_conaffinity > 0
@@ -104,7 +105,7 @@ class _Checker:
         )
 
     def attempt(self, rng: np.random.Generator) -> bool:
-        """Return whether a random hold, reached from a random arm, carries through."""
+        """Return whether a random grasp, reached from a random arm, holds to the end."""
         leans = rng.uniform(-LEAN_RAD, LEAN_RAD, 2)
         hold = _Hold((leans[0], leans[1]), rng.choice([-1.0, 1.0]), rng.uniform(*DEPTHS_M))
         low, high = np.clip(self._limits, -np.pi, np.pi).T
@@ -120,10 +121,10 @@ class _Checker:
         return True
 
     def _hand(self, sample: int, hold: _Hold) -> Array:
-        """Pose of the end effector (4, 4): z out of the palm, x along the bar."""
+        """Compute the pose of the end effector (4, 4): z out of the palm, x along the bar."""
         share = sample / (SAMPLES - 1)
         lean = (1 - share) * hold.leans[0] + share * hold.leans[1]
-        # An approach square to the bar, whatever the front's normal is.
+        # The approach is square to the bar, whatever the front's normal is.
         across = self._approach - (self._approach @ self._bar) * self._bar
         z = matrix_from_rotvec(lean * self._bar) @ (across / np.linalg.norm(across))
         x = hold.side * self._bar
@@ -131,7 +132,7 @@ class _Checker:
         return transform(R, self._held[sample] - hold.depth * R[:, 2])
 
     def _reach(self, target: Array, start: Array, steps: int) -> Array | None:
-        """Arm joints (J,) at a pose, by damped least squares; None when they do not get there within limits."""
+        """Solve arm joints (J,) at a pose by damped least squares; None without convergence within limits."""
         scene, data, joints = self._scene, self._data, start
         low, high = self._limits.T
         jacobian = np.zeros((6, scene.model.nv))
@@ -158,7 +159,7 @@ class _Checker:
         )
 
     def _overlap(self, joints: Array, theta: float, *, own: bool) -> float:
-        """Deepest overlap of the robot with itself, or with anything else but what the gripper holds, [m]."""
+        """Compute the deepest overlap of the robot with itself, or with anything but the held object, [m]."""
         scene, data, roles = self._scene, self._data, self._scene.roles
         data.qpos[:] = scene.qpos(joints[None], self._gripper, theta)[0]
         mujoco.mj_kinematics(scene.model, data)

@@ -1,4 +1,4 @@
-"""A demonstration recovered in a motion world, and a made object fitted to it: what episodes are made from."""
+"""A demonstration recovered in a motion world, and a generated object fitted to it."""
 
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -28,9 +28,10 @@ from benchmarks.motion_worlds import motion_world
 
 # Worlds tried before a category is given up: nine of ten are recovered.
 MAX_WORLDS: Final = 5
-# The made object's seed over that of the world, so that it is never the recorded object.
+# Offset of the generated object's seed from that of the world, so that it is never the recorded object.
 OTHER_OBJECT: Final = 1000
-# A video in which the end effector moves a shorter distance before it holds shows no approach that could be generalized, [m].
+# A video with a shorter path of the end effector before the grasp shows no approach that
+# could be generalized, [m].
 MIN_APPROACH_M: Final = 0.05
 # Name of a kept demonstration in its folder.
 RECOVERED: Final = "recovered"
@@ -38,15 +39,15 @@ RECOVERED: Final = "recovered"
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Recovered:
-    """Input of planning, found from a video without its truth.
+    """Input of planning, recovered from a video without its truth.
 
     Attributes:
         demo: The demonstration.
-        fitted: A made asset, not the recorded one, in the recorded object's stead.
+        fitted: A generated asset in the recorded object's place.
         support: The table's plane; its outline counts as unknown.
         fps: Rate of the video, [1/s].
         world: Seed of the motion world.
-        refused: Why worlds of the seeds before it gave no demonstration.
+        refused: Why worlds of the previous seeds gave no demonstration.
     """
 
     demo: Demonstration
@@ -58,16 +59,16 @@ class Recovered:
 
 
 def recover(category: str, seed: int, folder: Path, direction: Direction = "opening") -> Recovered:
-    """The first world from a seed on whose motion is recovered; with its fit and USD kept in a folder.
+    """Find the first world from a seed on whose motion is recovered; its fit and USD are kept in a folder.
 
     Args:
-        category: What is moved.
-        seed: Of the first world.
-        folder: Of this category and direction.
-        direction: Of the demonstrated motion.
+        category: Category of the object.
+        seed: Seed of the first world.
+        folder: Folder of this category and direction.
+        direction: Direction of the demonstrated motion.
 
     Raises:
-        ConfigError: None of MAX_WORLDS is.
+        ConfigError: None of MAX_WORLDS is recovered.
     """
     if (folder / f"{RECOVERED}.json").is_file():
         return load_artifact(folder, RECOVERED, Recovered)
@@ -90,10 +91,10 @@ def recover(category: str, seed: int, folder: Path, direction: Direction = "open
 def recorded_motion(
     given: MotionInput, direction: Direction
 ) -> tuple[Demonstration, SupportPlane, RecordedContact, float]:
-    """Demonstration, support, contact and the video's rate, [1/s], as the stages of a run find them.
+    """Compute demonstration, support, contact and the video's rate, [1/s], by the stages of a run.
 
     Raises:
-        EstimationError, ReconstructionError: Something of it is not found.
+        EstimationError, ReconstructionError: One of them is not found.
     """
     motion = estimate_motion(given)
     if motion.direction != direction:
@@ -114,7 +115,7 @@ def recorded_motion(
 
 
 def _fitted(given: MotionInput, category: str, number: int, direction: Direction) -> Recovered:
-    """A made object in the recorded one's stead."""
+    """Fit a generated object to the recorded motion."""
     demo, support, contact, fps = recorded_motion(given, direction)
     asset = make_asset(category, number + OTHER_OBJECT)
     fitted = fit_asset(asset, contact, demo.joint.type, "trajectory", FitParams())
@@ -128,7 +129,7 @@ def _fitted(given: MotionInput, category: str, number: int, direction: Direction
 
 
 def _approach_m(demo: Demonstration) -> float:
-    """Distance of the end effector's motion until the part moves, [m]."""
+    """Compute the path length of the end effector until the part moves, [m]."""
     hand = demo.Ts_world_ee[: demo.contact_frames[0] + 1, :3, 3]
     return float(np.linalg.norm(np.diff(hand, axis=0), axis=1).sum())
 

@@ -20,7 +20,7 @@ ASSETS: Final = 10
 
 
 def run_fits(folder: Path, seed: int, tell: Callable[[str], None]) -> dict[str, Any]:
-    """Scale made assets to motions recovered from videos of other objects of their kind; recorded worlds are kept."""
+    """Scale generated assets to motions recovered from videos of other objects; worlds are kept."""
     rows = [_fits(category, seed, folder, tell) for category in CATEGORIES]
     residuals, gaps, depths = (
         [value for row in rows for value in row[name]] for name in ("contact_mm", "gap_mm", "penetration_mm")
@@ -40,7 +40,7 @@ def run_fits(folder: Path, seed: int, tell: Callable[[str], None]) -> dict[str, 
 
 
 def _fits(category: str, seed: int, folder: Path, tell: Callable[[str], None]) -> dict[str, Any]:
-    """The first world from a seed whose motion is recovered."""
+    """Fit assets to the first world from a seed whose motion is recovered."""
     refused: list[str] = []
     for number in range(seed, seed + MAX_WORLDS):
         tell(f"film {category}-{number}")

@@ -1,4 +1,4 @@
-"""Accuracy of Gaussians for a mesh: rendered without light, against MuJoCo's rasterizer, from all around."""
+"""Accuracy of Gaussians for a mesh, unlit, compared with MuJoCo's rasterizer from all directions."""
 
 import tempfile
 import time
@@ -34,26 +34,26 @@ SIZES: Final = (256, 512)
 FILLED: Final = 0.4
 # Focal length over the image's width, and the elevation of a camera, [rad].
 FOCAL, ELEVATIONS = 1.2, (0.0, 1.1)
-# Colors count inside the silhouette and at this distance around it, [px].
+# Colors are compared inside the silhouette and within this distance around it, [px].
 AROUND_PX: Final = 2
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MeshView:
-    """A camera in the asset's frame, and the joint value that it sees."""
+    """A camera in the asset's frame, and the joint value."""
 
     camera: Camera
     theta: float
 
 
 def _truth(renderer: AssetRenderer, view: MeshView) -> tuple[Array, Array]:
-    """Color (H, W, 3) and cover (H, W), 0..1; black where nothing is."""
+    """Render color (H, W, 3) and coverage (H, W), 0..1; black for the background."""
     drawn = renderer.draw(view.camera, view.theta).astype(np.float64)
     return drawn[..., :3], drawn[..., 3]
 
 
 def draw_views(asset: ArticulatedAsset, rng: np.random.Generator) -> list[MeshView]:
-    """Views from all around, near enough that the object fills the image."""
+    """Draw views from all directions, near enough that the object fills the image."""
     views = []
     size = SIZES[0]
     with AssetRenderer(asset, size) as renderer:
@@ -68,7 +68,7 @@ def draw_views(asset: ArticulatedAsset, rng: np.random.Generator) -> list[MeshVi
             way = np.array([np.cos(azimuth) * np.cos(up), np.sin(azimuth) * np.cos(up), np.sin(up)])
             radius = float(np.linalg.norm(points - middle, axis=1).max())
             distance, filled = 3.0 * radius, 0.0
-            # A flat object never fills the image: then the camera is as near as for the sphere around it.
+            # A flat object never fills the image: the camera is then as near as for the sphere around it.
             while filled < FILLED and distance > radius:
                 distance *= 0.93
                 camera = Camera(
@@ -84,7 +84,7 @@ def draw_views(asset: ArticulatedAsset, rng: np.random.Generator) -> list[MeshVi
 def score_views(
     asset: ArticulatedAsset, static: Gaussians, moving: Gaussians, views: list[MeshView]
 ) -> dict[str, float]:
-    """Medians over the views: PSNR of colors at each size, and IoU of silhouettes at the first."""
+    """Compute medians over the views: PSNR of colors at each size, and IoU of silhouettes at the first."""
     psnrs: dict[int, list[float]] = {size: [] for size in SIZES}
     ious = []
     with AssetRenderer(asset, max(SIZES)) as renderer:
@@ -109,7 +109,7 @@ def _iou(one: NDArray[np.bool_], other: NDArray[np.bool_]) -> float:
 
 
 def run_meshes(assets: list[ArticulatedAsset], seed: int, tell: Callable[[str], None]) -> dict[str, Any]:
-    """Figures of all assets: medians, worst, and a row each."""
+    """Compute metrics of all assets: medians, worst, and one row each."""
     rows = []
     for number, asset in enumerate(assets):
         rng = np.random.default_rng([seed, number])
@@ -140,7 +140,7 @@ def run_meshes(assets: list[ArticulatedAsset], seed: int, tell: Callable[[str], 
 
 
 def _other_seconds(asset: ArticulatedAsset, links: tuple[Surfels, Surfels]) -> float:
-    """Time of reading an asset's USD file and lighting its Gaussians."""
+    """Measure the time of reading an asset's USD file and lighting its Gaussians."""
     light = SceneLight(hemisphere_light(np.ones(3), np.full(3, 0.5)), ToneCurve(), "scene")
     with tempfile.TemporaryDirectory() as scratch:
         path = Path(scratch) / "asset.usda"
@@ -153,6 +153,6 @@ def _other_seconds(asset: ArticulatedAsset, links: tuple[Surfels, Surfels]) -> f
 
 
 def made_assets(seed: int) -> list[ArticulatedAsset]:
-    """Two of each category that can be made, and two of other makers."""
+    """Make two assets of each generated category, and two of other makers."""
     made = [make_asset(category, seed + k) for category in (MAKERS | OTHER_MAKERS) for k in range(2)]
     return [*made, make_object("oven", seed), make_object("cupboard", seed)]

@@ -1,4 +1,4 @@
-"""Pairs of images of a room with a replaced object: as the twin renders it, and as it is path traced."""
+"""Pairs of images of a room with a replaced object: rendered by the twin, and path traced."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -23,19 +23,19 @@ from aomgen.twin.twin import TwinModel
 from benchmarks.replace_rooms import CONDITIONS, RoomTruth
 from synthetic.layout import build_world
 
-# Places in the walk, as shares of its length: left, front and right, low and high.
+# Positions in the walk, as shares of its length: left, front and right, low and high.
 VIEWS: Final = (0.08, 0.22, 0.4, 0.6, 0.75, 0.95)
-# Far away and below the floor, [m].
+# Pose far away and below the floor, [m].
 AWAY: Final = transform(np.eye(3), np.array([50.0, 50.0, -50.0]))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Shot:
-    """A state that is drawn from all cameras.
+    """A state that is rendered from all cameras.
 
     Attributes:
-        joints, gripper: Of the robot.
-        theta: Of the new object; None where there is none.
+        joints, gripper: State of the robot.
+        theta: Joint value of the new object; None without an object.
     """
 
     joints: Array
@@ -45,11 +45,11 @@ class Shot:
 
 @dataclass(frozen=True)
 class RoomPictures:
-    """Draws shots of a finished run's first asset, and of the truth.
+    """Images of shots of a finished run's first asset, and of the truth.
 
     Attributes:
         truth: The room.
-        results: Of its run, up to the replaced object.
+        results: Results of its run, up to the replaced object.
     """
 
     truth: RoomTruth
@@ -57,17 +57,17 @@ class RoomPictures:
 
     @cached_property
     def fitted(self) -> FittedAsset:
-        """The asset where it stands."""
+        """The asset at its pose."""
         return self.results.fitted_assets[0]
 
     @cached_property
     def twin(self) -> TwinModel:
-        """With the asset."""
+        """Twin with the asset."""
         return load_artifact(self.results.asset_folder(0), "twin", TwinModel)
 
     @cached_property
     def background(self) -> TwinModel:
-        """Without an object."""
+        """Twin without an object."""
         return load_artifact(self.results.folders["replacement"] / BACKGROUND_FOLDER, "twin", TwinModel)
 
     @cached_property
@@ -81,7 +81,7 @@ class RoomPictures:
 
     @cached_property
     def shots(self) -> dict[str, Shot]:
-        """The arm at rest and where it first held the object; the object away, closed, and open."""
+        """Shots: the arm at rest and at its first grasp; the object absent, closed, and open."""
         rest, demo = self.results.configuration, self.results.demonstration
         held = int(demo.contact_frames[0])
         at_rest = {"joints": rest.joints, "gripper": rest.gripper}
@@ -98,7 +98,7 @@ class RoomPictures:
     def draw(
         self, shot: Shot, *, twin: TwinModel | None = None, shadow: bool = True
     ) -> dict[str, NDArray[np.uint8]]:
-        """Images (H, W, 3) of the twin, or another one, from each camera."""
+        """Render images (H, W, 3) of the twin, or another one, from each camera."""
         twin = twin or self.twin
         trajectory = SceneTrajectory(
             times_s=np.zeros(1),
@@ -113,7 +113,7 @@ class RoomPictures:
         return {name: item.images_srgb[0] for name, item in frames.items()}
 
     def trace(self) -> dict[str, dict[str, NDArray[np.uint8]]]:
-        """Path-traced images (H, W, 3), by shot and camera."""
+        """Render path-traced images (H, W, 3), by shot and camera."""
         with self.truth.painter(self.fitted.asset, self.fitted.T_world_asset) as painter:
             found = {}
             for name, shot in self.shots.items():
@@ -139,7 +139,7 @@ class SeenGeometry:
 def see_geometry(
     pictures: RoomPictures, shot: Shot, cameras: Mapping[str, Camera], *, recorded: bool = False
 ) -> SeenGeometry:
-    """Labels and depths of a shot; with the recorded object in its place instead of the new one if `recorded`."""
+    """Render labels and depths of a shot, with the recorded object instead of the new one if `recorded`."""
     layout = pictures.truth.layout
     if not recorded:
         layout = replace(

@@ -1,4 +1,4 @@
-"""Rooms whose recording is path traced: what estimators get, and what a camera would see of the replaced object."""
+"""Rooms with a path-traced recording: input of the estimators, and true images of the replaced object."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -27,13 +27,13 @@ CONDITIONS: Final = Conditions(scan_views=48)
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ReplacedRoom:
-    """A recording and the object that takes the recorded one's place.
+    """A recording and the object that replaces the recorded one.
 
     Attributes:
-        category: What is recorded, see `synthetic.world.make_capture`.
-        seed: Of the capture.
-        light: Of the room.
-        asset: As a project names it.
+        category: Category of the recorded object, see `synthetic.world.make_capture`.
+        seed: Seed of the capture.
+        light: Light of the room.
+        asset: Name of the asset in a project.
     """
 
     category: str
@@ -42,7 +42,7 @@ class ReplacedRoom:
     asset: str
 
 
-# Lights of other kinds, and other tone curves: a directional light from the left, a window, an even sky.
+# Lights and tone curves of different kinds: a directional light from the left, a window, a uniform sky.
 ROOMS: Final[Mapping[str, ReplacedRoom]] = {
     "lamp": ReplacedRoom(
         category="microwave",
@@ -73,8 +73,8 @@ class RoomTruth:
     """Recording of a room, and images of it with another object.
 
     Attributes:
-        room: Which.
-        folder: Holds `capture`, and `traced` images, so that none is rendered twice.
+        room: The room.
+        folder: Folder of `capture`, and of `traced` images, so that none is rendered twice.
     """
 
     room: ReplacedRoom
@@ -87,7 +87,7 @@ class RoomTruth:
 
     @cached_property
     def robot(self) -> RobotModel:
-        """As it was recorded."""
+        """Robot of the recording."""
         return load_robot(DEFAULT_ROBOT)
 
     @cached_property
@@ -102,7 +102,7 @@ class RoomTruth:
         return find_demonstration(self.robot, draw_object(category, seed), capture_rng(category, seed)).layout
 
     def record(self, progress: Progress) -> None:
-        """Write the capture, unless it is there."""
+        """Write the capture, unless it exists."""
         if not self.capture.is_dir():
             make_capture(
                 self.capture, category=self.room.category, seed=self.room.seed, conditions=CONDITIONS,
@@ -110,12 +110,12 @@ class RoomTruth:
             )  # fmt: skip
 
     def painter(self, asset: ArticulatedAsset, T_world_asset: Array) -> PathTracedRenderer:
-        """Draws the room with an asset instead of the recorded object; to be closed."""
+        """Make a renderer of the room with an asset instead of the recorded object; the caller closes it."""
         placed = replace(self.layout, asset=asset, T_world_object=T_world_asset)
         return self._painter(build_world(self.robot, placed, visual=True), CONDITIONS.size)
 
     def camera(self, name: str) -> Camera:
-        """A scan image's camera by its file name, or a fixed one."""
+        """Return a scan image's camera by its file name, or a fixed one."""
         answers, (width, height) = self.answers, CONDITIONS.size
         poses = answers["scan"] | answers["demo_cameras"]
         fx, fy, cx, cy = answers["intrinsics"]["scan" if name in answers["scan"] else name]

@@ -31,16 +31,16 @@ Pictures = Mapping[str, NDArray[np.uint8]]
 GROWN: Final = 0.2
 # Distance around the object within which shadows are compared on the table, and largest height of the table's points, [m].
 AROUND_M, TABLE_M = 0.25, 0.003
-# A view that sees nearer than this before a point does not see it, [m].
+# A point is hidden in a view that shows a surface this much nearer, [m].
 HIDDEN_M: Final = 0.01
 # Fewer pixels than this are not scored.
 MIN_PIXELS: Final = 40
-# Pixels that are covered less are holes.
+# Pixels with a lower coverage are holes.
 COVERED: Final = 0.98
 
 
 def score_room(pictures: RoomPictures) -> dict[str, float]:
-    """Metrics of a room: medians over its images."""
+    """Compute metrics of a room: medians over its images."""
     shots, traced = pictures.shots, pictures.trace()
     drawn = {name: pictures.draw(shot) for name, shot in shots.items()}
     seen = {name: see_geometry(pictures, shot, pictures.cameras) for name, shot in shots.items()}
@@ -67,7 +67,7 @@ def score_room(pictures: RoomPictures) -> dict[str, float]:
 def _object_figures(
     drawn: Mapping[str, Pictures], traced: Mapping[str, Pictures], seen: Mapping[str, SeenGeometry]
 ) -> dict[str, float]:
-    """PSNR and SSIM in the object's box, closed and open."""
+    """Compute PSNR and SSIM in the object's box, closed and open."""
     found = []
     for name in ("closed", "open"):
         for camera, labels in seen[name].labels.items():
@@ -88,7 +88,7 @@ def _grown_box(mask: NDArray[np.bool_]) -> tuple[slice, slice]:
 
 
 def _unlit(twin: TwinModel) -> TwinModel:
-    """The object in its own colors at the brightness of a white sky, whatever the light of the room."""
+    """Light the object at the brightness of a white sky in its own colors, whatever the light of the room."""
     if twin.relit is None:
         raise ValueError("the twin's object is not lit")
     last = twin.relit.lights[-1]
@@ -104,7 +104,7 @@ def _shadow_figures(
     traced: Mapping[str, Pictures],
     seen: Mapping[str, SeenGeometry],
 ) -> dict[str, float]:
-    """Ratios of grey levels with and without, on the table around the object."""
+    """Compare ratios of gray levels with and without the object, on the table around it."""
     errors, correlations = [], []
     for with_it, without in pairs:
         for name, camera in pictures.cameras.items():
@@ -124,7 +124,7 @@ def _shadow_figures(
 
 
 def _on_table(pictures: RoomPictures, seen: SeenGeometry, name: str, camera: Camera) -> NDArray[np.bool_]:
-    """Pixels of the table around the object, (H, W)."""
+    """Find pixels of the table around the object, (H, W)."""
     points = _points(camera, seen.depths[name])
     low, high = pictures.fitted.asset.static.bounds
     local = apply(invert(pictures.fitted.T_world_asset), points)[..., :2]
@@ -142,7 +142,7 @@ def _grey(image: NDArray[np.uint8]) -> Array:
 
 
 def _hole_figures(pictures: RoomPictures, drawn: Pictures, traced: Pictures) -> dict[str, float]:
-    """The table where the recorded object stood: what some view saw of it, and what none did."""
+    """Score the table at the recorded object's location: where some view shows it, and where none does."""
     empty, cameras = pictures.shots["empty"], pictures.cameras
     views = {name: pictures.truth.camera(name) for name in pictures.truth.answers["scan"]}
     covered = see_geometry(pictures, empty, cameras, recorded=True)
@@ -174,7 +174,7 @@ def _hole_figures(pictures: RoomPictures, drawn: Pictures, traced: Pictures) -> 
 
 
 def _visible(points: Array, camera: Camera, labels: NDArray[np.uint8], depths: Array) -> NDArray[np.bool_]:
-    """Mask of the points (H, W, 3) that a view sees before the recorded object and the robot."""
+    """Find the points (H, W, 3) that a view shows, not hidden by the recorded object or the robot."""
     pixels, depth = camera.project(points)
     column, row = (np.floor(np.nan_to_num(pixels[..., k], nan=-1)).astype(int) for k in (0, 1))
     inside = (depth > 0) & (column >= 0) & (row >= 0) & (column < camera.width) & (row < camera.height)
@@ -190,7 +190,7 @@ def _gradient(image: NDArray[np.uint8]) -> Array:
 def run_rooms(
     folder: Path, names: Sequence[str], run_project: Callable[..., None], tell: Callable[[str], None]
 ) -> dict[str, Any]:
-    """Record rooms, replace their objects and score: medians over rooms, and a row each; what is there is kept."""
+    """Record rooms, replace their objects and score: medians, and a row each; existing results are kept."""
     rows = []
     for name in names:
         if name not in ROOMS:

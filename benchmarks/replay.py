@@ -1,4 +1,4 @@
-"""`python -m benchmarks replay`: how many generated demonstrations open the object again (the paper's Table 1)."""
+"""`python -m benchmarks replay`: success rate of replayed demonstrations (the paper's Table 1)."""
 
 from collections import Counter
 from dataclasses import asdict, dataclass, field, replace
@@ -39,7 +39,7 @@ from benchmarks.reachability import can_hold
 from benchmarks.recovered import Recovered, recover
 from synthetic.world import DEFAULT_ROBOT
 
-# A replayed joint value this near to the stored one is the same, [deg] and [mm].
+# A replayed joint value within this distance of the stored one counts as equal, [deg] and [mm].
 NEAR: Final = {"deg": 3.0, "mm": 5.0}
 
 
@@ -61,7 +61,7 @@ BEYOND: Final = (
 
 
 def draw(sweep: Sweep, category: str, seed: int, index: int) -> Variation:
-    """Number `index` of a sweep's independent uniform draws."""
+    """Draw number `index` of a sweep's independent uniform samples."""
     rng = np.random.default_rng([seed, index, *category.encode(), *sweep.name.encode()])
     ranges = sweep.ranges
     x, y, yaw, scale = (
@@ -71,11 +71,11 @@ def draw(sweep: Sweep, category: str, seed: int, index: int) -> Variation:
 
 
 def measure(folder: Path, category: str, sweep: Sweep, seed: int, index: int) -> dict[str, Any]:
-    """Outcome of one draw, kept in a folder next to the category's recovered demonstration.
+    """Measure the outcome of one draw, kept in a folder next to the category's recovered demonstration.
 
     Returns:
-        `x`, `y`, `yaw_deg`, `scale`; `feasible` (see `reachability.can_hold`); `reason` and `detail` of tier A,
-        empty when it passed; then `ik` and what `judge_exported` says.
+        `x`, `y`, `yaw_deg`, `scale`; `feasible` (see `reachability.can_hold`); `reason` and `detail` of tier
+        A, empty when it passed; then `ik` and the results of `judge_exported`.
     """
     place = folder / category / sweep.name / f"{index:05d}"
     if place.with_suffix(".json").is_file():
@@ -113,7 +113,7 @@ def measure(folder: Path, category: str, sweep: Sweep, seed: int, index: int) ->
 
 @cache
 def _workplace(folder: Path, category: str, seed: int) -> tuple[RobotModel, IkSolver, Recovered, Scene]:
-    """Common data of all draws of a category."""
+    """Prepare the common data of all draws of a category."""
     robot, recovered = load_robot(DEFAULT_ROBOT), recover(category, seed, folder / category)
     scene = episode_scene(robot, recovered.fitted, recovered.demo, recovered.support, bolted=True)
     return robot, ik_solver(robot), recovered, scene
@@ -148,7 +148,7 @@ def judge_exported(verified: VerifiedEpisode | Rejection, robot: RobotModel, usd
 
 
 def judge_opening(run: Opening, exported: Exported) -> str:
-    """Why a replay does not count, by the same rule as verification; empty when it does."""
+    """Return why a replay fails, by the same rule as verification; empty when it passes."""
     shares, carried = exported.shares(run.thetas), run.carried
     # Frames are coarse: at the first one with force the part may have moved already.
     first = int(np.argmax(carried)) if carried.any() else len(carried)
@@ -163,11 +163,11 @@ def judge_opening(run: Opening, exported: Exported) -> str:
 
 
 def recheck(plan: EpisodePlan, robot: RobotModel, params: PlanParams) -> dict[str, float]:
-    """Forward kinematics of a plan as it is exported: does the handle stay in the gripper, are the joints slow enough?
+    """Check an exported plan by forward kinematics: contact of handle and gripper, and speed of the joints.
 
     Returns:
-        `mm` and `deg`: farthest that the held point and the bar's direction come from their middle place in the
-        gripper during contact; `step`: largest joint step over what its speed limit allows in a frame.
+        `mm` and `deg`: largest deviation of the held point and of the bar's direction from their mean pose in
+        the gripper during contact; `step`: largest joint step over the speed limit's step per frame.
     """
     joints, asset = plan.joints.astype(np.float32).astype(np.float64), plan.fitted.asset
     holding = plan.phases == PHASES.index("contact")
@@ -187,7 +187,7 @@ def recheck(plan: EpisodePlan, robot: RobotModel, params: PlanParams) -> dict[st
 
 
 def summary(rows: list[dict[str, Any]]) -> dict[str, Any]:
-    """Figures of a sweep's draws; `docs/dataset.md` says what they mean."""
+    """Compute metrics of a sweep's draws; `docs/dataset.md` explains them."""
     planned = [row for row in rows if not row["reason"]]
     passed = [row for row in planned if not row["failure"]]
     verified = [row for row in planned if "unit" in row]
@@ -215,7 +215,7 @@ def summary(rows: list[dict[str, Any]]) -> dict[str, Any]:
 
 
 def worst_ik(planned: list[dict[str, Any]]) -> dict[str, float]:
-    """Number of plans, and the largest of each figure of `recheck`."""
+    """Compute the number of plans, and the largest of each metric of `recheck`."""
     worst = {name: max(row["ik"][name] for row in planned) for name in ("mm", "deg", "step")}
     return {"plans": float(len(planned)), **worst}
 

@@ -1,4 +1,4 @@
-"""`python -m benchmarks replay-exported`: do exported actions open the exported object in somebody else's scene?"""
+"""`python -m benchmarks replay-exported`: success of exported actions in a foreign scene."""
 
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -26,7 +26,7 @@ TWIN_FOLDER, EPISODES_FOLDER = "06_twin", "08_episodes"
 
 
 def run_replay(outs: Sequence[Path]) -> dict[str, dict[str, Any]]:
-    """Replay all exported episodes of some runs, as they are and with the object moved away.
+    """Replay all exported episodes of some runs, unchanged and with the object displaced.
 
     Args:
         outs: Folders of finished runs.
@@ -50,7 +50,7 @@ def run_replay(outs: Sequence[Path]) -> dict[str, dict[str, Any]]:
 
 
 def exported_episodes(out: Path) -> Iterator[Exported]:
-    """The episodes of a run's dataset, one after the other.
+    """Yield the episodes of a run's dataset, one after the other.
 
     Raises:
         MissingFileError: The run has no dataset.
@@ -80,7 +80,7 @@ def exported_episodes(out: Path) -> Iterator[Exported]:
 
 
 def summed_error_m(episode: Exported) -> float:
-    """Distance from the planned path of the sum of the deltas from the first pose, [m]."""
+    """Compute the distance of the summed deltas, from the first pose on, from the planned path, [m]."""
     T, worst = poses_of(episode.ee_poses[:1]), 0.0
     for delta, target in zip(episode.actions["ee_delta"], episode.actions["ee_absolute"], strict=True):
         T = ee_targets(T, delta[None, :6])

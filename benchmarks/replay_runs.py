@@ -15,11 +15,12 @@ from benchmarks.recovered import Recovered, recover
 from benchmarks.replay import BEYOND, PAPER, Sweep, measure, summary, worst_ik
 
 CATEGORIES: Final = ("microwave", "toolbox", "laptop", "drawer", "cabinet")
-# Processes, each on one thread: the reference machine has two cores.
+# Number of processes, each on one thread: the reference machine has two cores.
 WORKERS: Final = 2
-# Draws for each attempt before a sweep is given up; and attempts beyond the paper's for each sweep.
+# Largest number of draws per attempt of a sweep; attempts beyond the paper's ranges for each sweep, as a
+# share.
 MAX_DRAWS, BEYOND_SHARE = 20, 0.1
-# Key of the figures of demonstrations that close their object, and the folder in which they are kept.
+# Key of the metrics of demonstrations that close their object, and the folder in which they are kept.
 CLOSING: Final = "closing"
 Tell = Callable[[str], None]
 
@@ -32,15 +33,15 @@ def run_replay_bench(
     categories: tuple[str, ...] = CATEGORIES,
     others: tuple[Sweep, ...] = BEYOND,
 ) -> dict[str, Any]:
-    """Figures by category, then those of `ik` over all of them, of sweeps `beyond`, and by category of `closing`.
+    """Compute metrics by category, then `ik` over all, of sweeps `beyond`, and by category of `closing`.
 
     Args:
-        folder: Keeps demonstrations and draws; a bench that was killed goes on.
-        attempts: Requested draws that pass tier A, in each category.
-        seed: Of the first motion world, and of all draws.
+        folder: Folder of demonstrations and draws; a killed benchmark continues from it.
+        attempts: Requested number of draws that pass tier A, in each category.
+        seed: Seed of the first motion world, and of all draws.
         tell: Receives every draw.
-        categories: What is opened, and closed.
-        others: Sweeps beyond the paper's.
+        categories: Categories that are opened, and closed.
+        others: Sweeps beyond the paper's ranges.
     """
     few = max(1, round(BEYOND_SHARE * attempts))
     with start_workers() as pool:
@@ -75,7 +76,7 @@ def run_replay_bench(
 
 
 def _described(found: Recovered, rows: list[dict[str, Any]]) -> dict[str, Any]:
-    """From what episodes were planned, and the figures of their draws."""
+    """Describe the input of the planning, and the metrics of its draws."""
     origin = {
         "world": found.world,
         "asset": found.fitted.asset.name,
@@ -85,8 +86,8 @@ def _described(found: Recovered, rows: list[dict[str, Any]]) -> dict[str, Any]:
 
 
 def start_workers() -> Executor:
-    """Processes that share nothing, as OpenGL wants it."""
-    # Read by the processes as they start: a second thread of the linear algebra only waits.
+    """Start processes that share nothing, as OpenGL requires."""
+    # The processes read these as they start: a second thread of the linear algebra would only wait.
     os.environ.update(OMP_NUM_THREADS="1", OPENBLAS_NUM_THREADS="1")
     return ProcessPoolExecutor(WORKERS, mp_context=get_context("spawn"))
 
@@ -94,7 +95,7 @@ def start_workers() -> Executor:
 def _drawn(
     pool: Executor, job: Callable[[int], dict[str, Any]], attempts: int, tell: Tell
 ) -> Iterator[dict[str, Any]]:
-    """Draws in order until `attempts` of them pass tier A; those that were begun beyond are dropped."""
+    """Yield draws in order until `attempts` of them pass tier A; further ones that were begun are dropped."""
     waiting: deque[Future[dict[str, Any]]] = deque()
     good = 0
     for index in count():

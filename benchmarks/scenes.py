@@ -1,4 +1,4 @@
-"""Made scenes on which the splatting engine is timed and checked."""
+"""Generated scenes on which the splatting engine is timed and checked."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,12 +11,12 @@ FIRST_OBJECT = 4  # surfaces of the table-top scene before it are flat
 
 
 def table_top(count: int, sh_degree: int, seed: int = 0) -> Gaussians:
-    """Flattened Gaussians on a table, a floor, two walls and 24 round objects."""
+    """Make flattened Gaussians on a table, a floor, two walls and 24 round objects."""
     return table_top_surfaces(count, sh_degree, seed)[0]
 
 
 def table_top_surfaces(count: int, sh_degree: int, seed: int = 0) -> tuple[Gaussians, NDArray[np.int64]]:
-    """`table_top`, and the surface of every Gaussian (N,), 0..27."""
+    """Make `table_top`, and the surface of every Gaussian (N,), 0..27."""
     rng = np.random.default_rng(seed)
     centers = rng.uniform([-0.8, -0.5, 0.05], [0.8, 0.5, 0.45], (24, 3))
     radii = rng.uniform(0.03, 0.12, (24, 3))
@@ -46,7 +46,7 @@ def table_top_surfaces(count: int, sh_degree: int, seed: int = 0) -> tuple[Gauss
 
 
 def table_camera(width: int, height: int, share: float = 0.5) -> Camera:
-    """A view of the table from an arc in front of it; share 0..1 along the arc."""
+    """Make a view of the table from an arc in front of it; share 0..1 along the arc."""
     angle = -np.pi / 2 + (share - 0.5) * 1.6
     pose = look_at([1.5 * np.cos(angle), 1.5 * np.sin(angle), 0.9], [0, 0, 0.1])
     focal = 0.5 * width / np.tan(np.radians(30))
@@ -58,7 +58,7 @@ def table_camera(width: int, height: int, share: float = 0.5) -> Camera:
 def ellipsoids(
     count: int, centers: np.ndarray, radii: np.ndarray, sh_degree: int, seed: int = 0
 ) -> Gaussians:
-    """Flattened Gaussians on E ellipsoids with centres and radii (E, 3), [m]; equally many on each."""
+    """Make flattened Gaussians on E ellipsoids with centres and radii (E, 3), [m]; equally many on each."""
     rng = np.random.default_rng(seed)
     part = np.arange(count) % len(centers)
     areas = 4 * np.pi * radii.prod(1) ** (2 / 3)
@@ -76,7 +76,7 @@ def _flattened(
     sh_degree: int,
     rng: np.random.Generator,
 ) -> Gaussians:
-    """Gaussians at surface points (N, 3), thin along the normals, as large as the points are apart [m]."""
+    """Make Gaussians at surface points (N, 3), thin along the normals, as large as the point spacing [m]."""
     count, parts = len(points), int(part.max()) + 1
     means = points + 0.1 * spacing[:, None] * rng.normal(size=(count, 3))
     log_scales = np.log(0.6 * spacing)[:, None] + 0.5 * rng.normal(size=(count, 3)) - [0, 0, 1.5]
@@ -93,7 +93,7 @@ def _flattened(
 
 
 def _quats_along(normals: np.ndarray, spins: np.ndarray) -> np.ndarray:
-    """Rotations (N, 4) wxyz whose z axis is the normal, turned about it."""
+    """Compute rotations (N, 4) wxyz whose z axis is the normal, with a rotation about it."""
     helper = np.where(np.abs(normals[:, :1]) < 0.9, [[1.0, 0, 0]], [[0, 1.0, 0]])
     x = np.cross(helper, normals)
     x /= np.linalg.norm(x, axis=1, keepdims=True)

@@ -1,20 +1,20 @@
-"""Judge whether figures after a change are within the tolerances of those before it."""
+"""Tolerances for metrics after a change, relative to those before it."""
 
 import re
 from typing import Any, Final, NamedTuple
 
 from aomgen.evaluation.evaluate import interval_95
 
-# Images may lose this much, [dB]; errors, times and rates this share.
+# Allowed loss of images, [dB], and of errors, times and rates, as a share.
 PSNR_DB, SHARE = 0.2, 0.05
 PSNR: Final = re.compile(r"psnr|(^|[._])db($|[._])")
-# A figure's statistic may follow its name: joint.axis_deg.median, contact_mm_worst.
+# A metric's statistic may follow its name: joint.axis_deg.median, contact_mm_worst.
 STATISTIC: Final = r"([._](median|worst|p90|at_end))?$"
 LOWER_IS_BETTER: Final = re.compile(
     r"(_(deg|mm|m|s|ms|px|pct|mb)|error|rmse|(^|\.)seconds(\.\w+)?|core_seconds\.\w+|_width)" + STATISTIC
 )
 HIGHER_IS_BETTER: Final = re.compile(r"(iou|per_minute|per_second|registered)" + STATISTIC)
-# Shares of successes, by the figure beside them that counts the trials.
+# Shares of successes, by the metric next to them that counts the trials.
 RATES: Final = {
     "success_rate": "attempts",
     "planned_share": "feasible",
@@ -23,7 +23,7 @@ RATES: Final = {
     "accepted_share": "assets",
     "share": "worlds",
 }
-# Counts of failures, and what counts the trials.
+# Counts of failures, by the metric that counts the trials.
 FAILURES: Final = {
     "refusals": "worlds",
     "wrong_type": "worlds",
@@ -34,7 +34,7 @@ FAILURES: Final = {
 
 
 class Judged(NamedTuple):
-    """A figure before and after; `verdict` is same, better, worse, missing or new."""
+    """A metric before and after; `verdict` is same, better, worse, missing or new."""
 
     figure: str
     before: float | None
@@ -48,11 +48,11 @@ class Judged(NamedTuple):
 
 
 def judge(before: dict[str, float], after: dict[str, float]) -> list[Judged]:
-    """A row for each figure that has a tolerance, or that only one side has.
+    """Judge each metric that has a tolerance, or that only one side has, as one row.
 
     Args:
-        before: Figures by dotted name.
-        after: The same, measured with the same command and seeds.
+        before: Metrics by dotted name.
+        after: Metrics measured with the same command and seeds.
     """
     rows = []
     for name in sorted(before.keys() | after.keys()):
@@ -67,12 +67,12 @@ def judge(before: dict[str, float], after: dict[str, float]) -> list[Judged]:
 
 
 def as_rows(judged: list[Judged]) -> list[dict[str, Any]]:
-    """Rows of a table."""
+    """Convert to rows of a table."""
     return [row._asdict() for row in judged]
 
 
 def _judge_one(name: str, before: dict[str, float], after: dict[str, float]) -> tuple[str, str] | None:
-    """Tolerance and verdict; None if no tolerance is stated for such a figure."""
+    """Compute tolerance and verdict; None if no tolerance is stated for such a metric."""
     old, new = before[name], after[name]
     place, _, last = name.rpartition(".")
     if last in RATES and (trials := before.get(f"{place}.{RATES[last]}")):
@@ -95,7 +95,7 @@ def _judge_one(name: str, before: dict[str, float], after: dict[str, float]) -> 
 
 
 def _verdict(gain: float, may_lose: float, may_gain: float) -> str:
-    """Verdict of a gain, positive where the figure is better now; what is no number is worse."""
+    """Judge a gain, positive where the metric is better now; NaN is worse."""
     if not gain >= -may_lose - 1e-12:
         return "worse"
     return "better" if gain > may_gain + 1e-12 else "same"

@@ -1,6 +1,6 @@
-"""All benchmarks that a change is held against, run as commands, and their figures in one file.
+"""All benchmarks that evaluate a change, run as commands, and their metrics in one file.
 
-Each part leaves one JSON in the folder; a second call runs what is missing.
+Each part writes one JSON to the folder; a second call runs the missing ones.
 """
 
 import json
@@ -18,7 +18,8 @@ from benchmarks.replace_rooms import ROOMS
 SCORES_FILE = "scores.json"
 # First seed of captures and worlds: no constant was chosen on it or its successors.
 UNUSED_SEED: Final = 77_000
-# One synthetic capture of each category; worlds, episodes and attempts so that one odd case moves no median.
+# One synthetic capture of each category; enough worlds, episodes and attempts that one
+# outlier moves no median.
 SYNTHETIC, MOTION_WORLDS, JOINT_WORLDS, EPISODES, ATTEMPTS, ROOM_COUNT = 5, 30, 200, 60, 50, 3
 PARTS: Final = ("captures", "synthetic", "motion", "intervals", "replace", "generate", "replay", "splatting")
 # Lists and tables in addition to the metrics: every single world, capture, asset or room.
@@ -28,20 +29,20 @@ DETAILS: Final = {"worlds", "rows", "captures", "rooms", "categories", "assets"}
 def run_scores(
     folder: Path, captures: Sequence[Path], parts: Sequence[str], seed: int, tell: Callable[[str], None]
 ) -> dict[str, float]:
-    """Run every part that is missing in the folder, and write all figures to `scores.json`.
+    """Run every part that is missing in the folder, and write all metrics to `scores.json`.
 
     Args:
-        folder: Runs, and one JSON a part.
-        captures: With ground truth; the part `captures` runs each of them.
-        parts: Of `PARTS`.
+        folder: Runs, and one JSON per part.
+        captures: Captures with ground truth; the part `captures` runs each of them.
+        parts: Names from `PARTS`.
         seed: First seed of made captures and worlds.
         tell: Receives a line on each part.
 
     Returns:
-        Figures by dotted name.
+        Metrics by dotted name.
 
     Raises:
-        ConfigError: A part is unknown or failed; the output of one that failed has been shown.
+        ConfigError: A part is unknown or failed; the output of a failed one has been shown.
     """
     for part in parts:
         if part not in PARTS:
@@ -75,13 +76,13 @@ def run_scores(
 
 
 def part_of(name: str) -> str:
-    """Part of a command or a figure."""
+    """Return the part of a command or a metric."""
     first = name.split(".")[0]
     return first if first in PARTS else "captures"
 
 
 def _commands(folder: Path, captures: Sequence[Path], seed: int) -> dict[str, list[str]]:
-    """Arguments of each part's command, by name; a capture's name is `capture-` and its folder's."""
+    """Return arguments of each part's command, by name; a capture's name is `capture-` and its folder's."""
     seeded = ["--seed", str(seed)]
 
     def out(name: str) -> list[str]:
@@ -107,7 +108,7 @@ def _commands(folder: Path, captures: Sequence[Path], seed: int) -> dict[str, li
 
 
 def flatten(name: str, value: Any) -> Iterator[tuple[str, float]]:
-    """Numbers of nested JSON under dotted names."""
+    """Yield numbers of nested JSON under dotted names."""
     if isinstance(value, int | float):
         yield name, float(value)
     elif isinstance(value, dict):

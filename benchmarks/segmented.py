@@ -18,14 +18,14 @@ class MaskErrors:
     """Errors of a mask's outline, [px] in images 320 px wide, standard deviations.
 
     Measured on MobileSAM's masks of a door and a drawer in three videos, prompted with the box around the
-    true mask: 0.6 to 4 px off on average, of which 0.02 to 0.2 px change from one frame to the next in
-    a still scene and 0.4 to 1.4 px while arm or part move. The values are from the better end, as SAM 2
-    follows a part more steadily.
+    true mask: a mean error of 0.6 to 4 px, of which 0.02 to 0.2 px change from one frame to the next in
+    a still scene and 0.4 to 1.4 px while arm or part move. The values are at the lower end, as SAM 2
+    tracks a part more steadily.
 
     Attributes:
-        lasting: The same in every frame.
-        flicker: New in every frame.
-        spacing: Along the outline, errors this far apart are independent.
+        lasting: Error that is equal in all frames.
+        flicker: Error that is independent in every frame.
+        spacing: Distance along the outline at which errors are independent.
     """
 
     lasting: float = 1.0
@@ -36,14 +36,14 @@ class MaskErrors:
 def segmented(
     labels: NDArray[np.uint8], rng: np.random.Generator, errors: MaskErrors | None = None
 ) -> PartMasks:
-    """Masks of moving part and robot as a segmenter gives them, 320 px wide.
+    """Make masks of moving part and robot as a segmenter gives them, 320 px wide.
 
-    The part's outline is moved back and forth; the robot's, drawn from its log, stays true.
+    The part's outline is moved back and forth; the robot's, rendered from its log, is unchanged.
 
     Args:
         labels: True labels (T, H, W), see `conventions.PART_LABELS`.
-        rng: Draws the errors.
-        errors: Their size.
+        rng: Generator of the errors.
+        errors: Size of the errors.
     """
     errors = errors or MaskErrors()
     height = round(WIDTH * labels.shape[1] / labels.shape[2])
@@ -59,16 +59,16 @@ def segmented(
 
 
 def _moved_outline(mask: NDArray[np.bool_], off: Array) -> NDArray[np.bool_]:
-    """A mask whose outline lies `off` (H, W) pixels further out."""
+    """Move the outline of a mask outwards by `off` (H, W) pixels."""
     if not mask.any() or mask.all():
         return mask
     inside, outside = (np.asarray(distance_transform_edt(side)) for side in (mask, ~mask))
-    # Pixel centers lie half a pixel from an outline that runs between them.
+    # Pixel centers are half a pixel from an outline that runs between them.
     return np.asarray(np.where(mask, inside - 0.5, 0.5 - outside) + off > 0)
 
 
 def _waves(shape: tuple[int, int], spacing: float, rng: np.random.Generator) -> Array:
-    """A smooth random field (H, W) of about unit variance."""
+    """Draw a smooth random field (H, W) of about unit variance."""
     coarse = rng.normal(size=[int(side / spacing) + 2 for side in shape])
     fine = np.asarray(zoom(coarse, spacing, order=1))[: shape[0], : shape[1]]
     return fine / float(fine.std())

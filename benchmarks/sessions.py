@@ -1,4 +1,4 @@
-"""Render sessions against full renders of the same frames: speed, and the same images."""
+"""Speed and accuracy of render sessions relative to full renders of the same frames."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -22,12 +22,12 @@ class SessionSpeed:
     """Medians, [ms].
 
     Attributes:
-        picture_ms: An 8-bit image, drawn over that of the frame before.
-        draw_ms: Color, depth and alpha as floats, into new arrays.
-        full_ms: The same floats, by a full render of static and moving Gaussians together.
+        picture_ms: Time of an 8-bit image, rendered over that of the previous frame.
+        draw_ms: Time of color, depth and alpha as floats, into new arrays.
+        full_ms: Time of the same floats, by a full render of static and moving Gaussians together.
         speed_over_full: full_ms over picture_ms, median of the rounds.
         frames_per_s: 8-bit images in a batch of `BATCH_FRAMES`, spread over the threads.
-        tiles_share: Tiles in which moving Gaussians are seen in a frame or in the one before.
+        tiles_share: Tiles in which moving Gaussians are visible in a frame or in the previous one.
         max_difference: Largest difference of red, green, blue or alpha from a full render.
     """
 
@@ -41,13 +41,13 @@ class SessionSpeed:
 
 
 def measure_session(scene: MovingScene, threads: int, isa: str, repeats: int) -> SessionSpeed:
-    """Time frames of a session and full renders of the same frames in turn.
+    """Time frames of a session and full renders of the same frames alternately.
 
     Args:
-        scene: What stands and what moves.
+        scene: Static and moving Gaussians.
         threads: Worker threads.
         isa: One of `native.instruction_sets()`.
-        repeats: Frames of each kind, and batches.
+        repeats: Number of frames of each kind, and of batches.
     """
     session = RenderSession(scene.static, scene.camera, threads=threads, instruction_set=isa)
     context = native.Context(threads, isa)
@@ -93,7 +93,7 @@ def _ignore(_: Any) -> None:
 
 
 def _parts_of_everything(scene: MovingScene) -> np.ndarray:
-    """Part 0 stands; the parts of the scene follow."""
+    """Return part 0 for static Gaussians, followed by the parts of the scene."""
     return np.concatenate([np.zeros(len(scene.static), np.int32), scene.parts + 1])
 
 
@@ -108,7 +108,7 @@ def _frames(
 
 
 def _difference(scene: MovingScene, session: RenderSession, context: native.Context) -> float:
-    """Largest difference of a few frames of the session from full renders with a context."""
+    """Compute the largest difference of a few frames of the session from full renders with a context."""
     everything = concatenate([scene.static, scene.moving])
     parts, _ = _frames(scene, scene.parts)
     together, _ = _frames(scene, _parts_of_everything(scene), standing=True)

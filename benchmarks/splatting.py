@@ -23,7 +23,7 @@ from benchmarks.timing import (
     training_pass,
 )
 
-# Vector operations that blending one splat into sixteen pixels takes, counted in the inner loop.
+# Number of vector operations for blending one splat into sixteen pixels, counted in the inner loop.
 OPERATIONS_PER_PAIR = 28
 SESSION_SHARE = 0.25
 BOUND = (
@@ -40,7 +40,7 @@ class SpeedCase:
     """One scene and machine setting.
 
     Attributes:
-        gaussians: Number of Gaussians in the scene; a good half of them is in view.
+        gaussians: Number of Gaussians in the scene; slightly more than half of them are in view.
         width, height: Image size, [px].
         sh_degree: 0..3.
         threads: Worker threads.
@@ -60,8 +60,8 @@ class Effort:
     """Duration of the measurements.
 
     Attributes:
-        repeats: Timed runs of every function, taken in turn; the median counts.
-        tiles: Tiles of the image that are compared with float64.
+        repeats: Timed runs of every function, alternately; the median counts.
+        tiles: Number of tiles of the image that are compared with float64.
         arm: Static Gaussians, moving Gaussians and image side [px] of the scene with an arm.
     """
 
@@ -71,7 +71,7 @@ class Effort:
 
 
 def default_cases() -> tuple[SpeedCase, ...]:
-    """Three scene sizes at two image sizes; then the other instruction sets, and one thread."""
+    """Return three scene sizes at two image sizes; then the other instruction sets, and one thread."""
     best, *others = native.instruction_sets()
     threads = native.library().aomgen_processor_count()
     sizes = [(640, 480), (320, 240)]
@@ -86,18 +86,18 @@ def default_cases() -> tuple[SpeedCase, ...]:
 
 
 def measure(cases: tuple[SpeedCase, ...], effort: Effort) -> dict[str, Any]:
-    """Median wall times, errors and work of every case; the last one also on every instruction set.
+    """Measure median wall times, errors and work of every case; the last one also on every instruction set.
 
     Returns:
         `cases`: for each a dict with the case's fields, forward_ms and forward_backward_ms
         (gradients by all parameters from a given gradient by the image; into the same arrays every
         time), torch_forward_backward_ms (the same through torch, into new tensors), session_ms
-        (an image of a session: objects move that are seen in `SESSION_SHARE` of the tiles, and
-        session_tiles_share is the share that was reached), the work as `_work` states, and the fields of `Agreement`.
+        (an image of a session: moving objects are visible in about `SESSION_SHARE` of the tiles, and
+        session_tiles_share is the actual share), the work as `_work` states, and the fields of `Agreement`.
         `stages`: for each case the medians of the engine's stages, [ms].
         `sessions`: for each case, and for a scene with an arm, the fields of `SessionSpeed`.
         `instruction_sets`: see `compare_instruction_sets`.
-        `bound`: what share_of_bound means.
+        `bound`: the definition of share_of_bound.
     """
     results, stages, sessions = [], [], []
     for case in cases:
@@ -126,7 +126,7 @@ def measure(cases: tuple[SpeedCase, ...], effort: Effort) -> dict[str, Any]:
 
 
 def compare_instruction_sets(case: SpeedCase, rounds: int) -> dict[str, Any]:
-    """Time every instruction set on one thread in turn, round by round, in processor time.
+    """Time every instruction set on one thread alternately, round by round, in processor time.
 
     Returns:
         By instruction set: medians forward_ms and forward_backward_ms, and the medians over the
@@ -155,7 +155,7 @@ def compare_instruction_sets(case: SpeedCase, rounds: int) -> dict[str, Any]:
 def _times(
     gaussians: Gaussians, camera: Camera, context: native.Context, threads: int, repeats: int
 ) -> tuple[dict[str, float], dict[str, float]]:
-    """Medians of whole passes, and of the engine's stages: the backward ones of the training pass."""
+    """Compute medians of whole passes, and of the engine's stages: the backward ones of the training pass."""
     notes: dict[str, list[dict[str, float]]] = defaultdict(list)
 
     def noted(name: str, function: Callable[[], None]) -> Callable[[], None]:
@@ -193,10 +193,10 @@ def _session(scene: MovingScene, threads: int, isa: str, repeats: int) -> dict[s
 
 
 def _work(context: native.Context, blend_thread_ms: float) -> dict[str, float]:
-    """Work of the context's last pass, in pairs of a splat and a pixel.
+    """Compute the work of the context's last pass, in pairs of a splat and a pixel.
 
     Args:
-        context: After a pass.
+        context: Context after a pass.
         blend_thread_ms: Blending time of that pass times threads, [ms].
 
     Returns:

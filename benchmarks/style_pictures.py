@@ -1,4 +1,4 @@
-"""Draw all styles of made assets, a category a row, and write them as one JPEG."""
+"""Images of all styles of generated assets, one category per row, in one JPEG."""
 
 from pathlib import Path
 from typing import Final
@@ -12,10 +12,10 @@ from aomgen.assets.choice import MAKERS, OTHER_MAKERS, list_styles, make_asset
 from aomgen.assets.mjcf import VISUAL_GROUP, add_asset
 from aomgen.core.asset import ArticulatedAsset
 
-# Pixels of one image; opening of the parts, as a share of their range.
+# Size of one image, [px]; opening of the parts, as a share of their range.
 SIZE: Final = (248, 196)
 OPENED: Final = 0.12
-# Direction from which they are seen, field of view [deg], and distance in their own diagonals.
+# Viewing direction, field of view [deg], and distance in diagonals of the asset.
 AZIMUTH_DEG, ELEVATION_DEG, FOV_DEG, AWAY = 62.0, -24.0, 20.0, 2.5
 
 
@@ -29,7 +29,7 @@ def draw_styles(path: Path) -> None:
 
 
 def draw_asset(asset: ArticulatedAsset) -> NDArray[np.uint8]:
-    """An image (H, W, 3) of an asset on a white floor."""
+    """Render an image (H, W, 3) of an asset on a white floor."""
     spec = mujoco.MjSpec()
     spec.compiler.degree = False
     names = add_asset(spec, asset, np.eye(4), damping=0.0, frictionloss=0.0, visual=True)

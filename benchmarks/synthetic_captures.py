@@ -19,7 +19,7 @@ from benchmarks.table import as_table
 from synthetic.scene_recording import Conditions
 from synthetic.world import make_capture
 
-# Seeds below are for looking at while working on the methods; a score wants unseen ones.
+# Seeds below are for inspection during development; a score requires unseen ones.
 FIRST_SEED: Final = 1000
 RESULT = "figures.json"
 REFUSED = "refused_because"
@@ -37,16 +37,16 @@ def run_synthetic(
     """Make captures of different objects, rooms, cameras and noise; run and score each.
 
     Args:
-        count: How many.
-        out: Keeps captures, runs and figures, and is continued when it exists; temporary when None.
+        count: Number of captures.
+        out: Folder of captures, runs and metrics, continued when it exists; temporary when None.
         run_project: Runs a project up to a stage.
         first_seed: Seed of the first capture, the others follow.
-        category: Of all of them; None: categories take turns.
-        harsh: Make each worse, as phones and labs do (see `harsh_capture`).
+        category: Category of all of them; None: categories alternate.
+        harsh: Degrade each, as phones and labs do (see `harsh_capture`).
 
     Returns:
-        `captures` (figures by capture), and `median`, `worst` and `refusals` by figure. A capture
-        that a stage refused has no figures and counts as refused in every one.
+        `captures` (metrics by capture), and `median`, `worst` and `refusals` by metric. A capture
+        that a stage refused has no metrics and counts as refused in every one.
 
     Raises:
         ConfigError: The category is unknown.
@@ -86,9 +86,9 @@ def _one(
 
 
 def summary(captures: dict[str, dict[str, Any]]) -> dict[str, dict[str, Any]]:
-    """Median and worst of every figure that has a bar, and how many captures gave none.
+    """Compute median and worst of every metric with a threshold, and how many captures gave none.
 
-    A refusal takes the worst place in the order, so that it moves the median too; where the median
+    A refusal ranks worst, so that it moves the median too; where the median
     or the worst falls on a refusal it is None.
     """
     median, worst, refusals = {}, {}, {}
@@ -109,7 +109,7 @@ def _finite(value: float) -> float | None:
 
 
 def synthetic_table(results: dict[str, Any]) -> str:
-    """One row a figure: bar, median, worst, then every capture."""
+    """Format one row per metric: threshold, median, worst, then every capture."""
     rows = [
         {
             "figure": name,
@@ -127,7 +127,7 @@ def synthetic_table(results: dict[str, Any]) -> str:
 
 
 def accuracy_table(figures: dict[str, Any]) -> str:
-    """One row a figure of a single capture beside its bar."""
+    """Format one row per metric of a single capture, with its threshold."""
     return as_table(
         [
             {
@@ -142,7 +142,7 @@ def accuracy_table(figures: dict[str, Any]) -> str:
 
 
 def draw_conditions(rng: np.random.Generator) -> Conditions:
-    """Conditions as recordings differ in them: lens, image size, light, length of the walk."""
+    """Draw recording conditions: lens, image size, light, length of the walk."""
     return Conditions(
         size=((320, 240), (400, 300), (384, 256))[rng.integers(3)],
         scan_views=int(rng.integers(40, 57)),

@@ -1,13 +1,13 @@
-"""Figures as text for people."""
+"""Metrics as text tables."""
 
 from collections.abc import Sequence
 from typing import Any
 
 
 def as_table(rows: Sequence[dict[str, Any]]) -> str:
-    """Rows as aligned columns under their names; columns are those of the first row.
+    """Format rows as aligned columns under their names; columns are those of the first row.
 
-    Numbers keep four digits, small ones as powers of ten.
+    Numbers have four digits, small ones as powers of ten.
     """
     if not rows:
         return ""

@@ -20,7 +20,7 @@ from benchmarks.projection import (
 
 TILE_PX = 16
 # A pixel is undecided when float32 may take another branch than float64 there: an alpha or the
-# light left this close (relative) to its limit, or two splats on it this close (relative) in depth.
+# remaining light is this close (relative) to its limit, or two splats on it this close (relative) in depth.
 NEAR_LIMIT = 1e-3
 NEAR_TIE = 1e-6
 
@@ -31,8 +31,8 @@ class TileImages:
 
     Attributes:
         planes: (5, H, W) float64: red, green, blue, depth [m, not divided by alpha], alpha.
-        decided: (H, W) bool, pixels of the tiles on which rounding cannot change what is drawn.
-        blended: Pairs of a splat and a pixel whose alpha counts.
+        decided: (H, W) bool, pixels of the tiles on which rounding cannot change the set of splats.
+        blended: Number of pairs of a splat and a pixel whose alpha counts.
     """
 
     planes: Tensor
@@ -41,7 +41,7 @@ class TileImages:
 
 
 def choose_tiles(camera: Camera, count: int, seed: int) -> NDArray[np.int64]:
-    """Columns and rows (T, 2) of up to `count` different tiles, at random."""
+    """Choose columns and rows (T, 2) of up to `count` different tiles, at random."""
     columns, rows = -(-camera.width // TILE_PX), -(-camera.height // TILE_PX)
     rng = np.random.default_rng(seed)
     chosen = rng.choice(columns * rows, min(count, columns * rows), replace=False)
@@ -49,7 +49,7 @@ def choose_tiles(camera: Camera, count: int, seed: int) -> NDArray[np.int64]:
 
 
 def tile_mask(camera: Camera, tiles: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """Pixels (H, W) that lie in one of the tiles."""
+    """Return the pixels (H, W) in one of the tiles."""
     mask = np.zeros((camera.height, camera.width), bool)
     for column, row in tiles:
         mask[_window(camera, int(column), int(row))] = True
@@ -57,7 +57,7 @@ def tile_mask(camera: Camera, tiles: NDArray[np.int64]) -> NDArray[np.bool_]:
 
 
 class TileReference:
-    """The tiles of one view of one scene.
+    """Reference for the tiles of one view of one scene.
 
     Args:
         parameters: Tensors by the names in `PARAMETERS`, any float type, taken as exact.
@@ -88,7 +88,7 @@ class TileReference:
         self._image_shape = (camera.height, camera.width)
 
     def images(self) -> TileImages:
-        """Draw the tiles."""
+        """Render the tiles."""
         planes = torch.zeros((5, *self._image_shape), dtype=torch.float64)
         decided = torch.zeros(self._image_shape, dtype=torch.bool)
         blended = 0
@@ -101,9 +101,9 @@ class TileReference:
         return TileImages(planes=planes, decided=decided, blended=blended)
 
     def gradients(self, grad_planes: Tensor) -> dict[str, Tensor]:
-        """A loss's gradient by every parameter (float64), given its gradient by the planes (5, H, W).
+        """Compute a loss's gradient by every parameter (float64), from its gradient by the planes (5, H, W).
 
-        What `grad_planes` holds outside the tiles is not read.
+        Values of `grad_planes` outside the tiles are ignored.
         """
         joints = self._splats.differentiable()
         cut = [tensor.detach().requires_grad_() for tensor in joints]
@@ -125,14 +125,14 @@ def _window(camera: Camera, column: int, row: int) -> tuple[slice, slice]:
 
 
 def _hits(splats: Splats, column: int, row: int) -> Tensor:
-    """Mask (N,) of the splats that may reach the tile: their boxes do, with a pixel to spare."""
+    """Find the splats (N,) that may reach the tile: their boxes do, with a margin of a pixel."""
     middle = torch.tensor([column + 0.5, row + 0.5], dtype=torch.float64) * TILE_PX
     reach = splats.half_sizes + TILE_PX / 2 + 1
     return ((splats.centers - middle).abs() < reach).all(1) & (splats.values[:, 3] > NEAR_DEPTH)
 
 
 def _alphas(splats: list[Tensor], rows: slice, columns: slice) -> Tensor:
-    """(n, h, w), before any limit."""
+    """Compute alphas (n, h, w), before any limit."""
     centers, precisions, opacities, _ = splats
     y = torch.arange(rows.start, rows.stop, dtype=torch.float64) + 0.5
     x = torch.arange(columns.start, columns.stop, dtype=torch.float64) + 0.5
@@ -143,10 +143,10 @@ def _alphas(splats: list[Tensor], rows: slice, columns: slice) -> Tensor:
 
 
 def _light(alphas: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """Limited alphas, log(1 - alpha), and the light in front of every splat, all (n, h, w).
+    """Compute limited alphas, log(1 - alpha), and the light in front of every splat, all (n, h, w).
 
-    Without the rule that drawing stops; once the light is below the limit it stays there, so
-    the splats that the rule leaves out are those with too little light in front of them.
+    The rule that drawing stops is not applied; once the light is below the limit it stays there, so
+    the rule excludes exactly the splats with too little light in front of them.
     """
     limited = torch.where(alphas >= MIN_ALPHA, alphas.clamp_max(MAX_ALPHA), 0)
     kept = torch.log1p(-limited)
@@ -154,7 +154,7 @@ def _light(alphas: Tensor) -> tuple[Tensor, Tensor, Tensor]:
 
 
 def _blend(splats: list[Tensor], rows: slice, columns: slice) -> Tensor:
-    """Planes (5, h, w) of one window from its splats, near to far."""
+    """Blend the planes (5, h, w) of one window from its splats, near to far."""
     alphas, kept, light = _light(_alphas(splats, rows, columns))
     lit = light.detach() > MIN_TRANSMITTANCE
     weights = torch.where(lit, alphas * light, 0)
@@ -163,7 +163,7 @@ def _blend(splats: list[Tensor], rows: slice, columns: slice) -> Tensor:
 
 
 def _decided(splats: list[Tensor], rows: slice, columns: slice) -> tuple[Tensor, int]:
-    """Pixels (h, w) far from every limit, and the number of blended pairs."""
+    """Find pixels (h, w) far from every limit, and the number of blended pairs."""
     alphas = _alphas(splats, rows, columns)
     limited, _, light = _light(alphas)
     open_ = light > MIN_TRANSMITTANCE * (1 - NEAR_LIMIT)

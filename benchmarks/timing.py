@@ -1,4 +1,4 @@
-"""Passes of the engine as functions without arguments, and their times, taken in turn."""
+"""Passes of the engine as functions without arguments, and their times, measured alternately."""
 
 import time
 from collections.abc import Callable, Iterator
@@ -31,13 +31,13 @@ def draw_planes(
 
 
 def forward_pass(gaussians: Gaussians, camera: Camera, context: native.Context) -> Callable[[], None]:
-    """A function that draws one frame: color, depth and alpha."""
+    """Make a function that renders one frame: color, depth and alpha."""
     planes = np.empty((5, camera.height, camera.width), np.float32)
     return lambda: draw_planes(gaussians, camera, context, planes)
 
 
 def gradient_pass(gaussians: Gaussians, camera: Camera, context: native.Context) -> Callable[[], None]:
-    """A function that draws one frame and takes gradients by all parameters, all into the same arrays."""
+    """Make a function that renders one frame and its gradients by all parameters, into the same arrays."""
     tensors = parameters_of(gaussians).values()
     names = ("means", "quats", "scales", "opacities", "sh")
     arrays = {name: tensor.numpy() for name, tensor in zip(names, tensors, strict=True)}
@@ -64,7 +64,7 @@ def gradient_pass(gaussians: Gaussians, camera: Camera, context: native.Context)
 
 
 def training_pass(gaussians: Gaussians, camera: Camera, context: native.Context) -> Callable[[], None]:
-    """As `gradient_pass`, through torch and into new tensors."""
+    """Make a function like `gradient_pass`, through torch and into new tensors."""
     leaves = {name: tensor.requires_grad_() for name, tensor in parameters_of(gaussians).items()}
     noise = np.random.default_rng(0).normal(size=(3, camera.height, camera.width))
     grad_rgb = torch.tensor(noise, dtype=torch.float32)
@@ -82,7 +82,7 @@ def interleaved_ms(
     rounds: int,
     clock: Callable[[], float] = time.perf_counter,
 ) -> dict[str, np.ndarray]:
-    """Times (rounds,) of every function, [ms]; all of them once a round, after one round to warm up."""
+    """Measure times (rounds,) of every function, [ms], once per round, after one round to warm up."""
     times: dict[str, list[float]] = {name: [] for name in functions}
     for _ in range(rounds + 1):
         for name, function in functions.items():
@@ -94,7 +94,7 @@ def interleaved_ms(
 
 @contextmanager
 def torch_threads(count: int) -> Iterator[None]:
-    """Torch's own operations on `count` threads."""
+    """Run torch's own operations on `count` threads."""
     before = torch.get_num_threads()
     torch.set_num_threads(count)
     try:

@@ -1,4 +1,4 @@
-"""A tile rasterizer in plain torch operations, to compare the engine with: float32, autograd backward."""
+"""A tile rasterizer in plain torch operations for comparison with the engine: float32, autograd backward."""
 
 import torch
 from torch import Tensor
@@ -8,10 +8,10 @@ from benchmarks.projection import MAX_ALPHA, MIN_ALPHA, MIN_TRANSMITTANCE, NEAR_
 
 
 def render(parameters: dict[str, Tensor], camera: Camera, degree: int, *, tile_px: int = 16) -> Tensor:
-    """Planes (5, H, W) over black: red, green, blue, depth (not divided by alpha), alpha.
+    """Render planes (5, H, W) over black: red, green, blue, depth (not divided by alpha), alpha.
 
-    Projects all Gaussians at once, sorts the visible ones by depth, finds the pairs of tiles and
-    splats whose boxes meet, and blends every tile by cumulative products over its pairs.
+    The function projects all Gaussians at once, sorts the visible ones by depth, finds the pairs of tiles and
+    splats whose boxes intersect, and blends every tile by cumulative products over its pairs.
 
     Args:
         parameters: Tensors by the names in `PARAMETERS`, float32.
@@ -46,7 +46,7 @@ def _visible_near_to_far(splats: Splats, camera: Camera) -> Tensor:
 
 
 def _tile_pairs(splats: Splats, order: Tensor, camera: Camera, tile_px: int) -> tuple[list[int], Tensor]:
-    """Start of every tile's pairs (tiles + 1), and the pairs' splats, near to far in every tile."""
+    """Find the start of every tile's pairs (tiles + 1), and the pairs' splats, near to far in every tile."""
     columns, rows = -(-camera.width // tile_px), -(-camera.height // tile_px)
     last = torch.tensor([columns - 1, rows - 1], dtype=torch.float32)
     centers, half = splats.centers[order], splats.half_sizes[order]

@@ -1,4 +1,4 @@
-"""`python -m benchmarks training`: how well held-out views are reproduced, over the seconds of training."""
+"""`python -m benchmarks training`: quality of held-out views over the seconds of training."""
 
 import tempfile
 import time
@@ -33,18 +33,18 @@ LIMIT_SECONDS = 120.0
 
 
 class Clock:
-    """Seconds of training, wall and processor; what happens between `stop` and `start` is not counted."""
+    """Seconds of training, wall and processor; time between `stop` and `start` is not counted."""
 
     def __init__(self) -> None:
         self.wall = self.cpu = 0.0
         self.start()
 
     def start(self) -> None:
-        """Count from now on."""
+        """Start counting."""
         self._wall, self._cpu = time.monotonic(), time.process_time()
 
     def stop(self) -> None:
-        """Add what passed since `start` or the last `stop`."""
+        """Add the time since `start` or the last `stop`."""
         wall, cpu = time.monotonic(), time.process_time()
         self.wall, self.cpu = self.wall + wall - self._wall, self.cpu + cpu - self._cpu
         self._wall, self._cpu = wall, cpu
@@ -58,19 +58,19 @@ def run_training(
     iterations: int = 0,
     every_seconds: float = 15.0,
 ) -> dict[str, Any]:
-    """PSNR of a scan's held-out views over the seconds of training.
+    """Measure the PSNR of a scan's held-out views over the seconds of training.
 
     Args:
         capture_folder: A capture; no truth is needed.
         out: Run folder, continued when it exists; a temporary one when None.
         run_project: Runs a project up to a stage.
-        iterations: Instead of the project's own number; 0 keeps it.
-        every_seconds: Training time between two judgements.
+        iterations: Number of steps instead of the project's own; 0 keeps it.
+        every_seconds: Training time between two evaluations.
 
     Returns:
         `curve`, a list of seconds (wall), cpu_seconds, iteration, gaussians, psnr, ssim and
-        psnr_gain_fitted (after each rendered color channel took the gain that fits best: what
-        the camera's exposure costs); the last values; the best within 120 s; seconds of the
+        psnr_gain_fitted (after each rendered color channel was multiplied by its best gain, which shows
+        the effect of the camera's exposure); the last values; the best within 120 s; seconds of the
         dense start.
     """
     with tempfile.TemporaryDirectory() as scratch:
@@ -111,7 +111,7 @@ def training_curve(
     params: GaussiansParams,
     every_seconds: float,
 ) -> list[dict[str, Any]]:
-    """Train, and judge the held-out views every few seconds and at the end."""
+    """Train, and evaluate the held-out views every few seconds and at the end."""
     state = start_training(views.initial, views.cameras, params.training, np.random.default_rng(params.seed))
     extent = scene_extent(views.initial, views.cameras)
     curve: list[dict[str, Any]] = []
@@ -150,7 +150,7 @@ def _point(
 
 
 def gain_fitted_psnr(rendered_srgb: NDArray[np.uint8], image_srgb: NDArray[np.uint8]) -> float:
-    """PSNR of a rendering (H, W, 3) after the best gain for every color channel, [dB]."""
+    """Compute the PSNR of a rendering (H, W, 3) after the best gain for every color channel, [dB]."""
     drawn, photograph = (image.reshape(-1, 3) / 255.0 for image in (rendered_srgb, image_srgb))
     gains = (drawn * photograph).sum(0) / np.maximum((drawn * drawn).sum(0), 1e-12)
     return psnr(drawn * gains, photograph)

@@ -1,4 +1,4 @@
-"""Ground truth of a rendered or instrumented capture; benchmarks and tests alone read it."""
+"""Ground truth of a rendered or instrumented capture; only benchmarks and tests read it."""
 
 from dataclasses import dataclass
 from pathlib import Path

@@ -9,9 +9,9 @@ import difflib
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
-# Names that a sentence lists; more of them hide what it says.
+# Largest number of names in a sentence; more would hide its statement.
 MAX_LISTED = 20
-# Letters that a sentence quotes of another library's message.
+# Largest number of characters of another library's message in a sentence.
 MAX_QUOTED = 120
 
 
@@ -31,7 +31,7 @@ def quote_error(error: Exception) -> str:
 
 
 class AomgenError(Exception):
-    """Base of everything AOMGen raises on purpose.
+    """Base class of all errors that AOMGen raises on purpose.
 
     Args:
         where: File, stage or argument the problem was found in.
@@ -48,12 +48,12 @@ class AomgenError(Exception):
         super().__init__(f"{where}: {problem}" + (f"; {remedy}" if remedy else ""))
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Errors of worker processes arrive as they were raised, with all their attributes."""
+        """Restore errors of worker processes as they were raised, with all their attributes."""
         return restore_error, (type(self).__name__, self.args, self.__dict__)
 
 
 def restore_error(kind: str, args: Sequence[Any], values: Mapping[str, Any]) -> AomgenError:
-    """Build an error of another process again.
+    """Restore an error of another process.
 
     Args:
         kind: Name of its class.
@@ -72,7 +72,7 @@ class ConfigError(AomgenError):
 
 
 class UnknownNameError(ConfigError):
-    """A name is not one of those that are known.
+    """A name is not one of the known names.
 
     Args:
         where: Option or argument that holds the name.
@@ -86,12 +86,12 @@ class UnknownNameError(ConfigError):
 
 
 class ShapeError(ConfigError, ValueError):
-    """An array has another shape than is wanted.
+    """The shape of an array differs from the required one.
 
     Args:
         where: Name of the argument.
         shape: Shape of the array that was given.
-        wanted: Description of the accepted shape, for example "(N, 4, 4)".
+        wanted: Description of the required shape, for example "(N, 4, 4)".
     """
 
     def __init__(self, where: object, shape: tuple[int, ...], wanted: str) -> None:
@@ -126,7 +126,7 @@ class InputError(AomgenError):
 
 
 class MissingFileError(InputError):
-    """A file that a capture or an asset names is not there."""
+    """A file that a capture or an asset names does not exist."""
 
 
 class MalformedFileError(InputError):
@@ -138,7 +138,7 @@ class UnsafePathError(InputError):
 
 
 class LimitExceededError(InputError):
-    """A file is larger than what is read without asking."""
+    """A file is larger than the limit for reading."""
 
 
 class IncompleteCaptureError(InputError):
@@ -237,11 +237,11 @@ class BackendError(AomgenError):
 
 
 class PolicyServerError(BackendError):
-    """The server of a policy is away, failed, or answers something else."""
+    """The server of a policy is unreachable, failed, or sent an invalid reply."""
 
 
 class EstimationError(AomgenError):
-    """An estimator refuses to answer, because its evidence is too weak."""
+    """An estimator refuses to return an estimate, because its evidence is too weak."""
 
     exit_code = 5
 
@@ -267,7 +267,7 @@ class NoMotionError(EstimationError):
 
 
 class DemonstrationTooShortError(EstimationError):
-    """The part moved too little to tell its joint."""
+    """The part moved too little to determine its joint."""
 
 
 class AmbiguousJointError(EstimationError):

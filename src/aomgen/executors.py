@@ -1,6 +1,6 @@
-"""Where units of work are done: in processes of this machine, or on a Ray cluster.
+"""Executors of units of work: processes of this machine, or workers of a Ray cluster.
 
-A unit may be done twice (its worker died after the work, before the answer), so what is done has to be idempotent.
+A unit may be executed twice (its worker died after the work, before the reply), so work has to be idempotent.
 """
 
 import importlib
@@ -24,23 +24,24 @@ from typing import Any, Final, Protocol, Self
 
 from aomgen.errors import BackendError
 
-# Does one unit; and opens what a worker holds while it does many: called once in each worker, and pickled.
+# Function that executes a unit; and function that opens it, called once in each worker, and pickled.
 Work = Callable[[Any], Any]
 Opener = Callable[[], Work]
-# A unit whose worker died is tried again this often.
+# Number of times that a unit whose worker died is tried again.
 RETRIES: Final = 2
-# A cluster's head, or another server, answers at once, [s].
+# Time within which a cluster's head, or another server, replies, [s].
 CONNECT_S: Final = 5.0
 RAY_PROBE: Final = "import ray, sys; ray.init(sys.argv[1], log_to_driver=False, configure_logging=False)"
-# Ray is imported and has joined the cluster in a few seconds, also on a busy machine, [s].
+# Time within which Ray is imported and joins the cluster, also on a busy machine, [s].
 RAY_PROBE_S: Final = 60.0
-# Every worker computes on one thread: results do not depend on how many there are, nor do they get into each other's way.
+# Every worker computes on one thread: results do not depend on the number of workers, which do
+# not compete for cores.
 ONE_THREAD: Final = {name: "1" for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Done:
-    """What came of a unit: its value; or why it has none, "worker_died" or "timeout", in `lost`."""
+    """Result of a unit: its value, or in `lost` why there is none, "worker_died" or "timeout"."""
 
     unit: Any
     value: Any = None
@@ -48,7 +49,7 @@ class Done:
 
 
 class Executor(Protocol):
-    """Does units; `slots` tells how many at the same time, more are not to be submitted."""
+    """Executor of units; `slots` is the largest number of units that may be submitted at the same time."""
 
     slots: int
 
@@ -57,7 +58,7 @@ class Executor(Protocol):
         ...
 
     def next_done(self) -> Done:
-        """Wait for any unit that has begun; raises what its work raised."""
+        """Wait until any unit has ended; raises the error that its work raised."""
         ...
 
     def __enter__(self) -> Self: ...
@@ -66,7 +67,7 @@ class Executor(Protocol):
 
 
 class _Worker:
-    """One process and the unit that it does."""
+    """One process and its current unit."""
 
     def __init__(self, opener: Opener) -> None:
         context = multiprocessing.get_context("spawn")
@@ -92,9 +93,8 @@ class Processes:
     """Workers on this machine, started when they are needed.
 
     Args:
-        opener: Of every worker.
-        slots: How many workers.
-        timeout_s: A unit that takes longer is given up, and its worker killed.
+        opener: Function that each worker calls once.
+        slots: Number of workers.
     """
 
     def __init__(self, opener: Opener, slots: int, timeout_s: float) -> None:
@@ -123,7 +123,7 @@ class Processes:
             self.submit(unit)
 
     def next_done(self) -> Done:
-        """The first unit that is done or given up."""
+        """Wait for the first unit that has ended or is given up."""
         while True:
             busy = {worker.connection: worker for worker in self._workers if worker.unit is not None}
             left_s = self._timeout_s - (time.monotonic() - min(worker.began for worker in busy.values()))
@@ -137,7 +137,7 @@ class Processes:
                     return Done(unit=worker.unit, lost="timeout")
 
     def _answer(self, worker: _Worker) -> Done | None:
-        """What a worker says; None when it has died and its unit was begun again."""
+        """Receive a worker's reply; None when it has died and its unit was begun again."""
         unit = worker.unit
         try:
             value, error = worker.connection.recv()
@@ -159,15 +159,15 @@ class Processes:
 
 
 class RayCluster:
-    """Workers of a Ray cluster that sees the same folders; a GPU each where there are some.
+    """Workers of a Ray cluster with access to the same folders; one GPU each where there are GPUs.
 
     Args:
-        opener: Of every worker.
-        address: Of the cluster, as `ray.init` takes it: "auto", "host:port", or "local" to start one here.
+        opener: Function that each worker calls once.
+        address: Address of the cluster, as for `ray.init`: "auto", "host:port", or "local" to start one here.
         timeout_s: A unit that takes longer is given up.
 
     Raises:
-        BackendError: Ray is not installed, or no cluster answers.
+        BackendError: Ray is not installed, or the cluster does not respond.
     """
 
     def __init__(self, opener: Opener, address: str, timeout_s: float) -> None:
@@ -179,7 +179,7 @@ class RayCluster:
         self.slots = gpus or max(int(there.get("CPU", 1)), 1)
         self._timeout_s, self._began = timeout_s, dict[Any, tuple[Any, float]]()
         self._opener = ray.put(opener)
-        # Ray itself gives a task as many threads as processors, here one.
+        # Ray itself sets the number of threads of a task to its number of processors, here one.
         self._do = ray.remote(max_retries=RETRIES, num_cpus=1, num_gpus=1 if gpus else 0)(_do_on_ray)
 
     def __enter__(self) -> Self:
@@ -189,11 +189,11 @@ class RayCluster:
         self._ray.shutdown()
 
     def submit(self, unit: Any) -> None:
-        """Begin a unit as a task of its own."""
+        """Begin a unit as a separate task."""
         self._began[self._do.remote(self._opener, self._opener.hex(), unit)] = (unit, time.monotonic())
 
     def next_done(self) -> Done:
-        """The first unit that is done or given up; Ray does a dead worker's unit again on another one."""
+        """Wait for the first unit that has ended or is given up; Ray repeats a dead worker's unit."""
         errors = self._ray.exceptions
         while True:
             oldest = min(began for _, began in self._began.values())
@@ -215,10 +215,10 @@ class RayCluster:
 
 
 def require_cluster(address: str) -> None:
-    """Refuse the address of a Ray cluster that does not answer; see `RayCluster`.
+    """Refuse the address of a Ray cluster that does not respond; see `RayCluster`.
 
     Raises:
-        BackendError: Ray is not installed, or no cluster answers.
+        BackendError: Ray is not installed, or the cluster does not respond.
     """
     if importlib.util.find_spec("ray") is None:
         raise BackendError("ray", "is not installed", "pip install 'aomgen[ray]'")
@@ -230,7 +230,7 @@ def require_cluster(address: str) -> None:
 
 
 def _cluster_problem(address: str) -> str:
-    """Why a cluster cannot be used; empty when it can. A child asks: Ray waits for ever for what is no cluster."""
+    """Find why a cluster is unusable, else empty. A child process connects, as Ray has no timeout."""
     host, colon, port = address.rpartition(":")
     try:
         if colon and port.isdigit():
@@ -245,7 +245,7 @@ def _cluster_problem(address: str) -> str:
     return (done.stderr.strip().splitlines() or ["no reason"])[-1] if done.returncode else ""
 
 
-# What this process of a Ray cluster holds, by its opener; one at a time.
+# Work that this process of a Ray cluster has opened, by its opener; one at a time.
 _OPENED: dict[str, Work] = {}
 
 
@@ -257,8 +257,8 @@ def _do_on_ray(opener: Opener, key: str, unit: Any) -> Any:
 
 
 def _serve(opener: Opener, connection: Connection) -> None:
-    """A worker process: do one unit after the other until nobody asks any more."""
-    # What the parent blocks and ignores for itself would be inherited.
+    """Run a worker process: execute units until the parent closes the connection."""
+    # The parent's blocked and ignored signals would be inherited.
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, signal.SIG_DFL)
     signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT, signal.SIGTERM})
@@ -279,7 +279,7 @@ def _serve(opener: Opener, connection: Connection) -> None:
 
 
 def _end_with_parent() -> None:
-    """End this process when its parent has died: what it has not committed, nobody waits for."""
+    """End this process when its parent has died: its uncommitted work is of no use."""
     parent = multiprocessing.parent_process()
     if parent is not None:
         wait([parent.sentinel])
@@ -291,7 +291,7 @@ def _without_script() -> Iterator[None]:
     """Hide the caller's script from processes that are started in the block.
 
     A spawned process runs the script of its parent again, which would begin the same work in a script without
-    `if __name__ == "__main__"`. Workers need nothing of it: openers are pickled by the names of modules.
+    `if __name__ == "__main__"`. Workers do not need the script: openers are pickled by the names of modules.
     """
     script = sys.modules["__main__"]
     sys.modules["__main__"] = ModuleType("__main__")
@@ -303,7 +303,7 @@ def _without_script() -> Iterator[None]:
 
 @contextmanager
 def _environment(changes: Mapping[str, str]) -> Iterator[None]:
-    """Environment variables for processes that are started in the block."""
+    """Set environment variables for processes that are started in the block."""
     before = {name: os.environ.get(name) for name in changes}
     os.environ.update(changes)
     try:

@@ -16,10 +16,10 @@ class Clock:
     """Log time = video time + `offset_s` + `rate` * (video time - `middle_s`).
 
     Attributes:
-        offset_s: At the middle of the video, [s].
+        offset_s: Offset at the middle of the video, [s].
         sd_s: Standard deviation of the offset, [s]; 0 when it was given.
         rate: Drift; 0.01 is a log that counts 1.01 s while the video counts 1 s.
-        rate_sd: Its standard deviation.
+        rate_sd: Standard deviation of the drift.
         middle_s: Video time at which `rate` contributes nothing, [s].
     """
 
@@ -30,7 +30,7 @@ class Clock:
     middle_s: float = 0.0
 
     def log_times(self, video_times_s: ArrayLike) -> Array:
-        """Log times (N,) of video times (N,), [s]."""
+        """Convert video times (N,) to log times (N,), [s]."""
         times = np.asarray(video_times_s, np.float64)
         return times + self.offset_s + self.rate * (times - self.middle_s)
 
@@ -41,10 +41,10 @@ class FixedCamera:
 
     Attributes:
         camera: Optics and pose, world frame.
-        clock: Of its video against the joint log, None when it was refused.
-        refusal: Where, problem and remedy of the refused clock; empty otherwise.
+        clock: Clock of its video relative to the joint log, None when it was refused.
+        refusal: Location, problem and remedy of the refused clock; empty otherwise.
         note: How the pose was found, in words.
-        trusted: Whether everything that was known of the camera agrees.
+        trusted: Whether all information about the camera agrees.
         figures: Metrics by name.
     """
 
@@ -56,35 +56,35 @@ class FixedCamera:
     figures: dict[str, float] = field(default_factory=dict)
 
     def require_clock(self) -> Clock:
-        """The clock.
+        """Return the clock.
 
         Raises:
-            SyncError: It was refused; the reason is the one found then.
+            SyncError: The clock was refused; the error states the original reason.
         """
         if self.clock is None:
             raise SyncError(*self.refusal)
         return self.clock
 
     def summary(self) -> dict[str, object]:
-        """Metrics for the manifest."""
+        """Return metrics for the manifest."""
         clock = {} if self.clock is None else {"offset_s": self.clock.offset_s, "sd_s": self.clock.sd_s}
         return {"note": self.note, "clock": clock or "; ".join(self.refusal), **self.figures}
 
     def warnings(self, name: str) -> list[str]:
-        """Sentences for the user."""
+        """List warnings for the user."""
         found = [] if self.trusted else [f"camera '{name}' {self.note}"]
         return found + ([f"camera '{name}': {'; '.join(self.refusal)}"] if self.refusal else [])
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Alignment:
-    """The similarity and its confidence.
+    """The similarity between reconstruction and world, and its confidence.
 
     Attributes:
         S_world_recon: Similarity (4, 4), metres per recon unit included.
         support: Share of outline points, over all views, that the images confirm within 2 px.
-        chance: The same for the outlines moved aside.
-        runner_up_support: The same for the best different hypothesis, 0 when there was none.
+        chance: The same share for displaced outlines.
+        runner_up_support: The same share for the best different hypothesis, 0 when there was none.
         residual_px: Median distance of confirmed outline points from image edges.
         residual_px_of_view: The same for each view that shows enough robot.
         ee_sd_m: Standard deviation of the end effector.

@@ -13,7 +13,7 @@ from aomgen.core.values import Array, Matrix4, Vector3, freeze_arrays
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BoxCollider:
-    """An oriented box that physics sees.
+    """An oriented box for collisions in the simulation.
 
     Attributes:
         name: Unique inside the asset; the handle's boxes start with "handle".
@@ -34,7 +34,7 @@ class BoxCollider:
         return apply(self.T_asset_box, signs * self.half_extents)
 
     def distance(self, point: Array) -> float:
-        """Distance of a point (3,) of the asset frame, 0 inside, [m]."""
+        """Compute the distance of a point (3,) of the asset frame to the box, 0 inside, [m]."""
         local = np.abs(self.T_asset_box[:3, :3].T @ (point - self.T_asset_box[:3, 3]))
         return float(np.linalg.norm(np.maximum(local - self.half_extents, 0.0)))
 
@@ -54,7 +54,7 @@ class AssetLink:
         return sum(8 * float(box.half_extents.prod()) for box in self.colliders)
 
     def distances(self, points: Array) -> Array:
-        """Distances (N,) of points (N, 3) of the asset frame to the nearest collider, 0 inside, [m]."""
+        """Compute distances (N,) of points (N, 3), asset frame, to the nearest collider, 0 inside, [m]."""
         nearest = np.full(len(points), np.inf)
         for box in self.colliders:
             T = box.T_asset_box
@@ -69,7 +69,7 @@ class AssetLink:
         return corners.min(0), corners.max(0)
 
     def transform(self, S: ArrayLike) -> "AssetLink":
-        """Moved and scaled by a similarity (4, 4); the mass follows the volume."""
+        """Move and scale the link by a similarity (4, 4); the mass follows the volume."""
         scale, R, _ = similarity_parts(S)
         colliders = tuple(
             replace(box, T_asset_box=_move_pose(S, R, box.T_asset_box), half_extents=box.half_extents * scale)
@@ -93,7 +93,7 @@ class ArticulatedAsset:
         static: The link that stands on the table.
         moving: Door, drawer or lid.
         joint: Axis positive in the opening direction, asset frame.
-        handle_point: Where a gripper holds, (3,): the grasped middle of the handle.
+        handle_point: Grasped center of the handle (3,).
         handle_axis: Unit direction (3,) along the handle's bar.
         credit: Author and licence, where attribution is required.
         notes: Assumptions that were made when it was read from a foreign file, one sentence each.
@@ -126,7 +126,7 @@ class ArticulatedAsset:
         )
 
     def transform(self, S: ArrayLike) -> "ArticulatedAsset":
-        """Moved and scaled by a similarity (4, 4); masses follow the volume."""
+        """Move and scale the asset by a similarity (4, 4); masses follow the volume."""
         _, R, _ = similarity_parts(S)
         return replace(
             self,

@@ -15,11 +15,11 @@ from aomgen.errors import InputError
 QUANTILES = (0.01, 0.99)
 # Quantiles for the yaw of the footprint: handles are up to 2 % of the points.
 FOOTPRINT_QUANTILES = (0.02, 0.98)
-# Fewer points have no box.
+# Least number of points that define a box.
 MIN_POINTS = 20
-# Points that vote at most: bounds memory; a plane that holds a hundredth of them is still significant.
+# Largest number of points that vote: bounds memory; a plane with a hundredth of them is still significant.
 _VOTERS = 8000
-# Rounds of least squares on the points near the plane; they change little after these.
+# Rounds of least squares on the points near the plane; further rounds change little.
 _ROUNDS = 3
 
 
@@ -43,16 +43,16 @@ class OrientedBox:
         return float(2 * np.linalg.norm(self.half_extents))
 
     def coordinates(self, points_world: ArrayLike) -> Array:
-        """Points (N, 3) in the box's frame."""
+        """Compute the coordinates of points (N, 3) in the box's frame."""
         R, center = self.T_world_box[:3, :3], self.T_world_box[:3, 3]
         return np.asarray(points_world, np.float64) @ R - center @ R
 
     def corners(self) -> Array:
-        """(8, 3), world frame, [m]."""
+        """Compute the corners (8, 3), world frame, [m]."""
         return apply(self.T_world_box, np.array(list(product((-1.0, 1.0), repeat=3))) * self.half_extents)
 
     def edges(self) -> Array:
-        """End points (12, 2, 3) of the twelve edges, world frame, [m]."""
+        """Compute the end points (12, 2, 3) of the twelve edges, world frame, [m]."""
         ends = []
         for along in range(3):
             first, second = (axis for axis in range(3) if axis != along)
@@ -64,7 +64,7 @@ class OrientedBox:
         return apply(self.T_world_box, np.array(ends) * self.half_extents)
 
     def faces(self) -> list[tuple[Array, float]]:
-        """Planes `normal @ x = offset` of the six faces, world frame, normals along the box's axes."""
+        """List planes `normal @ x = offset` of the six faces, world frame, normals along the box's axes."""
         normals, centers = self.T_world_box[:3, :3].T, self.T_world_box[:3, 3] @ self.T_world_box[:3, :3]
         return [
             (normal, float(center + side))
@@ -74,7 +74,7 @@ class OrientedBox:
 
 
 def fit_box(points_world: ArrayLike, R_world_box: Array) -> OrientedBox:
-    """Box with given axes (3, 3) around points (N, 3), without those beyond `QUANTILES`.
+    """Fit a box with given axes (3, 3) to points (N, 3), without those beyond `QUANTILES`.
 
     Raises:
         InputError: Fewer than 20 points.
@@ -90,7 +90,10 @@ def fit_box(points_world: ArrayLike, R_world_box: Array) -> OrientedBox:
 
 
 def find_upright_axes(points_world: ArrayLike) -> Array:
-    """Axes (3, 3), z up, of the upright box with the least base around points (N, 2 or more), yaw in 0..pi/2."""
+    """Find the axes (3, 3), z up, of the upright box with the least base around points (N, 2 or more).
+
+    The yaw is in 0..pi/2.
+    """
     xy = np.asarray(points_world, np.float64)[:, :2]
 
     def area(yaw: float) -> float:
@@ -104,7 +107,7 @@ def find_upright_axes(points_world: ArrayLike) -> Array:
 
 
 def upright_axes(yaw: float) -> Array:
-    """Axes (3, 3) turned about the vertical, [rad]."""
+    """Return the axes (3, 3) after a rotation about the vertical, [rad]."""
     c, s = np.cos(yaw), np.sin(yaw)
     return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
 
@@ -118,13 +121,15 @@ def fit_plane(
     axis: Array | None = None,
     max_tilt_deg: float = 90.0,
 ) -> tuple[Array, Array] | None:
-    """Unit normal (3,) and a point (3,) of the plane that most points (N, 3) are near; None when no trial gives one.
+    """Fit the plane near most of the points (N, 3); returns its unit normal (3,) and a point (3,) on it.
+
+    The result is None when no trial gives a plane.
 
     Args:
-        tolerance: Distance of a point that lies on the plane.
-        trials: Triples of points tried.
-        axis: Unit vector (3,) that the normal points along, if there is one ...
-        max_tilt_deg: ... up to this angle, [deg].
+        tolerance: Largest distance of a point that belongs to the plane.
+        trials: Number of triples of points that are tried.
+        axis: Unit vector (3,) of the normal's approximate direction, or None for any direction.
+        max_tilt_deg: Largest angle between normal and `axis`, [deg].
 
     Source: RANSAC (Fischler & Bolles, 1981), then least squares on the inliers.
     """

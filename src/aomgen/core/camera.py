@@ -55,11 +55,11 @@ class Camera:
         return self.T_world_cam[:3, 3]
 
     def move(self, T_world_cam: ArrayLike) -> "Camera":
-        """The same optics at another pose."""
+        """Return the same optics at another pose."""
         return replace(self, T_world_cam=T_world_cam)
 
     def resize(self, width: int, height: int) -> "Camera":
-        """The same view at another resolution."""
+        """Return the same view at another resolution."""
         sx, sy = width / self.width, height / self.height
         return replace(
             self,
@@ -72,16 +72,16 @@ class Camera:
         )
 
     def crop(self, left: int, top: int, side: int) -> "Camera":
-        """The camera of a square of the image, [px]."""
+        """Return the camera of a square of the image, [px]."""
         return replace(self, cx=self.cx - left, cy=self.cy - top, width=side, height=side)
 
     def narrow(self, width: int) -> "Camera":
-        """The same view, at most `width` pixels wide."""
+        """Return the same view, at most `width` pixels wide."""
         share = min(1.0, width / self.width)
         return self.resize(round(self.width * share), max(1, round(self.height * share)))
 
     def project(self, points_world: ArrayLike) -> tuple[Array, Array]:
-        """Pixels (N, 2) and depths (N,) of points (N, 3); points behind have depth <= 0."""
+        """Project points (N, 3) to pixels (N, 2) and depths (N,); points behind have depth <= 0."""
         points_cam = apply(self.T_cam_world, points_world)
         depths = points_cam[..., 2]
         safe = np.where(np.abs(depths) < 1e-9, 1e-9, depths)
@@ -91,7 +91,7 @@ class Camera:
         return pixels, depths
 
     def projection_slopes(self, points_world: ArrayLike) -> Array:
-        """Change (N, 2, 3) of the pixels of points (N, 3) before the camera with a motion of these, [px/m]."""
+        """Compute derivatives (N, 2, 3) of pixels by the positions of points (N, 3), [px/m]."""
         x, y, z = np.moveaxis(apply(self.T_cam_world, points_world), -1, 0)
         zero = np.zeros_like(z)
         along_u = self.fx * np.stack([1 / z, zero, -x / z**2], -1)
@@ -99,7 +99,7 @@ class Camera:
         return np.stack([along_u, along_v], -2) @ self.T_cam_world[:3, :3]
 
     def directions(self) -> Array:
-        """Viewing rays (height, width, 3), world frame, scaled to depth 1 (not unit length)."""
+        """Compute viewing rays (height, width, 3), world frame, scaled to depth 1 (not unit length)."""
         u, v = np.meshgrid(np.arange(self.width) + 0.5, np.arange(self.height) + 0.5)
         rays_cam = np.stack([(u - self.cx) / self.fx, (v - self.cy) / self.fy, np.ones_like(u)], -1)
         return rays_cam @ self.T_world_cam[:3, :3].T
@@ -107,7 +107,7 @@ class Camera:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CameraPath:
-    """A camera that moves: the optics of `camera`, whose own pose is ignored, and its pose at T frames."""
+    """A moving camera: the optics of `camera`, whose own pose is ignored, and its pose at T frames."""
 
     camera: Camera
     Ts_world_cam: Annotated[Array, "T 4 4"]
@@ -115,7 +115,7 @@ class CameraPath:
     __post_init__ = freeze_arrays
 
     def at(self, frame: int) -> Camera:
-        """The camera at one frame."""
+        """Return the camera at one frame."""
         return self.camera.move(self.Ts_world_cam[frame])
 
     def batches(self, size: int) -> "list[CameraPath]":
@@ -155,7 +155,7 @@ def look_at(eye: ArrayLike, target: ArrayLike, up: ArrayLike = (0.0, 0.0, 1.0)) 
 
 
 def camera_in_world(S_world_recon: Array, camera_recon: Camera) -> Camera:
-    """A camera of the recon frame as a camera of the world, same pixels."""
+    """Convert a camera of the recon frame to the world frame, same pixels."""
     _, R, _ = similarity_parts(S_world_recon)
     T = np.eye(4)
     T[:3, :3] = R @ camera_recon.T_world_cam[:3, :3]

@@ -12,17 +12,17 @@ from aomgen.core.joint import Joint
 from aomgen.core.light import Light
 from aomgen.core.values import Array, Matrix4, Vector3, freeze_arrays
 
-# Smallest change of the gripper that is a grasp: fingers that reach under a lid are hardly open before.
+# Smallest change of the gripper that is a grasp: fingers that reach under a lid are hardly open before it.
 MIN_GRASP = 0.05
 # A gripper that measures less than this counts as open.
 OPEN = 0.03
 
 
 class Kinematics(Protocol):
-    """An arm whose end effector poses follow from its joints."""
+    """An arm with forward kinematics."""
 
     def ee_poses(self, joints: ArrayLike) -> Array:
-        """Poses (T, 4, 4) at joints (T, J)."""
+        """Compute poses (T, 4, 4) at joints (T, J)."""
         ...
 
 
@@ -32,9 +32,9 @@ class Trajectory:
 
     Attributes:
         times_s: (T,), rising, [s].
-        joints: Of the arm (T, J), [rad] or [m].
+        joints: Arm joints (T, J), [rad] or [m].
         gripper: (T,), 0 open .. 1 closed.
-        thetas: Of the object (T,), [rad] or [m].
+        thetas: Joint of the object (T,), [rad] or [m].
 
     Example:
         >>> path = Trajectory(times_s=[0, 1], joints=[[0.0], [2.0]], gripper=[0, 1], thetas=[0, 0])
@@ -60,14 +60,14 @@ class Trajectory:
         return replace(self, **{name: getattr(self, name)[rows] for name in over_time})
 
     def at(self, times_s: ArrayLike) -> "Trajectory":
-        """The samples at times (N,), linear between and constant beyond the recorded ones."""
+        """Interpolate the samples linearly at times (N,); they are constant beyond the recorded ones."""
         times = np.asarray(times_s, np.float64)
         columns = np.column_stack([self.joints, self.gripper, self.thetas])
         values = np.stack([np.interp(times, self.times_s, column) for column in columns.T], 1)
         return Trajectory(times_s=times, joints=values[:, :-2], gripper=values[:, -2], thetas=values[:, -1])
 
     def ee_poses(self, robot: Kinematics) -> Array:
-        """End effector poses (T, 4, 4), world frame."""
+        """Compute end effector poses (T, 4, 4), world frame."""
         return robot.ee_poses(self.joints)
 
 
@@ -89,7 +89,7 @@ class Demonstration(Trajectory):
 
     Attributes:
         Ts_world_ee: End effector poses (T, 4, 4).
-        start_s, end_s: When the part began and ceased to move.
+        start_s, end_s: Times at which the part begins and ceases to move.
         joint: World frame; 0 is the scanned state, axis positive in the demonstrated direction.
         grasp_ee: Grasped point of the part (3,), end effector frame, [m].
         ee_turn_ratio: Rotation of the end effector over rotation of the part during contact.
@@ -132,11 +132,11 @@ class Timing:
 
 
 def gripper_command(demo: Demonstration, opened_most: float = 1.0) -> Array:
-    """The command of the gripper (T,), 0..1, from its measured opening.
+    """Compute the gripper command (T,), 0..1, from the measured opening.
 
-    A gripper that holds a bar stalls before it is closed, so the level it stalls at counts as
-    1; the level it comes with stays, or is `opened_most` where that is more open. A demonstration that closes nothing
-    keeps the measured values.
+    A gripper that holds a bar stalls before it is closed, so the level at which it stalls counts as 1. Its
+    initial level is kept, or replaced by `opened_most` where that is more open. A demonstration without a
+    grasp keeps the measured values.
     """
     opened, share = _closing(demo)
     if opened is None:
@@ -146,9 +146,9 @@ def gripper_command(demo: Demonstration, opened_most: float = 1.0) -> Array:
 
 
 def _closing(demo: Demonstration) -> tuple[float | None, Array]:
-    """Level at which the gripper comes, and how far it is from there to its hold (T,), 0..1.
+    """Return the gripper's initial level, and its share of closing from there to its hold (T,), 0..1.
 
-    None, and what was measured, where nothing is closed.
+    Without a grasp, the result is None and the measured values.
     """
     contact = demo.contact_frames
     hold, opened = float(np.median(demo.gripper[contact])), float(np.min(demo.gripper[: contact[0] + 1]))
@@ -174,7 +174,7 @@ def timing(demo: Demonstration) -> Timing:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SupportPlane:
-    """The table: a level plane and the rectangle of it that is known to be there.
+    """The table: a level plane and its known rectangle.
 
     Attributes:
         height: z of the plane, world frame, [m].
@@ -193,12 +193,12 @@ class EpisodeScene:
     """Scene that all episodes of a run share.
 
     Attributes:
-        support: The table that objects are put on.
+        support: The table for the objects.
         obstacles: Other objects within the robot's reach.
-        T_world_plane: Its surface (4, 4), on which shadows fall.
+        T_world_plane: Pose of its surface (4, 4), on which shadows fall.
         light: Light on new objects.
-        light_source: Where the light comes from, in words.
-        cameras: Of the episodes' images, world frame, by name.
+        light_source: Description of the light's origin.
+        cameras: Cameras of the episodes' images, world frame, by name.
     """
 
     support: SupportPlane

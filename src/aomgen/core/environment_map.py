@@ -15,8 +15,8 @@ class EnvironmentMap:
     """Radiance from all directions, seen from inside, world frame.
 
     Attributes:
-        radiance_linear: (H, W, 3). Rows go from straight up (+z) to straight down; the middle is +x, and columns
-            go on from there to -y, as someone who looks along +x sees it.
+        radiance_linear: (H, W, 3). Rows go from straight up (+z) to straight down; the center is +x, and
+            columns continue from there to -y, as seen when looking along +x.
     """
 
     radiance_linear: Annotated[NDArray[np.float32], "H W 3"]
@@ -36,7 +36,7 @@ class EnvironmentMap:
         return np.asarray((borders[:-1] - borders[1:]) * (2 * np.pi / width), np.float64)
 
     def light(self) -> Light:
-        """Its first nine harmonics."""
+        """Compute the light of the first nine harmonics."""
         height, width = self.radiance_linear.shape[:2]
         longitudes, sh = _longitudes(width), np.zeros((9, 3))
         # Row by row: the basis of a whole image would take gigabytes.
@@ -47,7 +47,7 @@ class EnvironmentMap:
         return light_from_harmonics(sh)
 
     def turn(self, angle_rad: float) -> "EnvironmentMap":
-        """Turned about the vertical, counterclockwise as seen from above; linear between columns."""
+        """Rotate about the vertical, counterclockwise as seen from above; linear between columns."""
         shift = angle_rad * self.radiance_linear.shape[1] / (2 * np.pi)
         whole = int(np.floor(shift))
         near, far = (np.roll(self.radiance_linear, -step, axis=1) for step in (whole, whole + 1))
@@ -56,17 +56,17 @@ class EnvironmentMap:
 
 
 def map_directions(height: int, width: int) -> Array:
-    """Unit directions (H, W, 3), world frame, of the pixels of an `EnvironmentMap`."""
+    """Compute unit directions (H, W, 3), world frame, of the pixels of an `EnvironmentMap`."""
     return _unit(_polar_angles(height)[:, None], _longitudes(width))
 
 
 def _polar_angles(height: int) -> Array:
-    """Angle (H,) of each row from straight up, [rad]."""
+    """Compute the angle (H,) of each row from straight up, [rad]."""
     return np.asarray((np.arange(height) + 0.5) * (np.pi / height), np.float64)
 
 
 def _longitudes(width: int) -> Array:
-    """Angle (W,) of each column from +x towards +y, [rad]."""
+    """Compute the angle (W,) of each column from +x towards +y, [rad]."""
     return np.asarray(np.pi - (np.arange(width) + 0.5) * (2 * np.pi / width), np.float64)
 
 

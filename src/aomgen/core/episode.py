@@ -43,9 +43,9 @@ class ContactLog:
 class Episode(SceneTrajectory):
     """Everything about one demonstration except its images.
 
-    T frames at a constant rate, J arm joints. The plain fields are what the robot has reached at
-    frame t; "action" at frame t is what it shall reach at frame t + 1, and at the last frame where it
-    shall stay.
+    T frames at a constant rate, J arm joints. The plain fields are the states that the robot has
+    reached at frame t; an "action" at frame t is its target for frame t + 1, and at the last frame the
+    target at which it stays.
 
     Attributes:
         index: Number of the variation that this episode renders; names its folder.
@@ -55,17 +55,17 @@ class Episode(SceneTrajectory):
         asset: Name of the articulated object.
         asset_usd: Path of its USD file, relative to the episode's folder.
         joint_names: J names.
-        fps: Frames a second.
+        fps: Frames per second.
         action_joints: (T, J), [rad].
         action_gripper: (T,), 0 open .. 1 closed.
         Ts_world_ee, Ts_world_ee_action: End effector poses (T, 4, 4).
         phases: (T,) index into `PHASES`.
         contacts: Finger contacts.
         joint: The object's joint, world frame, at this episode's object pose.
-        cameras: Camera of each video, by name; one that moves is at its first pose.
+        cameras: Camera of each video, by name; a moving one is at its first pose.
         verdict: Results of the verification; plain JSON values.
         simulation: Assumptions of the verification about object and control; plain JSON values.
-        camera_poses: Poses T_world_cam (T, 4, 4) of the cameras that move, by name.
+        camera_poses: Poses T_world_cam (T, 4, 4) of the moving cameras, by name.
     """
 
     index: int

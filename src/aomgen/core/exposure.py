@@ -7,19 +7,19 @@ from aomgen.conventions import illuminate_srgb, linear_from_srgb
 from aomgen.core.robust import compute_masked_median
 from aomgen.core.values import Array
 
-# Colors that are neither drowned in noise nor clipped, sRGB 0..1.
+# Range of colors that are neither dominated by noise nor clipped, sRGB 0..1.
 _DARK, _BRIGHT = 0.08, 0.92
-# Gain beyond which something else than exposure is at work.
+# A larger gain has another cause than exposure.
 _MAX_GAIN = 4.0
-# Frames of the median image, evenly over the video, and every n-th pixel: enough for medians.
+# Number of frames of the median image, evenly over the video, and stride of the pixels: enough for medians.
 _SAMPLES, _STRIDE = 15, 3
-# A frame whose rest differs this many times more than usual from the median image is a bad one, if it is by
-# more than noise and compression, 8 bit.
+# A frame is bad if its residual from the median image exceeds the usual one by this factor, and also exceeds
+# noise and compression, 8 bit.
 _BAD, _NOISE = 6.0, 3.0
 
 
 def fit_gains(seen_srgb: NDArray[np.floating], target_srgb: NDArray[np.floating]) -> Array:
-    """Gains (3,) from seen colors (N, 3) to target colors, 0..1, by the median; 1 where none can be compared."""
+    """Fit gains (3,) from seen to target colors (N, 3), 0..1, by the median; 1 where none is comparable."""
     lower, upper = np.minimum(seen_srgb, target_srgb), np.maximum(seen_srgb, target_srgb)
     ratios = linear_from_srgb(target_srgb) / np.maximum(linear_from_srgb(seen_srgb), 1e-3)
     gains, known = compute_masked_median(ratios, (lower > _DARK) & (upper < _BRIGHT))
@@ -27,12 +27,12 @@ def fit_gains(seen_srgb: NDArray[np.floating], target_srgb: NDArray[np.floating]
 
 
 def apply_gains(colors_srgb: NDArray[np.floating], gains: Array) -> NDArray[np.floating]:
-    """Colors (..., 3), 0..1, as they look with gains (3,)."""
+    """Apply gains (3,) to colors (..., 3), 0..1."""
     return np.minimum(illuminate_srgb(colors_srgb, gains), 1)
 
 
 def change_exposure(image_srgb: NDArray[np.uint8], gains: Array) -> NDArray[np.uint8]:
-    """An 8 bit image (..., 3) as it looks with gains (3,)."""
+    """Apply gains (3,) to an 8 bit image (..., 3)."""
     table = apply_gains(np.arange(256)[:, None] / 255, gains)
     return np.rint(255 * table).astype(np.uint8)[image_srgb, np.arange(3)]
 
@@ -40,15 +40,15 @@ def change_exposure(image_srgb: NDArray[np.uint8], gains: Array) -> NDArray[np.u
 def match_frames(
     frames_srgb: NDArray[np.uint8], hidden: NDArray[np.bool_], region: NDArray[np.bool_]
 ) -> tuple[NDArray[np.uint8], NDArray[np.bool_]]:
-    """Bring every frame of a fixed camera to the exposure of the video's median image, by the static scene.
+    """Match every frame of a fixed camera to the exposure of the video's median image, by the static scene.
 
     Args:
         frames_srgb: (T, H, W, 3).
-        hidden: Where the robot is (T, H, W).
-        region: Where the part is at its scanned pose (H, W).
+        hidden: Masks of the robot (T, H, W).
+        region: Mask of the part at its scanned pose (H, W).
 
     Returns:
-        Frames (T, H, W, 3), and a mask (T,) of those with another content than the others: drop-outs, flashes, cuts.
+        Frames (T, H, W, 3), and a mask (T,) of frames with deviating content: drop-outs, flashes, cuts.
 
     Not checked: that the static scene fills more than half of the image.
     """

@@ -13,7 +13,7 @@ from aomgen.core.values import Array, freeze_arrays
 
 # Real spherical harmonic of degree 0, a constant: sqrt(1 / (4 pi)).
 SH_C0 = 0.28209479177387814
-# Below this an sRGB color has no meaningful ratio to another.
+# sRGB colors below this have no meaningful ratio.
 BLACK = 1e-3
 
 
@@ -46,7 +46,7 @@ class Gaussians:
         return int(np.sqrt(self.sh.shape[1])) - 1
 
     def select(self, which: NDArray[np.bool_ | np.integer]) -> "Gaussians":
-        """The Gaussians of a boolean mask or an index array."""
+        """Select the Gaussians of a boolean mask or an index array."""
         return Gaussians(
             means=self.means[which],
             quats=self.quats[which],
@@ -56,7 +56,7 @@ class Gaussians:
         )
 
     def transform(self, S: ArrayLike) -> "Gaussians":
-        """Moved by a rigid transform or similarity (4, 4); orientation and SH turn along."""
+        """Move by a rigid transform or similarity (4, 4); orientation and SH rotate with it."""
         scale, R, _ = similarity_parts(S)
         return gaussians_of(
             means=apply(S, self.means),
@@ -67,7 +67,7 @@ class Gaussians:
         )
 
     def with_sh(self, sh: ArrayLike) -> "Gaussians":
-        """The same shapes with other coefficients (N, K, 3)."""
+        """Replace the coefficients by others (N, K, 3)."""
         return gaussians_of(
             means=self.means, quats=self.quats, scales=self.scales, opacities=self.opacities, sh=sh
         )
@@ -78,19 +78,19 @@ class Gaussians:
         return 0.5 + SH_C0 * self.sh[:, 0].astype(np.float64)
 
     def recolor(self, colors_srgb: Array) -> "Gaussians":
-        """The same shapes with other mean colors (N, 3); view-dependent color changes in proportion."""
+        """Replace the mean colors by others (N, 3); view-dependent color changes in proportion."""
         before = self.colors_srgb
         sh = self.sh * np.where(before > BLACK, colors_srgb / np.maximum(before, BLACK), 1.0)[:, None]
         sh[:, 0] = (colors_srgb - 0.5) / SH_C0
         return self.with_sh(sh)
 
     def illuminate(self, factors: ArrayLike) -> "Gaussians":
-        """The same shapes under factors (N, 3) or (N, 1) times their light, linear."""
+        """Multiply the light by factors (N, 3) or (N, 1), linear."""
         before = self.colors_srgb
         return self.recolor(np.where(before > 0, illuminate_srgb(before, factors), before))
 
     def with_sh_degree(self, degree: int) -> "Gaussians":
-        """The same Gaussians with coefficients cut or zero-padded to a degree 0..3."""
+        """Cut or zero-pad the coefficients to a degree 0..3."""
         want, have = (degree + 1) ** 2, self.sh.shape[1]
         sh = np.zeros((len(self), want, 3), np.float32)
         sh[:, : min(want, have)] = self.sh[:, : min(want, have)]
@@ -100,7 +100,7 @@ class Gaussians:
 def gaussians_of(
     *, means: ArrayLike, quats: ArrayLike, scales: ArrayLike, opacities: ArrayLike, sh: ArrayLike
 ) -> Gaussians:
-    """Gaussians from arrays of any real type, rounded to float32; see `Gaussians` for shapes."""
+    """Build Gaussians from arrays of any real type, rounded to float32; see `Gaussians` for shapes."""
     return Gaussians(
         means=np.asarray(means, np.float32),
         quats=np.asarray(quats, np.float32),
@@ -111,7 +111,7 @@ def gaussians_of(
 
 
 def concatenate(sets: list[Gaussians]) -> Gaussians:
-    """All Gaussians of several sets in order, padded to the highest SH degree among them."""
+    """Concatenate several sets in order, padded to the highest SH degree among them."""
     degree = max(item.sh_degree for item in sets)
     padded = [item.with_sh_degree(degree) for item in sets]
     return Gaussians(
@@ -126,7 +126,7 @@ def concatenate(sets: list[Gaussians]) -> Gaussians:
 def gaussians_from_points(
     points: ArrayLike, colors_srgb: NDArray[np.uint8], *, opacity: float = 0.3, size: float = 0.7
 ) -> Gaussians:
-    """One round Gaussian a point (N, 3), as wide as `size` times the distance to its neighbours, of SH degree 0.
+    """Make a round Gaussian of SH degree 0 per point (N, 3), of `size` times the distance to its neighbors.
 
     Raises:
         ValueError: Fewer than two points, coordinates that are not finite, or colors for other
@@ -149,12 +149,12 @@ def gaussians_from_points(
 
 
 def neighbour_distances(points: Array) -> Array:
-    """Root mean square distance (N,) of points (N, 3) to their three nearest neighbours.
+    """Compute root mean square distances (N,) of points (N, 3) to their three nearest neighbors.
 
-    Points that coincide get a thousandth of the median, lonely ones at most the 99th percentile,
+    Coincident points get a thousandth of the median, isolated ones at most the 99th percentile,
     so that no Gaussian starts without size and none covers the scene.
     """
-    # Drawing Gaussians needs numpy alone, without scipy.
+    # Rendering Gaussians needs numpy alone, without scipy.
     from scipy.spatial import cKDTree
 
     if not len(points) >= 2 or not np.isfinite(points).all():

@@ -10,7 +10,7 @@ from aomgen.core.transforms import apply, matrix_from_rotvec, transform
 from aomgen.core.values import Array, Vector3, freeze_arrays
 
 JointType = Literal["revolute", "prismatic"]
-# Share of a joint's range that may be used, so that its stop is not hit.
+# Share of a joint's range that may be used, so that its stop is not reached.
 LIMIT_SHARE = 0.95
 
 
@@ -39,9 +39,9 @@ class Joint:
     __post_init__ = freeze_arrays
 
     def motion(self, thetas: ArrayLike) -> Array:
-        """Transforms (..., 4, 4) that carry the part from value 0 to `thetas` (...,).
+        """Compute transforms (..., 4, 4) of the part from value 0 to `thetas` (...,).
 
-        They act in the frame in which axis and origin are given.
+        They are in the frame of axis and origin.
         """
         thetas = np.asarray(thetas, np.float64)
         if self.type == "prismatic":
@@ -50,7 +50,7 @@ class Joint:
         return transform(R, self.origin - R @ self.origin)
 
     def move(self, T_to_from: ArrayLike) -> "Joint":
-        """The same joint expressed in another frame (rigid (4, 4), or a similarity)."""
+        """Express the joint in another frame (rigid (4, 4), or a similarity)."""
         T = np.asarray(T_to_from, np.float64)
         scale = float(np.linalg.norm(T[:3, 0]))
         unit = scale if self.type == "prismatic" else 1.0

@@ -15,9 +15,9 @@ from aomgen.core.values import Array
 StateT = TypeVar("StateT")
 # Step of central differences, in the unit of an unknown: near the cube root of the machine's precision.
 _STEP = 1e-6
-# First damping of Levenberg and Marquardt: next to none, starts are near the solution.
+# Initial damping of Levenberg-Marquardt: almost none, as starts are near the solution.
 _DAMPING = 1e-6
-# Damping with which a refused step is as short as rounding, so that the descent ends.
+# Damping at which a rejected step is as short as rounding errors, so that the descent ends.
 _MAX_DAMPING = 1e8
 
 
@@ -35,7 +35,7 @@ class Kernel:
         return (1 + (residuals / self.scale) ** 2) ** -self.power
 
     def costs(self, residuals: Array) -> Array:
-        """Costs (m,) with these weights: `r^2` for small residuals."""
+        """Compute costs (m,) with these weights: `r^2` for small residuals."""
         u = 1 + (residuals / self.scale) ** 2
         grown = np.log(u) if self.power == 1 else (u ** (1 - self.power) - 1) / (1 - self.power)
         return self.scale**2 * grown
@@ -46,11 +46,11 @@ class ResidualTerm(Generic[StateT]):
     """One kind of evidence.
 
     Attributes:
-        name: To find it again in the solution.
+        name: Key of the term in the solution.
         residual: State -> residuals (m,).
         sd: Standard deviation of one residual, or of each (m,), in their unit.
-        kernel: Of outliers, in the unit of the residuals; None: there are none.
-        jacobian: State -> change of the residuals (m, d) with a step; None: by central differences.
+        kernel: Robust kernel in the unit of the residuals; None without outliers.
+        jacobian: State -> derivative of the residuals (m, d) by a step; None for central differences.
     """
 
     name: str
@@ -60,12 +60,12 @@ class ResidualTerm(Generic[StateT]):
     jacobian: Callable[[StateT], Array] | None = None
 
     def cost(self, residuals: Array) -> float:
-        """Robust sum of squares, in standard deviations."""
+        """Compute the robust sum of squares, in standard deviations."""
         costs = residuals**2 if self.kernel is None else self.kernel.costs(residuals)
         return float(np.sum(costs / np.square(self.sd)))
 
     def normal(self, residuals: Array, J: Array) -> tuple[Array, Array]:
-        """Information (d, d) and its pull (d,) on a step."""
+        """Compute the information (d, d) and the gradient (d,) of a step."""
         weights = np.ones_like(residuals) if self.kernel is None else self.kernel.weights(residuals)
         weighted = J.T * (weights / np.square(self.sd))
         return weighted @ J, -weighted @ residuals
@@ -73,7 +73,7 @@ class ResidualTerm(Generic[StateT]):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Solution(Generic[StateT]):
-    """State at the optimum, and there the information (d, d) and pull (d,) of each term by its name."""
+    """State at the optimum, and information (d, d) and gradient (d,) of each term there, by its name."""
 
     state: StateT
     normals: dict[str, tuple[Array, Array]]
@@ -86,7 +86,7 @@ class Solution(Generic[StateT]):
         return np.linalg.pinv(A * scale[:, None] * scale, hermitian=True) * scale[:, None] * scale
 
     def step_without(self, *names: str) -> Array:
-        """Step (d,) to the optimum without some terms, to first order."""
+        """Compute the step (d,) to the optimum without some terms, to first order."""
         return _step([normal for key, normal in self.normals.items() if key not in names], 0.0)
 
 
@@ -108,10 +108,10 @@ def solve(
 
     Args:
         terms: All evidence.
-        start: Where the descent begins.
+        start: Initial state.
         retract: Moves a state by a step (d,); `add` for plain vectors.
         dimension: d.
-        max_iterations: Steps tried at most.
+        max_iterations: Largest number of steps tried.
         tolerance: Relative decrease of the cost that ends the descent.
 
     Source: Levenberg-Marquardt, damping scaled by the diagonal.
@@ -136,7 +136,7 @@ def solve(
 
 
 def jackknife_covariance(estimates: Array) -> Array:
-    """Covariance (d, d) from n estimates (n, d), each without one of n groups. Source: Tukey, 1958."""
+    """Compute the covariance (d, d) of estimates (n, d), each without one group. Source: Tukey, 1958."""
     apart = estimates - estimates.mean(0)
     return (len(estimates) - 1) / len(estimates) * apart.T @ apart
 
@@ -152,7 +152,7 @@ def _linearize(
     retract: Callable[[StateT, Array], StateT],
     dimension: int,
 ) -> list[tuple[Array, Array]]:
-    """Information and pull of each term; a moved state serves all numeric ones."""
+    """Compute information and gradient of each term; a moved state is shared by all numeric derivatives."""
     Js = [
         np.zeros((len(own), dimension)) if term.jacobian is None else term.jacobian(state)
         for term, own in zip(terms, residuals, strict=True)
@@ -167,7 +167,7 @@ def _linearize(
 
 
 def _step(normals: Sequence[tuple[Array, Array]], damping: float) -> Array:
-    """Damped step (d,); unknowns that nothing determines stay."""
+    """Compute the damped step (d,); undetermined unknowns do not change."""
     A, b = np.sum([A for A, _ in normals], axis=0), np.sum([b for _, b in normals], axis=0)
     diagonal = np.where(np.diag(A) > 0, np.diag(A), 1.0)
     return np.linalg.solve(A + max(damping, 1e-12) * np.diag(diagonal), b)

@@ -10,9 +10,9 @@ from scipy.sparse import csr_array
 from aomgen.core.camera import Camera
 from aomgen.core.values import Array
 
-# Newton steps from the distorted ray; the fifth changes nothing below 1e-9 on any usable lens.
+# Number of Newton steps from the distorted ray; after the fifth, changes are below 1e-9 for any usable lens.
 NEWTON_STEPS = 12
-# Points on each edge of the image: distortion is smooth, so that its extremes are met to far less than a
+# Points on each edge of the image: distortion is smooth, so that its extremes are found to far less than a
 # pixel.
 BORDER_SAMPLES = 64
 Resample = Callable[[NDArray[np.uint8]], NDArray[np.uint8]]
@@ -59,12 +59,12 @@ class Lens:
         return bool(np.all(1 + 3 * self.k1 * squares + 5 * self.k2 * squares**2 > 0))
 
     def pixels(self, rays: ArrayLike) -> Array:
-        """Image points (N, 2), [px], of viewing rays (N, 2) given as x/z, y/z."""
+        """Project viewing rays (N, 2), given as x/z, y/z, to image points (N, 2), [px]."""
         bent = self._bent(np.asarray(rays, np.float64))
         return bent * [self.fx, self.fy] + [self.cx, self.cy]
 
     def rays(self, pixels: ArrayLike) -> Array:
-        """Viewing rays (N, 2), as x/z, y/z, of image points (N, 2), [px]."""
+        """Compute viewing rays (N, 2), as x/z, y/z, of image points (N, 2), [px]."""
         bent = (np.asarray(pixels, np.float64) - [self.cx, self.cy]) / [self.fx, self.fy]
         rays = bent.copy()
         if self.bends:
@@ -73,9 +73,9 @@ class Lens:
         return rays
 
     def straight(self) -> "Lens":
-        """The pinhole optics of the undistorted image, of the same size.
+        """Return the pinhole optics of the undistorted image, of the same size.
 
-        The smallest magnification at which every pixel of the undistorted image was
+        The magnification is the smallest one at which every pixel of the undistorted image was
         photographed; the principal point stays.
         """
         if not self.bends:
@@ -91,7 +91,7 @@ class Lens:
         return replace(self, fx=scale * self.fx, fy=scale * self.fy, k1=0.0, k2=0.0, p1=0.0, p2=0.0)
 
     def pinhole_camera(self, T_world_cam: ArrayLike) -> Camera:
-        """The camera of the undistorted images at a pose (4, 4)."""
+        """Return the camera of the undistorted images at a pose (4, 4)."""
         straight = self.straight()
         return Camera(
             fx=straight.fx,
@@ -104,17 +104,17 @@ class Lens:
         )
 
     def undistort(self, pixels: ArrayLike) -> Array:
-        """Positions (N, 2) of image points (N, 2) in the undistorted image, [px]."""
+        """Compute positions (N, 2) of image points (N, 2) in the undistorted image, [px]."""
         return self.straight().pixels(self.rays(pixels)) if self.bends else np.array(pixels, np.float64)
 
     def source_pixels(self) -> Array:
-        """Source point (height, width, 2) of every pixel of the undistorted image."""
+        """Compute the source point (height, width, 2) of every pixel of the undistorted image."""
         u, v = np.meshgrid(np.arange(self.width) + 0.5, np.arange(self.height) + 0.5)
         centres = np.stack([u.ravel(), v.ravel()], 1)
         return self.pixels(self.straight().rays(centres)).reshape(self.height, self.width, 2)
 
     def largest_shift_px(self) -> float:
-        """Largest shift by the distortion on the image's border, [px]."""
+        """Compute the largest shift by the distortion on the image's border, [px]."""
         border = _border(self.width, self.height)
         plain = self.rays(border) * [self.fx, self.fy] + [self.cx, self.cy]
         return float(np.linalg.norm(plain - border, axis=1).max())
@@ -132,7 +132,7 @@ class Lens:
         )
 
     def _inverse_slope(self, rays: Array) -> Array:
-        """Inverse (N, 2, 2) of the derivative of `_bent`."""
+        """Compute the inverse (N, 2, 2) of the derivative of `_bent`."""
         x, y = rays[:, 0], rays[:, 1]
         square = x * x + y * y
         radial = 1 + square * (self.k1 + square * self.k2)
@@ -145,7 +145,7 @@ class Lens:
 
 
 def _border(width: int, height: int) -> Array:
-    """Points (4 * BORDER_SAMPLES, 2) on the top, right, bottom and left edge, [px]."""
+    """Sample points (4 * BORDER_SAMPLES, 2) on the top, right, bottom and left edge, [px]."""
     share: Array = np.linspace(0.0, 1.0, BORDER_SAMPLES, dtype=np.float64)
     zero, one = np.zeros_like(share), np.ones_like(share)
     edges = [(share, zero), (one, share), (share, one), (zero, share)]
@@ -154,12 +154,12 @@ def _border(width: int, height: int) -> Array:
 
 
 def undistorter(lens: Lens) -> Resample:
-    """A function that undistorts images (H, W, 3) uint8 of one lens; the weights are made once."""
+    """Make a function that undistorts images (H, W, 3) uint8 of one lens; the weights are computed once."""
     return resampler(lens.source_pixels())
 
 
 def resampler(source_pixels: Array) -> Resample:
-    """A function that takes each pixel of an image (H, W, 3) uint8 from a point (H, W, 2), [px], of it.
+    """Make a function that resamples an image (H, W, 3) uint8 at points (H, W, 2), [px].
 
     Source: R. Keys, Cubic convolution interpolation (1981), a = -0.5.
     """
@@ -174,19 +174,19 @@ def resampler(source_pixels: Array) -> Resample:
 
 
 def undistort_labels(labels: NDArray[np.uint8], lens: Lens) -> NDArray[np.uint8]:
-    """A label image (H, W) undistorted: every pixel takes the label of the nearest one."""
+    """Undistort a label image (H, W): every pixel takes the label of the nearest one."""
     return resample_labels(labels, lens.source_pixels())
 
 
 def resample_labels(labels: NDArray[np.uint8], source_pixels: Array) -> NDArray[np.uint8]:
-    """A label image (H, W) each of whose pixels is taken from the one at a point (H, W, 2), [px], of it."""
+    """Resample a label image (H, W) at the pixels nearest to points (H, W, 2), [px]."""
     height, width = labels.shape
     at = np.floor(source_pixels).astype(np.int64)
     return labels[np.clip(at[..., 1], 0, height - 1), np.clip(at[..., 0], 0, width - 1)]
 
 
 def _cubic(pixels: Array, size: tuple[int, int]) -> csr_array:
-    """Weights (N, H * W) of the 16 pixels around each point; the border's pixels are repeated."""
+    """Compute weights (N, H * W) of the 16 pixels around each point; the border's pixels are repeated."""
     height, width = size
     corner = np.floor(pixels - 0.5).astype(np.int64)
     taps_x = _taps(pixels[:, 0] - 0.5 - corner[:, 0])
@@ -200,7 +200,7 @@ def _cubic(pixels: Array, size: tuple[int, int]) -> csr_array:
 
 
 def _taps(shares: Array) -> Array:
-    """Weights (N, 4) of the pixels at -1, 0, 1, 2 for a point at `shares` (N,) between 0 and 1."""
+    """Compute weights (N, 4) of the pixels at -1, 0, 1, 2 for a point at `shares` (N,) between 0 and 1."""
     t = shares[:, None]
     return 0.5 * np.concatenate(
         [

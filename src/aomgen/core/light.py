@@ -1,7 +1,8 @@
 """Light as radiance from directions, the irradiance of surfaces under it, and its spherical harmonics.
 
-Nine harmonics of the radiance determine the shading of a diffuse surface. A surface point stores the irradiance that
-each harmonic causes there (its *transfer*), so that the shading of a turned body is one dot product.
+Nine harmonics of the radiance determine the shading of a diffuse surface. A surface point stores
+the irradiance that each harmonic causes there (its *transfer*), so that the shading of a rotated
+body is one dot product.
 
 Source: Ramamoorthi & Hanrahan 2001 (nine coefficients suffice for diffuse shading); Sloan, Kautz & Snyder 2002
 (precomputed transfer).
@@ -18,9 +19,9 @@ from aomgen.core.values import Array, Matrix4, Vector3, freeze_arrays
 
 # Factors that turn radiance coefficients of bands 0, 1, 2 into irradiance coefficients.
 COSINE_BANDS: Final = np.repeat([np.pi, 2 * np.pi / 3, np.pi / 4], [1, 3, 5])
-# Directions that represent light from everywhere: irradiance is then right to a thousandth.
+# Number of directions that represent light from everywhere: irradiance is then accurate to a thousandth.
 DIRECTIONS: Final = 256
-# Directions around the center of a wide directional light.
+# Number of directions around the center of a wide directional light.
 RING: Final = 6
 
 
@@ -45,7 +46,7 @@ class Light:
         return np.pi * sh_basis(self.directions, 2).T @ self.radiance
 
     def irradiance(self, normals: ArrayLike, visibility: ArrayLike = 1.0) -> Array:
-        """Irradiance over pi (N, 3) of surfaces: the linear RGB that white ones reflect.
+        """Compute the irradiance over pi (N, 3) of surfaces: the linear RGB that white ones reflect.
 
         Args:
             normals: Unit normals (N, 3), world frame.
@@ -55,11 +56,11 @@ class Light:
         return np.asarray((cosines * np.asarray(visibility)) @ self.radiance, np.float64)
 
     def view_from(self, R_world_body: ArrayLike) -> Array:
-        """Harmonics (..., 9, 3) in the frames of bodies rotated by (..., 3, 3)."""
+        """Compute harmonics (..., 9, 3) in the frames of bodies rotated by (..., 3, 3)."""
         return rotate_radiance(self.radiance_sh, R_world_body)
 
     def scale_by(self, gain: ArrayLike) -> "Light":
-        """Multiply the radiance by a factor, or by three, one for each channel."""
+        """Multiply the radiance by a factor, or by three, one per channel."""
         return replace(self, radiance=self.radiance * np.asarray(gain, np.float64))
 
     def turn(self, R: ArrayLike) -> "Light":
@@ -69,12 +70,12 @@ class Light:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DirectionalLight:
-    """The part of a level surface's light that comes from one side and casts shadows that can be seen.
+    """The part of a level surface's light that comes from one side and casts visible shadows.
 
     Attributes:
         directions: Unit vectors (K, 3) towards the light, world frame; one for crisp shadows, see `spread_directions`.
-        share: Share (3,) of the surface's irradiance that is this light's, linear RGB, 0..1.
-        T_world_plane: The surface, z = 0 on it.
+        share: Share (3,) of this light in the surface's irradiance, linear RGB, 0..1.
+        T_world_plane: Pose of the surface, z = 0 on it.
     """
 
     directions: Annotated[Array, "K 3"]
@@ -89,19 +90,19 @@ class DirectionalLight:
             raise ValueError("DirectionalLight.share is not in 0..1")
 
     def split(self, light: Light) -> tuple[Light, Light]:
-        """All light at the surface as light from everywhere and this light."""
+        """Split all light at the surface into light from everywhere and this light."""
         up = self.T_world_plane[:3, 2]
         total = light.irradiance(up[None])[0]
         radiance = self.share * total / max(float((self.directions @ up).sum()), 1e-9)
         own = Light(directions=self.directions, radiance=np.tile(radiance, (len(self.directions), 1)))
         rest = light_from_harmonics(light.radiance_sh - own.radiance_sh)
-        # Nine harmonics of one direction are negative elsewhere, light is not.
+        # Nine harmonics of one direction are negative elsewhere, unlike light.
         rest = replace(rest, radiance=np.maximum(rest.radiance, 0))
         return rest.scale_by((1 - self.share) * total / np.maximum(rest.irradiance(up[None])[0], 1e-9)), own
 
 
 def spread_directions(direction: ArrayLike, width: float) -> Array:
-    """Directions (K, 3) over a disc of half an angle `width` [rad] around one (3,): its center and a ring."""
+    """Spread directions (K, 3) over a disc of half-angle `width` [rad] around one (3,): center and ring."""
     center = np.asarray(direction, np.float64)
     if not width:
         return center[None]
@@ -115,25 +116,26 @@ def spread_directions(direction: ArrayLike, width: float) -> Array:
 
 
 def light_from_harmonics(radiance_sh: ArrayLike) -> Light:
-    """Light from everywhere whose radiance has the harmonics (9, 3); negative where the harmonics are."""
+    """Make light from everywhere whose radiance has the harmonics (9, 3); negative where these are."""
     directions = sphere_directions(DIRECTIONS)
-    # The smallest radiance with exactly these harmonics, which is their value there but for quadrature errors.
+    # The smallest radiance with exactly these harmonics, which equals their value except for quadrature
+    # errors.
     weights = np.linalg.pinv(np.pi * sh_basis(directions, 2).T)
     return Light(directions=directions, radiance=weights @ np.asarray(radiance_sh, np.float64))
 
 
 def hemisphere_light(sky: ArrayLike, ground: ArrayLike) -> Light:
-    """Light of two half spheres: radiance (3,) from above and from below, bands 0 and 1."""
+    """Make light of two hemispheres: radiance (3,) from above and from below, bands 0 and 1."""
     sky, ground = np.asarray(sky, np.float64), np.asarray(ground, np.float64)
     sh = np.zeros((9, 3))
-    # Projections of the two half spheres: Y0 * 2 pi each, and +-pi * 0.4886 for the z band.
+    # Projections of the two hemispheres: Y0 * 2 pi each, and +-pi * 0.4886 for the z band.
     sh[0] = 0.28209479177387814 * 2 * np.pi * (sky + ground)
     sh[2] = 0.4886025119029199 * np.pi * (sky - ground)
     return light_from_harmonics(sh)
 
 
 def rotate_radiance(radiance_sh: ArrayLike, R_world_body: ArrayLike) -> Array:
-    """Harmonics (..., 9, C) in the frames of bodies rotated by (..., 3, 3), of harmonics (9, C) in the world frame."""
+    """Rotate harmonics (9, C) of the world frame to the frames (..., 3, 3) of bodies: (..., 9, C)."""
     Rs_body_world = np.asarray(R_world_body, np.float64).swapaxes(-1, -2)
     radiance = np.asarray(radiance_sh)
     radiance = np.broadcast_to(radiance, (*Rs_body_world.shape[:-2], *radiance.shape[-2:]))
@@ -145,11 +147,17 @@ def rotate_radiance(radiance_sh: ArrayLike, R_world_body: ArrayLike) -> Array:
 
 
 def project_radiance(directions: ArrayLike, solid_angles: ArrayLike, radiance: ArrayLike) -> Array:
-    """Harmonics (9, ...) of radiance (D, ...) from unit directions (D, 3) of solid angles (D,) or one for all, [sr]."""
+    """Project radiance (D, ...) to harmonics (9, ...).
+
+    The unit directions (D, 3) have solid angles (D,), or one for all, [sr].
+    """
     weighted = sh_basis(directions, 2) * np.asarray(solid_angles)[..., None]
     return np.asarray(weighted.T @ np.asarray(radiance), np.float64)
 
 
 def open_transfer(normals: ArrayLike) -> NDArray[np.float32]:
-    """Transfer (N, 9) of unoccluded surfaces with unit normals (N, 3); times harmonics it is irradiance over pi."""
+    """Compute transfer (N, 9) of unoccluded surfaces with unit normals (N, 3).
+
+    Times harmonics it is irradiance over pi.
+    """
     return (sh_basis(normals, 2) * (COSINE_BANDS / np.pi)).astype(np.float32)

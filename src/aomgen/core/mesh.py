@@ -26,8 +26,9 @@ class Mesh:
         uvs: Texture coordinates of the face corners (F, 3, 2), v up; empty (0, 3, 2) without.
         texture_srgb: (H, W, 3) uint8; empty (0, 0, 3) without, then `color_srgb` holds.
         color_srgb: Base color (3,), 0..1.
-        roughness, metallic, opacity: UsdPreviewSurface's parameters, 0..1; of a map its mean.
-        maps: Images uint8 by name: (H, W) of `NUMBERS`, (H, W, 3) of `NORMAL_MAP`, which holds (normal + 1) / 2.
+        roughness, metallic, opacity: UsdPreviewSurface's parameters, 0..1; the mean where there is a map.
+        maps: Images uint8 by name: (H, W) for `NUMBERS`, (H, W, 3) for `NORMAL_MAP`, which holds (normal + 1)
+            / 2.
     """
 
     name: str
@@ -52,12 +53,12 @@ class Mesh:
         return self.opacity < 1
 
     def transform(self, S: ArrayLike) -> "Mesh":
-        """Moved by a rigid transform or a similarity (4, 4)."""
+        """Move by a rigid transform or a similarity (4, 4)."""
         return replace(self, vertices=apply(S, self.vertices))
 
 
 def face_normals_areas(vertices: Array, faces: NDArray[np.int64]) -> tuple[Array, Array]:
-    """Unit normals (F, 3) and areas (F,), [m^2]; a degenerate face has normal 0."""
+    """Compute unit normals (F, 3) and areas (F,), [m^2]; a degenerate face has normal 0."""
     a, b, c = (vertices[faces[:, i]] for i in range(3))
     cross = np.cross(b - a, c - a)
     lengths = np.linalg.norm(cross, axis=1)
@@ -65,14 +66,14 @@ def face_normals_areas(vertices: Array, faces: NDArray[np.int64]) -> tuple[Array
 
 
 def sample_triangles(corners: Array, count: int, rng: np.random.Generator) -> Array:
-    """Points (count, 3) spread evenly over triangles (F, 3, 3)."""
+    """Sample points (count, 3) evenly over triangles (F, 3, 3)."""
     return sample_surface(corners.reshape(-1, 3), np.arange(3 * len(corners)).reshape(-1, 3), count, rng)[0]
 
 
 def sample_surface(
     vertices: Array, faces: NDArray[np.int64], count: int, rng: np.random.Generator
 ) -> tuple[Array, NDArray[np.int64], Array]:
-    """Points spread evenly by area over a surface.
+    """Sample points evenly by area over a surface.
 
     Returns:
         Points (count, 3), their faces (count,), and barycentric weights (count, 3).
@@ -87,6 +88,6 @@ def sample_surface(
 
 
 def sample_meshes(meshes: Sequence[Mesh], count: int, rng: np.random.Generator) -> Array:
-    """Some `count` points (N, 3), as many on a small mesh as on a large one, spread evenly over each."""
+    """Sample about `count` points (N, 3), evenly over each mesh, equally many on small and large ones."""
     share = max(count // len(meshes), 100)
     return np.concatenate([sample_surface(mesh.vertices, mesh.faces, share, rng)[0] for mesh in meshes])

@@ -17,11 +17,11 @@ class ContactPatch:
     """Contact of one finger with the moving part when the motion began.
 
     Attributes:
-        finger: "left", "right", "palm"; "hand" where the fingers are not known.
-        point: Middle of the patch on the finger's surface (3,), world frame, [m].
+        finger: "left", "right", "palm"; "hand" if the fingers are unknown.
+        point: Center of the patch on the finger's surface (3,), world frame, [m].
         normal: Unit direction from the finger into the part (3,), world frame.
-        spread_m: RMS distance of the patch from its middle, [m].
-        gap_m: Distance between finger and reconstructed part there, [m]; the alignment's error shows here.
+        spread_m: RMS distance of the patch from its center, [m].
+        gap_m: Distance between finger and reconstructed part there, [m]; it includes the alignment's error.
     """
 
     finger: str
@@ -35,14 +35,14 @@ class ContactPatch:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MotionCurve:
-    """The motion score over the video, as the report draws it.
+    """The motion score over the video, as the report shows it.
 
     Attributes:
         times_s: (T,), video clock.
         scores: Raw score (T,), NaN-free, 0..1.
         smoothed: Savitzky-Golay smoothed score (T,).
         threshold: Level that a frame has to exceed to open a motion interval.
-        distances_m: Smallest finger-to-part distance (T,), [m], part at its scanned place.
+        distances_m: Smallest finger-to-part distance (T,), [m], part at its scanned pose.
         speeds_m_s: End-effector speed (T,), [m/s].
         gripper: (T,), 0 open .. 1 closed.
     """
@@ -67,24 +67,25 @@ class MotionEstimate:
         clock_offset_sd_s: Its standard deviation, [s]; 0 when it was given.
         start_s, end_s: First and last time the part moves.
         curve: The evidence for start and end.
-        contacts: One patch a finger that touched.
+        contacts: One patch for each finger that touched.
         grasp_ee: Grasped point of the part (3,), end-effector frame, [m].
         joint: Value 0 is the scanned state, axis positive in the demonstrated direction.
         axis_sd_rad: Standard deviation of the axis direction, [rad].
         origin_sd_m: Standard deviation of the axis line where it passes the contact, [m].
         axis_ci95_rad: The true direction lies within this angle of `joint.axis` with 95 %, [rad].
-        origin_ci95_m: The true axis line passes within this of `joint`'s, where that passes the
-            contact, with 95 %, [m]; 0 for a prismatic joint, which has no place.
+        origin_ci95_m: The true axis line is within this distance of `joint`'s near the contact with 95 %,
+            [m]; 0 for a prismatic joint, which has no location.
         type_margin: Twice the log evidence of the chosen joint type over the other one.
-        ee_turn_ratio: Turn of the end effector over turn of the part (1: rigid grasp; 0: the
-            handle turns in the fingers; NaN-free: 0 for a prismatic joint).
+        ee_turn_ratio: Rotation of the end effector over rotation of the part (1: rigid grasp; 0: the
+            handle rotates in the fingers; NaN-free: 0 for a prismatic joint).
         times_s: Video frame times (T,).
         thetas: Joint value at each (T,), [rad] or [m].
         theta_sd: Standard deviation (T,), same unit.
         slip_m: Slip of the grasped point along the part since the start (T,), [m]; 0 outside the motion.
         pivot_rad: Rotation of the end effector relative to the part since the start (T,), [rad]; likewise.
         direction: "opening" when the part ends more open than it was scanned, else "closing".
-        part_odds: How many times better contact and video fit the prompted part than anything else.
+        part_odds: Likelihood ratio of the prompted part over any other as the moving one, from contact and
+            video.
     """
 
     clock_offset_s: float
@@ -112,5 +113,5 @@ class MotionEstimate:
     __post_init__ = freeze_arrays
 
     def theta_at(self, times_s: ArrayLike) -> Array:
-        """Joint values at video times (N,), linearly interpolated, ends held."""
+        """Interpolate joint values linearly at video times (N,), ends held."""
         return np.interp(np.asarray(times_s, np.float64), self.times_s, self.thetas)

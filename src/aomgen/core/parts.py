@@ -10,13 +10,17 @@ from aomgen.core.gaussians import Gaussians, concatenate
 from aomgen.core.transforms import matrix_from_quat
 from aomgen.core.values import Array, freeze_arrays
 
-# Gaussians fainter than this are haze, not surface.
+# Gaussians with a lower opacity are haze, not surface.
 SOLID_OPACITY: Final = 0.3
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Cut:
-    """Gaussians cut, and their pieces.
+    """Gaussians that were cut, and their pieces.
+
+    Attributes:
+        sources: (M,) index of the Gaussian that each piece comes from.
+        pieces: The M pieces.
 
     Attributes:
         sources: (M,) index of the Gaussian that each piece comes from.
@@ -29,11 +33,11 @@ class Cut:
     __post_init__ = freeze_arrays
 
     def apply(self, gaussians: Gaussians) -> Gaussians:
-        """All that is whole, in order, then the pieces."""
+        """Return all whole Gaussians, in order, then the pieces."""
         return concatenate([gaussians.select(self._whole(len(gaussians))), self.pieces])
 
     def origins(self, count: int) -> NDArray[np.int64]:
-        """For each Gaussian of `applied`, which of the `count` it is or comes from."""
+        """Return the index, below `count`, of the source of each Gaussian that `apply` returns."""
         return np.concatenate([np.flatnonzero(self._whole(count)), self.sources])
 
     def _whole(self, count: int) -> NDArray[np.bool_]:
@@ -43,14 +47,14 @@ class Cut:
 
 
 def no_cut(gaussians: Gaussians) -> Cut:
-    """Nothing is cut."""
+    """Return the cut without pieces."""
     return Cut(sources=np.zeros(0, np.int64), pieces=gaussians.select(np.zeros(0, np.int64)))
 
 
-# Boxes explained worse than this (5 % of the box a side) are worth a warning.
+# Boxes with a larger misfit (5 % of the box per side) cause a warning.
 DOUBTED_MISFIT = 0.2
-# Labels that overlap with the prompts' masks less than this (IoU) are worth a warning: on eleven captures
-# they overlapped with the true part by .40 to .83, all others by more.
+# Labels with a lower overlap with the prompts' masks (IoU) cause a warning: on eleven captures such labels
+# overlapped with the true part by .40 to .83, all others by more.
 DOUBTED_AGREEMENT = 0.6
 
 
@@ -61,10 +65,12 @@ class Parts:
     Attributes:
         labels: (N,), see `conventions.PART_LABELS`.
         robot_bodies: (N,), index into the robot's `body_names`, -1 where the label is not robot.
-        cut: Which Gaussians of the scan were cut, and their pieces.
-        method: "boxes" (two boxes explain the evidence), "masks" (nothing is like a panel) or another one's name.
-        box_misfit: How far the labels' extents are from the prompts' boxes, see `box_misfit`.
-        static_agreement, moving_agreement: IoU of the drawn part with its masks in the prompted images, 0..1.
+        cut: Gaussians of the scan that were cut, and their pieces.
+        method: "boxes" (two boxes explain the evidence), "masks" (no part resembles a panel)
+            or another method's name.
+        box_misfit: Distance of the labels' extents from the prompts' boxes, see `box_misfit`.
+        static_agreement, moving_agreement: IoU of the rendered part with its masks in the prompted images,
+            0..1.
     """
 
     labels: Annotated[NDArray[np.uint8], "N"]
@@ -78,7 +84,7 @@ class Parts:
     __post_init__ = freeze_arrays
 
     def warnings(self) -> list[str]:
-        """Sentences about parts that may be wrong."""
+        """List warnings about parts that may be wrong."""
         sentences = []
         if not self.box_misfit <= DOUBTED_MISFIT:
             sentences.append(
@@ -96,7 +102,7 @@ class Parts:
 
 
 def surface_points(gaussians: Gaussians, labels: NDArray[np.uint8], label: int) -> Array:
-    """Centres (N, 3) of a part's solid Gaussians, in their frame.
+    """Select centres (N, 3) of a part's solid Gaussians, in their frame.
 
     Args:
         gaussians: The scene (G).
@@ -107,9 +113,9 @@ def surface_points(gaussians: Gaussians, labels: NDArray[np.uint8], label: int) 
 
 
 def spread_points(gaussians: Gaussians, labels: NDArray[np.uint8], label: int, spacing_m: float) -> Array:
-    """Points (N, 3) along the longest axis of each of a part's solid Gaussians, in their frame.
+    """Sample points (N, 3) along the longest axis of each of a part's solid Gaussians, in their frame.
 
-    A thin bar is made of few long Gaussians, whose centres alone leave it full of gaps.
+    A thin bar consists of few long Gaussians, whose centres alone leave gaps.
 
     Args:
         gaussians: The scene (G).

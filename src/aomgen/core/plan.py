@@ -22,7 +22,7 @@ class Rejection:
     Attributes:
         reason: Short key, for example "unreachable" or "collision".
         detail: One sentence with the value against its limit.
-        metrics: The figures behind it, by name with unit.
+        metrics: The metrics behind it, by name with unit.
     """
 
     reason: str
@@ -40,15 +40,15 @@ Adaptation = Literal["object", "trajectory"]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FittedAsset:
-    """An asset placed where the recorded object stood, with the motion its part shall make.
+    """An asset at the recorded object's pose, with the planned motion of its part.
 
     Attributes:
-        asset: After scaling (and mirroring), in its own frame.
-        T_world_asset: Rigid pose (4, 4) that takes the recorded object's place.
+        asset: The asset after scaling (and mirroring), in its own frame.
+        T_world_asset: Rigid pose (4, 4) at the recorded object's location.
         contact_asset: Grasp point with the part closed (3,), asset frame, [m].
         shares: (K,), 0..1: time since the part began to move over the time it moved.
         thetas: Joint value (K,) at each share, [rad] or [m]: rising from 0, or falling to 0 where the part is closed.
-        scale: Applied to the asset.
+        scale: Scale that was applied to the asset.
         mirrored: The asset was mirrored to bring its hinge to the recorded side.
         mode: "object" (scaled to the recorded motion) or "trajectory" (true size).
         residual_mm: RMS distance between recorded and new path of the held point, [mm].
@@ -68,7 +68,7 @@ class FittedAsset:
 
     @property
     def middle_asset(self) -> Array:
-        """Middle of the footprint (3,), asset frame, [m]: objects are turned about it."""
+        """Center of the footprint (3,), asset frame, [m]: objects are rotated about it."""
         low, high = self.asset.static.bounds
         return np.append((low[:2] + high[:2]) / 2, 0.0)
 
@@ -88,11 +88,11 @@ class FittedAsset:
         return self.target_theta - self.start_theta
 
     def backwards(self) -> "FittedAsset":
-        """The same motion reversed in time."""
+        """Reverse the motion in time."""
         return replace(self, shares=1 - self.shares[::-1], thetas=self.thetas[::-1])
 
     def theta_at(self, shares: ArrayLike) -> Array:
-        """Joint values at shares (N,) of the motion, ends held."""
+        """Interpolate joint values at shares (N,) of the motion, ends held."""
         return np.interp(np.asarray(shares, np.float64), self.shares, self.thetas)
 
 
@@ -103,7 +103,7 @@ class LightChange:
     Attributes:
         turn: Rotation of its direction about the vertical, [rad].
         intensity: Factor on linear radiance.
-        temperature_k: Color temperature of what was 6500 K in the recording.
+        temperature_k: Color temperature of light of 6500 K in the recording.
     """
 
     turn: float = 0.0
@@ -122,7 +122,7 @@ class MaterialChange:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class OrbitChange:
-    """Motion of a camera about a point: a turn about the vertical and a tilt upwards, [rad], a factor on its distance."""
+    """Motion of a camera about a point: rotations about the vertical and upwards, [rad], distance factor."""
 
     turn: float = 0.0
     tilt: float = 0.0
@@ -139,14 +139,14 @@ class Variation:
 
     Attributes:
         seed, index: Sequence, and number in it.
-        x, y: Shift of the object, or position of the middle of its footprint, see `frame`, [m].
-        yaw: Turn about the vertical through the middle of the object's footprint, [rad].
+        x, y: Shift of the object, or position of the center of its footprint, see `frame`, [m].
+        yaw: Rotation about the vertical through the center of the object's footprint, [rad].
         frame: Meaning of x and y.
         scale: Factor on the fitted asset's size.
         speed: Factor on the speed of the demonstrated motion.
-        start_offset: Added to the arm joints at the start (J,), [rad] or [m]; empty for none.
+        start_offset: Offset of the arm joints at the start (J,), [rad] or [m]; empty for none.
         light, material: Changes of the appearance.
-        orbits: Motion of every camera that is moved.
+        orbits: Motion of every moved camera.
         push_m: Largest displacement of the end effector from its plan on the approach, [m].
 
     Example:
@@ -169,7 +169,7 @@ class Variation:
     push_m: float = 0.0
 
     def place_at(self, fitted: FittedAsset) -> Array:
-        """Pose T_world_object (4, 4) of the asset in this variation."""
+        """Compute the pose T_world_object (4, 4) of the asset in this variation."""
         T = fitted.T_world_asset
         pivot = apply(T, fitted.middle_asset)
         shift = np.array([self.x, self.y, 0.0])
@@ -186,13 +186,13 @@ class EpisodePlan(SceneTrajectory):
     """A commanded trajectory that passed the kinematic checks, with the object's planned joint values.
 
     Attributes:
-        variation: The object's place.
+        variation: Variation of the object and the scene.
         fitted: The object.
-        fps: Samples a second.
+        fps: Samples per second.
         phases: (T,) index into `core.episode.PHASES`.
         Ts_world_ee: Commanded end effector poses (T, 4, 4).
-        grasp: Which grasp was chosen, for the record.
-        metrics: Tier A's figures, by name with unit.
+        grasp: Description of the chosen grasp.
+        metrics: Tier A's metrics, by name with unit.
     """
 
     variation: Variation

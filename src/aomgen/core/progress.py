@@ -7,9 +7,9 @@ Progress = Callable[[float, str], None]
 
 
 def silent(share: float, text: str) -> None:
-    """A progress receiver that ignores everything."""
+    """Default callback; does nothing."""
 
 
 def part(progress: Progress, start: float, end: float) -> Progress:
-    """A receiver for one part of a computation, mapped to start..end of the whole."""
+    """Make a callback for one part of a computation, mapped to start..end of the whole."""
     return lambda share, text: progress(start + (end - start) * share, text)

@@ -1,18 +1,18 @@
-"""Every choice of a run."""
+"""Settings of a run."""
 
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
-# Beginnings of a project's `light` that name no file: the scan's own light, and a network's folder.
+# Values and prefixes of a project's `light` other than a file: the scan's own light, and a network's folder.
 SCAN_LIGHT, DIFFUSION_LIGHT = "scan", "diffusion:"
 # Videos halve the resolution of colors, so their sides are even.
 Side = Annotated[int, Field(ge=64, le=4096, multiple_of=2)]
 
 
 class Project(BaseModel):
-    """Choices of one run; paths are absolute after loading.
+    """Settings of one run; paths are absolute after loading.
 
     Attributes:
         capture: Folder of the capture.
@@ -23,7 +23,7 @@ class Project(BaseModel):
         adapt: Method that fits asset and motion to each other; see `replacement.fitting`.
         light: Light on new objects: "scan", the light found in the scene; the path of an HDRI; or
             "diffusion:FOLDER", see `replacement.diffusion`.
-        light_yaw_deg: Turn of an HDRI about the vertical, counterclockwise as seen from above.
+        light_yaw_deg: Rotation of an HDRI about the vertical, counterclockwise as seen from above.
         inpainter: Folder of a diffusion pipeline that inpaints unobserved regions of the table, see
             `replacement.diffusion`; empty for patches of observed regions.
         image_size: Size of the episodes' images, [px].
@@ -65,7 +65,7 @@ class Project(BaseModel):
 
 
 def split_light(light: str) -> tuple[str, str]:
-    """A project's `light` as `SCAN_LIGHT`, `DIFFUSION_LIGHT` or nothing, and the path behind that, if any."""
+    """Split a project's `light` into `SCAN_LIGHT`, `DIFFUSION_LIGHT` or nothing, and a path, if any."""
     if light == SCAN_LIGHT:
         return SCAN_LIGHT, ""
     head = DIFFUSION_LIGHT if light.startswith(DIFFUSION_LIGHT) else ""

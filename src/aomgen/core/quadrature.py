@@ -1,4 +1,4 @@
-"""Points over which expectations of a normal distribution are averaged."""
+"""Points for averages over a normal distribution."""
 
 import numpy as np
 from scipy.special import ndtri
@@ -8,8 +8,9 @@ from aomgen.core.values import Array
 
 
 def normal_points(count: int, size: int) -> Array:
-    """Low-discrepancy points (count, size) of the standard normal distribution, the same at every call.
+    """Return low-discrepancy points (count, size) of the standard normal distribution, equal at every call.
 
-    Source: Halton, 1960. Their means converge nearly as 1 / count, those of random samples as its root.
+    Source: Halton, 1960. The error of their means decreases almost as 1 / count, that of
+    random samples as its root.
     """
     return np.asarray(ndtri(qmc.Halton(size, scramble=False).random(count + 1)[1:]), np.float64)

@@ -10,9 +10,9 @@ from numpy.typing import ArrayLike, NDArray
 from aomgen.core.lens import Lens
 from aomgen.core.values import Array, Matrix4, freeze_arrays
 
-# Error of a focal length from a data sheet, standard deviation as a share: lenses differ by sample and focus.
+# Standard deviation of a focal length from a data sheet, as a share: lenses differ by sample and focus.
 STATED_FOCAL_SD = 0.02
-# The same of one that was calibrated with a target.
+# Standard deviation of a focal length that was calibrated with a target, as a share.
 CALIBRATED_FOCAL_SD = 0.001
 
 
@@ -35,17 +35,17 @@ class JointLog:
     __post_init__ = freeze_arrays
 
     def at(self, times_s: ArrayLike) -> tuple[Array, Array]:
-        """Joints (N, J) and gripper (N,) at log times (N,), linearly interpolated, ends held."""
+        """Interpolate joints (N, J) and gripper (N,) linearly at log times (N,), ends held."""
         times = np.asarray(times_s, np.float64)
         columns = [np.interp(times, self.times_s, column) for column in self.joints.T]
         return np.stack(columns, -1), np.interp(times, self.times_s, self.gripper)
 
     def shift(self, offset_s: float) -> "JointLog":
-        """The same log on a clock that this one is ahead of by an offset, [s]."""
+        """Shift the log to a clock that is behind this one by an offset, [s]."""
         return replace(self, times_s=self.times_s - offset_s)
 
     def covers(self, times_s: ArrayLike) -> NDArray[np.bool_]:
-        """Mask of the times inside the log."""
+        """Return a mask of the times inside the log."""
         times = np.asarray(times_s, np.float64)
         return (times >= self.times_s[0]) & (times <= self.times_s[-1])
 
@@ -78,17 +78,17 @@ class RobotChoice:
 
 
 def frame_name(index: int) -> str:
-    """Name of the image made from a frame of a scan video, sorting in the order of time."""
+    """Name the image of a frame of a scan video; names sort in the order of time."""
     return f"scan_{index:06d}.png"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Intrinsics:
-    """Stated intrinsics, [px], principal point with pixel centres at +0.5: a prior, not a fact.
+    """Stated intrinsics, [px], principal point with pixel centres at +0.5, used as a prior.
 
     Attributes:
-        distortion: Stated k1, k2, p1, p2 (see `Lens`); None when nothing is known about it.
-        calibrated: Measured with a target, and not read off a data sheet or another setting.
+        distortion: Stated k1, k2, p1, p2 (see `Lens`); None when unknown.
+        calibrated: Measured with a target, not taken from a data sheet or another setting.
     """
 
     fx: float
@@ -99,7 +99,7 @@ class Intrinsics:
     calibrated: bool = False
 
     def lens(self, width: int, height: int) -> Lens:
-        """Optics of images of a size, [px], without distortion where none is stated."""
+        """Return the optics of images of a size, [px], without distortion where none is stated."""
         k1, k2, p1, p2 = self.distortion or (0.0, 0.0, 0.0, 0.0)
         return Lens(
             fx=self.fx, fy=self.fy, cx=self.cx, cy=self.cy, width=width, height=height, k1=k1, k2=k2, p1=p1, p2=p2
@@ -153,7 +153,7 @@ class DemoCamera:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ScanPoses:
-    """Poses of scan images that another program found: a start, which the matches have to confirm.
+    """Poses of scan images from another program: an initial estimate, which the matches have to confirm.
 
     Attributes:
         Ts_scan_cam: Pose (4, 4) by image name, OpenCV axes.
@@ -178,12 +178,12 @@ class Recording:
         scan_intrinsics: Known intrinsics of the scan, or None.
         cameras: The demonstration's fixed cameras.
         joint_log: Arm and gripper over the log's clock.
-        joint_log_file: Where it was read from.
+        joint_log_file: File of the joint log.
         clock_offset_s: Known offset (log time = video time + offset), or None.
         prompts: A person's annotations.
         mask_folders: Folders below `masks/`, by name.
         notes: Sentences about what the readers skipped, sorted, merged or unwrapped.
-        scan_poses: Poses of scan images that came with them, or None.
+        scan_poses: Poses of scan images that are part of the capture, or None.
     """
 
     folder: Path

@@ -1,4 +1,4 @@
-"""Middle and spread that a few outliers do not change."""
+"""Robust location and spread."""
 
 from typing import Final
 
@@ -7,25 +7,26 @@ from numpy.typing import ArrayLike, NDArray
 
 from aomgen.core.values import Array
 
-# Standard deviations in a median absolute deviation of normal noise: 1 / (inverse normal distribution at 3/4).
+# Ratio of standard deviation and median absolute deviation of normal noise: 1 / (inverse normal at 3/4).
 SD_OF_MAD: Final = 1.4826
-# Residuals beyond this many standard deviations count little.
+# Residuals beyond this many standard deviations have little weight.
 OUTLIER_SD: Final = 2.5
-# Rounds of iteratively reweighted least squares; weights change little after these.
+# Rounds of iteratively reweighted least squares; further rounds change the weights little.
 _REWEIGHTINGS: Final = 5
 
 
 def robust_sd(deviations: ArrayLike) -> float:
-    """Standard deviation of normal noise with these deviations from its middle, by their median size."""
+    """Compute the standard deviation of normal noise from the median size of its deviations."""
     return SD_OF_MAD * float(np.median(np.abs(deviations)))
 
 
 def compute_masked_median(
     values: NDArray[np.floating | np.integer], known: NDArray[np.bool_]
 ) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
-    """Median (...) over the first axis of values (N, ...) where they are known, 0 where none is, and where one is.
+    """Compute the median (...) over the first axis of known values (N, ...), and where any is known.
 
-    `known` (N, ...) may lack trailing axes of the values, for example their color channels.
+    The median is 0 where no value is known. `known` (N, ...) may lack trailing axes of the values, for
+    example their color channels.
     """
     known = np.asarray(known)
     missing = np.expand_dims(~known, tuple(range(known.ndim, values.ndim)))
@@ -36,12 +37,12 @@ def compute_masked_median(
 
 
 def weigh(residuals: Array, sd: float) -> Array:
-    """Weights of residuals, 1 for 0. Source: Geman and McClure, 1987."""
+    """Compute weights of residuals, 1 for 0. Source: Geman and McClure, 1987."""
     return 1 / (1 + (residuals / (OUTLIER_SD * sd)) ** 2) ** 2
 
 
 def regress(columns: Array, targets: Array, weights: Array) -> Array:
-    """Coefficients (N, ...) of columns (P, N) that give targets (P, ...); columns without information get 0."""
+    """Fit coefficients (N, ...) of columns (P, N) to targets (P, ...); columns without information get 0."""
     weighted = columns * weights[:, None]
     normal = weighted.T @ columns
     normal += (1e-3 * np.trace(normal) + 1e-9) * np.eye(len(normal))
@@ -49,7 +50,7 @@ def regress(columns: Array, targets: Array, weights: Array) -> Array:
 
 
 def regress_robustly(columns: Array, target: Array, least_sd: float) -> tuple[Array, Array, float]:
-    """Coefficients (N,) of columns (P, N) that give a target (P,), weights (P,), and the deviation of what is left."""
+    """Fit coefficients (N,) of columns (P, N) to a target (P,), with weights (P,) and residual deviation."""
     weights, coefficients, sd = np.ones(len(target)), np.zeros(columns.shape[1]), least_sd
     for _ in range(_REWEIGHTINGS):
         coefficients = regress(columns, target, weights)

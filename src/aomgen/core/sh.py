@@ -9,7 +9,7 @@ from aomgen.core.values import Array
 
 
 def sh_basis(directions: ArrayLike, degree: int) -> Array:
-    """Basis values (N, (degree + 1)^2) at unit directions (N, 3).
+    """Compute basis values (N, (degree + 1)^2) at unit directions (N, 3).
 
     Signs and order follow the 3DGS reference files. Source: Ramamoorthi & Hanrahan 2001,
     with the Condon-Shortley phase.
@@ -43,7 +43,7 @@ def sh_basis(directions: ArrayLike, degree: int) -> Array:
 
 
 def sphere_directions(count: int) -> Array:
-    """Evenly spread unit directions (count, 3): a golden spiral."""
+    """Return evenly spread unit directions (count, 3) on a golden spiral."""
     k = np.arange(count) + 0.5
     z = 1 - 2 * k / count
     angle = np.pi * (1 + np.sqrt(5)) * k
@@ -52,9 +52,9 @@ def sphere_directions(count: int) -> Array:
 
 
 def sh_rotation(R: ArrayLike, degree: int) -> list[Array]:
-    """Matrices (..., 2l + 1, 2l + 1), l = 1..degree, that rotate coefficients by R (..., 3, 3).
+    """Compute matrices (..., 2l + 1, 2l + 1), l = 1..degree, that rotate coefficients by R (..., 3, 3).
 
-    The rotated function is `f'(R d) = f(d)`. Each band is found exactly from a few sample
+    The rotated function is `f'(R d) = f(d)`. Each band is computed exactly from a few sample
     directions, because a band's basis functions span a space that rotation maps to itself.
     """
     R = np.asarray(R, np.float64)
@@ -67,8 +67,8 @@ def sh_rotation(R: ArrayLike, degree: int) -> list[Array]:
 
 @cache
 def _sample_bands(degree: int) -> tuple[Array, list[Array]]:
-    """Directions (32, 3), and for each band the pseudo-inverse of its basis there."""
-    # Fixed directions, enough of them and generic, so that every band's system is well posed.
+    """Return directions (32, 3), and for each band the pseudo-inverse of its basis there."""
+    # Fixed generic directions, enough for a well-posed system of every band.
     directions = np.random.default_rng(7).normal(size=(32, 3))
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
     fixed = sh_basis(directions, degree)
@@ -77,7 +77,7 @@ def _sample_bands(degree: int) -> tuple[Array, list[Array]]:
 
 
 def rotate_sh(sh: NDArray[np.float32], R: ArrayLike) -> NDArray[np.float32]:
-    """Coefficients (N, K, 3) of the functions turned by R (3, 3)."""
+    """Rotate coefficients (N, K, 3) by R (3, 3)."""
     degree = int(np.sqrt(sh.shape[1])) - 1
     result = np.array(sh, np.float32)
     for band, matrix in enumerate(sh_rotation(R, degree), start=1):

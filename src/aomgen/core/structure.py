@@ -13,14 +13,14 @@ from aomgen.core.values import Array, freeze_arrays
 
 # One of this many images is held out, as benchmarks of view synthesis do (Mip-NeRF 360).
 HELD_OUT_EVERY = 8
-# Index of the first one; the image that the walk begins with is trained on.
+# Index of the first one; the image with which the walk begins is used for training.
 HELD_OUT_PHASE = 4
 Figures = dict[str, object]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PinholeScan:
-    """Undistorted stills of a scan that is a video, or that a lens distorts; files below the stage's folder.
+    """Undistorted images of a scan that is a video or has lens distortion; files below the stage's folder.
 
     Attributes:
         images: Undistorted images.
@@ -41,9 +41,9 @@ class Structure:
         cameras_recon: Registered scan images by file name, in name order.
         demo_cameras_recon: Fixed cameras by name.
         scan_lens: Optics of the scan images when they are distorted: `cameras_recon` and
-            everything else here belong to the undistorted images. None = pinhole images.
+            all other values here belong to the undistorted images. None = pinhole images.
         demo_lenses: The same for the fixed cameras that are distorted.
-        pinhole: The scan that all this belongs to; None = the recorded one.
+        pinhole: The scan of the undistorted images; None = the recorded one.
         dropped: Scan images that are not in the model, with the reason.
         points_recon: Points (P, 3).
         colors_srgb: Colors (P, 3) uint8.
@@ -68,5 +68,5 @@ class Structure:
 
 
 def held_out(names: list[str]) -> list[str]:
-    """Every 8th of all scan images in name order, the 5th first."""
+    """Select every 8th of all scan images in name order, the 5th first."""
     return [name for i, name in enumerate(sorted(names)) if i % HELD_OUT_EVERY == HELD_OUT_PHASE]

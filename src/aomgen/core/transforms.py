@@ -9,12 +9,12 @@ from numpy.typing import ArrayLike
 
 from aomgen.core.values import Array
 
-# Rotations that are written with four digits pass, by `measure_rigidity`.
+# Rotations that are given with four digits pass, by `measure_rigidity`.
 ROTATION_TOLERANCE = 1e-3
 
 
 def transform(R: ArrayLike, t: ArrayLike) -> Array:
-    """Stack of (4, 4) transforms from rotations (..., 3, 3) and translations (..., 3)."""
+    """Build a stack of (4, 4) transforms from rotations (..., 3, 3) and translations (..., 3)."""
     R = np.asarray(R, np.float64)
     t = np.asarray(t, np.float64)
     T = np.zeros((*np.broadcast_shapes(R.shape[:-2], t.shape[:-1]), 4, 4))
@@ -31,32 +31,32 @@ def measure_rigidity(T: ArrayLike) -> tuple[float, float]:
 
 
 def invert(T: ArrayLike) -> Array:
-    """Inverse of a stack of rigid transforms (..., 4, 4)."""
+    """Invert a stack of rigid transforms (..., 4, 4)."""
     T = np.asarray(T, np.float64)
     R_inverse = np.swapaxes(T[..., :3, :3], -1, -2)
     return transform(R_inverse, -np.einsum("...ij,...j->...i", R_inverse, T[..., :3, 3]))
 
 
 def apply(T: ArrayLike, points: ArrayLike) -> Array:
-    """Points (..., 3) moved by one transform or similarity (4, 4), or a stack that broadcasts."""
+    """Move points (..., 3) by one transform or similarity (4, 4), or a stack that broadcasts."""
     T = np.asarray(T, np.float64)
     return np.einsum("...ij,...j->...i", T[..., :3, :3], np.asarray(points, np.float64)) + T[..., :3, 3]
 
 
 def similarity(scale: float, R: ArrayLike, t: ArrayLike) -> Array:
-    """Similarity (4, 4): `p_to = scale * R @ p_from + t`."""
+    """Build the similarity (4, 4) `p_to = scale * R @ p_from + t`."""
     return transform(scale * np.asarray(R, np.float64), t)
 
 
 def similarity_parts(S: ArrayLike) -> tuple[float, Array, Array]:
-    """Scale, rotation (3, 3) and translation (3,) of a similarity (4, 4)."""
+    """Split a similarity (4, 4) into scale, rotation (3, 3) and translation (3,)."""
     S = np.asarray(S, np.float64)
     scale = float(np.cbrt(np.linalg.det(S[:3, :3])))
     return scale, S[:3, :3] / scale, S[:3, 3].copy()
 
 
 def matrix_from_rotvec(rotvecs: ArrayLike) -> Array:
-    """Rotations (..., 3, 3) from axis times angle (..., 3), [rad]. Source: Rodrigues' formula."""
+    """Convert axis times angle (..., 3), [rad], to rotations (..., 3, 3). Source: Rodrigues' formula."""
     rotvecs = np.asarray(rotvecs, np.float64)
     angles = np.linalg.norm(rotvecs, axis=-1)[..., None, None]
     K = skew(rotvecs)
@@ -67,7 +67,7 @@ def matrix_from_rotvec(rotvecs: ArrayLike) -> Array:
 
 
 def rotvec_from_matrix(R: ArrayLike) -> Array:
-    """Axis times angle (..., 3), angle in 0..pi, of rotations (..., 3, 3)."""
+    """Convert rotations (..., 3, 3) to axis times angle (..., 3), angle in 0..pi."""
     quats = quat_from_matrix(R)
     quats = np.where(quats[..., :1] < 0, -quats, quats)
     sines = np.linalg.norm(quats[..., 1:], axis=-1, keepdims=True)
@@ -76,7 +76,7 @@ def rotvec_from_matrix(R: ArrayLike) -> Array:
 
 
 def skew(vectors: ArrayLike) -> Array:
-    """Cross-product matrices (..., 3, 3) of vectors (..., 3)."""
+    """Build cross-product matrices (..., 3, 3) of vectors (..., 3)."""
     v = np.asarray(vectors, np.float64)
     K = np.zeros((*v.shape[:-1], 3, 3))
     K[..., 0, 1], K[..., 0, 2], K[..., 1, 2] = -v[..., 2], v[..., 1], -v[..., 0]
@@ -84,7 +84,7 @@ def skew(vectors: ArrayLike) -> Array:
 
 
 def matrix_from_quat(quats_wxyz: ArrayLike) -> Array:
-    """Rotations (..., 3, 3) of quaternions (..., 4), which need not be normalised."""
+    """Convert quaternions (..., 4), which need not be normalised, to rotations (..., 3, 3)."""
     q = np.asarray(quats_wxyz, np.float64)
     q = q / np.linalg.norm(q, axis=-1, keepdims=True)
     w, x, y, z = np.moveaxis(q, -1, 0)
@@ -97,7 +97,7 @@ def matrix_from_quat(quats_wxyz: ArrayLike) -> Array:
 
 
 def quat_from_matrix(R: ArrayLike) -> Array:
-    """Unit quaternions (..., 4) of rotations (..., 3, 3). Source: Shepperd, 1978."""
+    """Convert rotations (..., 3, 3) to unit quaternions (..., 4). Source: Shepperd, 1978."""
     R = np.asarray(R, np.float64)
     m = R.reshape(-1, 3, 3)
     trace = np.trace(m, axis1=1, axis2=2)
@@ -120,7 +120,7 @@ def quat_from_matrix(R: ArrayLike) -> Array:
 
 
 def quat_multiply(a_wxyz: ArrayLike, b_wxyz: ArrayLike) -> Array:
-    """Products (..., 4): rotation b first, then a."""
+    """Multiply quaternions (..., 4): rotation b first, then a."""
     aw, ax, ay, az = np.moveaxis(np.asarray(a_wxyz, np.float64), -1, 0)
     bw, bx, by, bz = np.moveaxis(np.asarray(b_wxyz, np.float64), -1, 0)
     return np.stack(
@@ -150,7 +150,7 @@ def interpolate(T_a: ArrayLike, T_b: ArrayLike, shares: ArrayLike) -> Array:
 
 
 def path_steps(Ts: Array, turn_weight_m: float) -> Array:
-    """Way and turn from each pose of paths (..., K, 4, 4) to the next (..., K - 1), [m]; one radian is `turn_weight_m`."""
+    """Compute step lengths (..., K - 1) along paths (..., K, 4, 4), [m]; a radian is `turn_weight_m`."""
     ways = np.linalg.norm(np.diff(Ts[..., :3, 3], axis=-2), axis=-1)
     # The chord between two rotations, sqrt(8) sin(angle / 2), is sqrt(2) times a small angle.
     chords = np.linalg.norm(np.diff(Ts[..., :3, :3], axis=-3), axis=(-2, -1)) / np.sqrt(2)
@@ -158,6 +158,6 @@ def path_steps(Ts: Array, turn_weight_m: float) -> Array:
 
 
 def angle_between(a: ArrayLike, b: ArrayLike) -> float:
-    """Angle between two vectors (3,), [rad]; exact also near 0 and pi."""
+    """Compute the angle between two vectors (3,), [rad]; exact also near 0 and pi."""
     a, b = np.asarray(a, np.float64), np.asarray(b, np.float64)
     return float(np.arctan2(np.linalg.norm(np.cross(a, b)), a @ b))

@@ -1,7 +1,7 @@
 """Arrays of a declared shape, which cannot be changed after construction, for all frozen values.
 
-A field says its shape in its annotation: `points: Annotated[Array, "N 3"]`. A letter stands for one length in
-the whole value, `_` for any length.
+A field declares its shape in its annotation: `points: Annotated[Array, "N 3"]`. A letter represents one
+length in the whole value, `_` any length.
 """
 
 import types
@@ -23,7 +23,7 @@ def require_indices(indices: NDArray[np.integer], count: int) -> None:
     """Refuse indices outside 0..count - 1.
 
     Raises:
-        ValueError: One is.
+        ValueError: An index is outside.
     """
     if len(indices) and not (indices.min() >= 0 and indices.max() < count):
         raise ValueError(f"an index is outside 0..{count - 1}")
@@ -32,8 +32,8 @@ def require_indices(indices: NDArray[np.integer], count: int) -> None:
 def freeze_arrays(value: Any) -> None:
     """Make every array of a dataclass read-only and C-contiguous, of the type and shape that its field declares.
 
-    A field that holds no array may declare its length. Fields may also hold None. To be called from, or set as,
-    `__post_init__`.
+    A field without an array may declare its length. Fields may also hold None. The function is called from,
+    or set as, `__post_init__`.
 
     Raises:
         ShapeError: A shape differs.
@@ -54,7 +54,7 @@ def freeze_arrays(value: Any) -> None:
 
 @cache
 def _read_declared_arrays(kind: type) -> list[tuple[str, Any, list[str]]]:
-    """Name, element type (None: no array) and shape of every field that declares one."""
+    """Read name, element type (None: no array) and shape of every field that declares one."""
     found: list[tuple[str, Any, list[str]]] = []
     for field in fields(kind):
         optional = get_origin(field.type) in (Union, types.UnionType)

@@ -11,12 +11,12 @@ class Setting:
 
     Attributes:
         name: For example "nominal".
-        damping: Of the joint, [N m s/rad] or [N s/m].
-        frictionloss: Its whole dry friction, [N m] or [N].
-        moving_mass: Of the moving part, [kg].
+        damping: Damping of the joint, [N m s/rad] or [N s/m].
+        frictionloss: Its total dry friction, [N m] or [N].
+        moving_mass: Mass of the moving part, [kg].
         grip_friction: Factor on the sliding friction of gripper and moving part.
-        latch: Dry friction of a catch on top of the joint's, [N m] or [N] ...
-        latch_reach: ... below this joint value, [rad] or [m].
+        latch: Additional dry friction of a catch, [N m] or [N].
+        latch_reach: Joint value below which the catch acts, [rad] or [m].
     """
 
     name: str
@@ -28,18 +28,18 @@ class Setting:
     latch_reach: float = 0.0
 
     def friction_at(self, theta: float) -> float:
-        """Dry friction of the joint, and of a latch where it catches, [N m] or [N]."""
+        """Compute the dry friction of the joint and of an engaged latch, [N m] or [N]."""
         return self.frictionloss + self.latch * (theta < self.latch_reach)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Check:
-    """A figure against its limit.
+    """A metric and its limit.
 
     Attributes:
-        reason: Of the rejection when it fails, for example "contact".
+        reason: Reason of the rejection when it fails, for example "contact".
         figure: Name with unit, for example "contact_share".
-        value, limit: In the figure's unit.
+        value, limit: Values in the metric's unit.
         least: The limit is the smallest value that passes, else the largest.
     """
 
@@ -62,7 +62,7 @@ class Check:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Hold:
-    """From when to when finger pads carried force: times [s], and joint values [rad] or [m]."""
+    """Interval in which finger pads carried force: times [s], and joint values [rad] or [m]."""
 
     first_s: float
     last_s: float
@@ -78,7 +78,7 @@ class SettingOutcome:
         final_theta: Joint value at the end of the run, [rad] or [m].
         peak_force_n: Largest sum of normal forces of the pads on the part, [N].
         peak_reaction_n: Largest horizontal force of the robot on the object, [N].
-        hold: When the pads held the part.
+        hold: Interval in which the pads held the part.
         checks: Metrics that have a limit.
     """
 
@@ -103,9 +103,9 @@ class Verdict:
     Attributes:
         start_theta, target_theta: Planned first and final joint value, fixed before simulation, [rad] or [m].
         outcomes: One for each setting, the nominal one last.
-        kinematic: Tier A's figures against their limits.
-        bolted: The object's base was held by the world; then its reaction is only reported.
-        seed, index: Of the variation; the settings were drawn from them.
+        kinematic: Tier A's metrics and their limits.
+        bolted: The object's base was fixed to the world; its reaction is then only reported.
+        seed, index: Seed and index of the variation, from which the settings were drawn.
         versions: Versions of the software that computed it, by name.
         digests: SHA-256 of its inputs, by name.
     """
@@ -127,19 +127,19 @@ class Verdict:
 
     @property
     def margin(self) -> float:
-        """Smallest distance of the runs to the pass line of the planned motion, as a share of it."""
+        """Smallest distance of the runs to the pass limit of the planned motion, as a share of the motion."""
         return self.margins["target_share"]
 
     @property
     def margins(self) -> dict[str, float]:
-        """Smallest distance to each limit of the simulation over all settings, in the figure's unit."""
+        """Smallest distance to each limit of the simulation over all settings, in the metric's unit."""
         margins: dict[str, float] = {}
         for check in (check for outcome in self.outcomes for check in outcome.checks):
             margins[check.figure] = min(check.margin, margins.get(check.figure, check.margin))
         return margins
 
     def as_json(self) -> dict[str, Any]:
-        """The certificate: plain values that depend on the inputs alone."""
+        """Return the certificate: plain values that depend on the inputs alone."""
         limits = {check.figure: check.limit for check in self.outcomes[0].checks}
         return {
             "passed": self.passed,

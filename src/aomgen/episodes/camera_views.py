@@ -17,19 +17,19 @@ from aomgen.robots.robot import RobotModel
 from aomgen.splatting.session import Motion, RenderSession, draw_outputs
 from aomgen.twin.twin import StaticLayer, TwinModel, moving_layer, pose_bodies, standing_bodies
 
-# Colors darker than this have no meaningful share, sRGB 0..1.
+# A share cannot be computed for colors darker than this, sRGB 0..1.
 DARK: Final = 1e-4
-# Depth that stands for none, [m].
+# Depth of pixels without a surface, [m].
 FAR: Final = 60.0
 
 
 def find_surface(
     T_world_plane: Array, camera: Camera, depth: NDArray[np.float32], scene_share: NDArray
 ) -> tuple[NDArray[np.int64], NDArray[np.float32], Array]:
-    """Pixels (N,) that show a surface, its share (N,) of their colors, 0..1, and its points (N, 3) there, world frame.
+    """Find pixels (N,) that show a surface, its share (N,) of their colors, 0..1, and its points (N, 3).
 
     Args:
-        T_world_plane: The surface.
+        T_world_plane: Pose of the surface.
         camera: The view.
         depth: (H, W), [m].
         scene_share: Share (H, W) of the scene in the pixels' colors, 0..1.
@@ -46,12 +46,12 @@ class FixedViews:
     The images of a state do not depend on the other states.
 
     Args:
-        twin, shadows: From `cast_shadows`.
-        robot, layers, threads: As of `render_episode`.
+        twin, shadows: Results of `cast_shadows`.
+        robot, layers, threads: As in `render_episode`.
         Ts_world_body: Poses (B, 4, 4) of the twin's bodies in any state.
 
     Attributes:
-        labels: Of all Gaussians, in the engine's order.
+        labels: Labels of all Gaussians, in the engine's order.
     """
 
     def __init__(
@@ -69,12 +69,12 @@ class FixedViews:
         still = scene.gaussians, pose_bodies(bodies, Ts_world_body)
         self.labels = np.concatenate([scene.labels, bodies.labels, self._moving.labels])
         self._views = [_FixedView(layer, *still, shadows, threads) for layer in layers.values()]
-        # All cameras' points at once.
+        # Blocked light is computed for the points of all cameras at once.
         points = [np.concatenate(item) for item in zip(*(view.points for view in self._views), strict=True)]
         self._shadows = [item.prepare(own) for item, own in zip(shadows, points, strict=True)]
 
     def draw(self, states: States, outputs: Sequence[str]) -> list[dict[str, NDArray]]:
-        """Images (T, H, W, ...) of each camera by output, see `draw_outputs`."""
+        """Render images (T, H, W, ...) of each camera by output, see `draw_outputs`."""
         blocked = [block(states) for block in self._shadows]
         factors: list[NDArray[np.float32]] = []
         for view in self._views if blocked else ():
@@ -87,18 +87,18 @@ class FixedViews:
 
 
 class _FixedView:
-    """A fixed camera's view of all that never moves in an episode.
+    """A fixed camera's view of everything that never moves in an episode.
 
     Attributes:
-        session: Renders what moves before it.
-        points: Points (N, 3) of each shadow's surface that are seen.
+        session: Renders moving bodies into the view.
+        points: Visible points (N, 3) of each shadow's surface.
 
     Args:
         layer: View of the scene without the robot and the object.
         scene: Gaussians of the scene, in this episode's light.
         bodies: Bodies of robot and object that never move, world frame.
         shadows: Shadows on the scene.
-        threads: As of `RenderSession`.
+        threads: As in `RenderSession`.
     """
 
     def __init__(
@@ -117,14 +117,14 @@ class _FixedView:
         if len(bodies):
             alone = layer.session.draw(bodies, shade=np.zeros_like(scene_share)).rgb.mean(-1)
             scene_share -= np.where(both > DARK, alone / self._level, 0)
-        # Single pixels of an outline may be behind it.
+        # Single pixels of an outline may show a surface behind it.
         depth = median_filter(layer.depth, 3)
         found = [find_surface(item.T_world_plane, layer.camera, depth, scene_share) for item in shadows]
         self._pixels, self._shares = [item[0] for item in found], [item[1] for item in found]
         self.points = [item[2] for item in found]
 
     def darken(self, blocked: Sequence[Array]) -> NDArray[np.float32]:
-        """Factors (T, H, W) on the sRGB colors of the scene where shares (T, N) of each shadow's light are blocked."""
+        """Compute factors (T, H, W) on the scene's sRGB colors from blocked shares (T, N) per shadow."""
         light = np.ones((len(blocked[0]), self._level.size), np.float32)
         for pixels, share, own in zip(self._pixels, self._shares, blocked, strict=True):
             light[:, pixels] -= share * own
@@ -138,12 +138,12 @@ class MovingView:
     """A moving camera that shows an object at one pose: prepared once, then rendered for any states.
 
     Args:
-        twin, shadows: From `cast_shadows`.
-        camera: Its optics.
-        threads: As of `render_episode`.
+        twin, shadows: Results of `cast_shadows`.
+        camera: Camera, whose optics are used.
+        threads: As in `render_episode`.
 
     Attributes:
-        labels: Of all Gaussians, in the engine's order.
+        labels: Labels of all Gaussians, in the engine's order.
     """
 
     def __init__(
@@ -155,7 +155,7 @@ class MovingView:
         self.labels = self._moving.labels
 
     def draw(self, states: States, path: CameraPath, outputs: Sequence[str]) -> dict[str, NDArray]:
-        """Images (T, H, W, ...) by output, see `draw_outputs`."""
+        """Render images (T, H, W, ...) by output, see `draw_outputs`."""
         motion = self._moving.motion(states.Ts_world_body)
         before = Motion(
             parts=motion.parts,
@@ -173,7 +173,7 @@ class MovingView:
         return images
 
     def _darken(self, images: Mapping[str, NDArray], state: States, camera: Camera) -> None:
-        """Take from the scene's colors in one frame (H, W, ...) the light that shadows block."""
+        """Remove the light that shadows block from the scene's colors in one frame (H, W, ...)."""
         depth, scene = images["median_depth"], (self._moving.bodies == 0)[images["max_id"]]
         light = np.ones(depth.size, np.float32)
         for shadow in self._shadows:

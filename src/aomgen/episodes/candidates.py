@@ -1,4 +1,4 @@
-"""Candidates for an episode: a grasp, the arm's configuration, and how it comes to the handle; solved for all grasps at once."""
+"""Candidates for an episode: grasp, arm configuration and approach, solved for all grasps at once."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -14,10 +14,10 @@ from aomgen.episodes.joint_limits import IkLimits
 from aomgen.episodes.retarget import KNOTS, LEAVE, MOVE, NEAR, DemonstratedMotion, RetargetedMotion, Style
 from aomgen.robots.robot import RobotModel
 
-# The free motion: the demonstrated joints, shifted at both ends, or a path that is searched.
+# Free motion: the demonstrated joints, shifted at both ends, or a path from a search.
 Free = Literal["demonstrated", "searched"]
 Way = tuple[Style, Free]
-# How the end effector moves near the handle, and the arm before, in the order in which they are tried.
+# Pairs of the motion near the handle and the free motion before it, in the order in which they are tried.
 WAYS: Final[tuple[Way, ...]] = (
     ("demonstrated", "demonstrated"),
     ("straight", "demonstrated"),
@@ -27,12 +27,12 @@ WAYS: Final[tuple[Way, ...]] = (
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Candidate:
-    """One way to perform an episode.
+    """One candidate for performing an episode.
 
     Attributes:
         motion: The end effector's motion with one grasp.
-        joints: Of the arm (3, K, J) at the knots of approach, contact and retreat.
-        free: Its motion from the start to the approach.
+        joints: Arm joints (3, K, J) at the knots of approach, contact and retreat.
+        free: Motion of the arm from the start to the approach.
     """
 
     motion: RetargetedMotion
@@ -55,7 +55,7 @@ def list_motions(
     robot: RobotModel,
     usual: Grasp | None = None,
 ) -> list[RetargetedMotion]:
-    """Motions with all grasps that are tried, in the order of `grasps`."""
+    """List motions with all grasps that are tried, in the order of `grasps`."""
     demo = shown.demo
     depths = grasp_depths(fitted.asset, float(demo.grasp_ee[2]), robot)
     return [
@@ -67,7 +67,7 @@ def list_motions(
 def follow_contact(
     motions: Sequence[RetargetedMotion], arm: Array, solver: IkSolver, limits: IkLimits
 ) -> list[Array | Rejection]:
-    """Joints (K, J) at the knots of the contact for all grasps at once, in the configuration of an arm (J,)."""
+    """Solve joints (K, J) at the contact's knots for all grasps at once, in a configuration (J,)."""
     shown, fitted = motions[0].shown, motions[0].fitted
     times, order = shown.from_closed(fitted), int(np.sign(fitted.travel))
     targets = np.stack([motion.holding(times) for motion in motions], 1)
@@ -86,7 +86,7 @@ def follow_sides(
     solver: IkSolver,
     limits: IkLimits,
 ) -> Iterator[tuple[int, Candidate | Rejection]]:
-    """Candidates of all grasps that can be held, by number of grasp, solved before and after the contact at once."""
+    """Yield candidates of all grasps with a solved contact, by number of the grasp."""
     if not contacts:
         return
     style, free = way
@@ -109,7 +109,7 @@ def follow_sides(
 
 
 def unwind(joints: Array, start: Array, robot: RobotModel) -> Array:
-    """The same poses (..., K, J), each joint turned by whole turns towards a start (J,) where its limits allow that."""
+    """Shift joints (..., K, J) by whole turns towards a start (J,) where the joint limits allow that."""
     turns = np.where(robot.slides, 0.0, np.round((start - joints[0, 0]) / (2 * np.pi)))
     turned, (low, high) = joints + 2 * np.pi * turns, robot.joint_limits.T
     return np.where(((turned > low) & (turned < high)).all((0, 1)), turned, joints)

@@ -1,4 +1,4 @@
-"""One unit of work, from the draw to the committed episode or the rejection, in one process."""
+"""One unit of work in one process, from the draw to the committed episode or the rejection."""
 
 import hashlib
 import os
@@ -42,9 +42,9 @@ from aomgen.simulation.verify import verify_plan
 from aomgen.twin.twin import StaticLayer, TwinModel
 from aomgen.twin.variation import change_appearance, light_gains, scale_object
 
-# Assets that a worker keeps open: the one it works on, and the next.
+# Number of assets that a worker keeps open: the current and the next one.
 OPEN_ASSETS: Final = 2
-# Sizes of an asset whose scenes a worker keeps: the recorded one, and that of the episode.
+# Number of sizes of an asset whose scenes a worker keeps: the recorded one, and that of the episode.
 OPEN_SIZES: Final = 2
 
 
@@ -53,14 +53,14 @@ class GenerationParams:
     """Parameters of the stage "episodes".
 
     Attributes:
-        ranges: Of the draws.
-        plan: How an episode is planned; its rate is the recording's.
+        ranges: Ranges of the variations.
+        plan: Parameters of the planning; its rate is the recording's.
         bolted: The object is fixed to its support; False lets it stand by friction.
-        attempts_per_episode: Draws tried for each requested episode before giving up.
+        attempts_per_episode: Number of draws tried for each requested episode before giving up.
         cameras: Names of the scene's cameras that are used; empty for all.
-        free_cameras: Cameras added, placed by `ranges.free`.
-        images: What is stored of the images, and whether the robot's own cameras are drawn.
-        timeout_s: One unit takes no longer, or is given up, [s].
+        free_cameras: Number of added cameras, placed by `ranges.free`.
+        images: Which images are stored, and whether the robot's own cameras are rendered.
+        timeout_s: A unit that takes longer is given up, [s].
     """
 
     ranges: Ranges = field(default_factory=Ranges)
@@ -77,9 +77,9 @@ class EpisodeFactory:
     """State of a worker: robot, demonstration, and the assets that it works on.
 
     Args:
-        results: Of the run.
-        folder: Of all episodes.
-        cameras: To be used instead of the scene's.
+        results: Results of the run.
+        folder: Folder of all episodes.
+        cameras: Cameras to use instead of the scene's.
     """
 
     def __init__(self, results: Results, folder: Path, cameras: Mapping[str, Camera] | None = None) -> None:
@@ -119,19 +119,19 @@ class EpisodeFactory:
 
     @cached_property
     def digests(self) -> dict[str, str]:
-        """SHA-256 of what every plan is made from, for the certificates."""
+        """SHA-256 of the inputs of every plan, for the certificates."""
         demo = self.results.demonstration
         arrays = np.column_stack([demo.times_s, demo.joints, demo.gripper, demo.thetas])
         return {"demonstration": hashlib.sha256(arrays.astype("<f8").tobytes()).hexdigest()}
 
     def screen(self, unit: Unit) -> tuple[Variation, Rejection | None]:
-        """The variation of a draw, and why it is not worth trying, if it is not."""
+        """Compute the variation of a draw, and the reason why it is not worth trying, if there is one."""
         variation = self.variation(unit)
         fitted = scale_fit(self.results.fitted_assets[unit.asset], variation.scale)
         return variation, self.place.screen(variation, fitted)
 
     def variation(self, unit: Unit) -> Variation:
-        """The variation of a draw."""
+        """Compute the variation of a draw."""
         return draw(
             self.results.project.seed,
             unit.asset,
@@ -143,10 +143,10 @@ class EpisodeFactory:
         )
 
     def make(self, unit: Unit) -> tuple[bool, dict[str, float]]:
-        """Plan, verify, draw and commit the episode of a unit, or write why there is none.
+        """Plan, verify, render and commit the episode of a unit, or write why it was rejected.
 
         Returns:
-            Whether the episode was committed, and seconds of work by part.
+            Whether the episode was committed, and seconds of work by step.
         """
         self._seconds = {}
         variation = self.variation(unit)
@@ -159,7 +159,7 @@ class EpisodeFactory:
         return isinstance(verified, VerifiedEpisode), self._seconds
 
     def plan(self, opened: "OpenAsset", variation: Variation) -> EpisodePlan | Rejection:
-        """The plan for a variation of an asset."""
+        """Plan a variation of an asset."""
         fitted, scene = opened.sized(variation.scale)
         with self._measure_time("plan"):
             return self.plan_for(fitted, variation, scene, opened.usual_grasp)
@@ -177,7 +177,7 @@ class EpisodeFactory:
         return episode_scene(robot, fitted, demo, place.support, place.obstacles, bolted=self.params.bolted)
 
     def _usual_grasp(self, category: str) -> GraspChoice:
-        """Usual grasp of all objects of a category; read from the stage's folder where it has been chosen."""
+        """Return the usual grasp of a category's objects, from the stage's folder if it has been chosen."""
         chosen = self.folder / GRASPS_FOLDER
         if (chosen / f"{category}.json").is_file():
             return load_artifact(chosen, category, GraspChoice)
@@ -185,7 +185,7 @@ class EpisodeFactory:
         return choose_grasp([grasps for draws in working for grasps in draws])
 
     def working_grasps(self, number: int) -> WorkingGrasps:
-        """Working grasps of the first draws of an asset; read from the stage's folder where they have been found."""
+        """Find the working grasps of an asset's first draws, or read them from the stage's folder."""
         found = self.folder / GRASPS_FOLDER
         if (found / f"{unit_name(number)}.json").is_file():
             return load_artifact(found, unit_name(number), WorkingGrasps)
@@ -205,7 +205,7 @@ class EpisodeFactory:
         return [number for number, fitted in assets if fitted.asset.category == category]
 
     def certify(self, opened: "OpenAsset", variation: Variation) -> VerifiedEpisode | Rejection:
-        """Plan for a variation of an asset and verify the plan."""
+        """Plan a variation of an asset and verify the plan."""
         plan = self.plan(opened, variation)
         if isinstance(plan, Rejection):
             return plan
@@ -220,7 +220,7 @@ class EpisodeFactory:
             )
 
     def _tier_a_limits(self) -> dict[str, float]:
-        """Largest values of a plan's figures, by name, for the certificate."""
+        """Return the limits of a plan's metrics, by name, for the certificate."""
         ik, contact = self.plan_params.ik, self.plan_params.kinematic
         return {"residual_mm": ik.residual_mm, "residual_deg": ik.residual_deg, **contact.by_figure}
 
@@ -257,7 +257,7 @@ class EpisodeFactory:
             store_episode(self.folder, episode, frames, images)
 
     def _object_usd(self, unit: Unit, plan: EpisodePlan, opened: "OpenAsset") -> Path:
-        """The file in which others can simulate the object; one of another size is written for this episode."""
+        """Return the USD file for simulating the object; one of another size is written for this episode."""
         if plan.variation.scale == 1.0:
             return opened.usd
         home = object_folder(self.folder, unit)
@@ -297,12 +297,12 @@ class OpenAsset:
 
     @cached_property
     def usual_grasp(self) -> Grasp | None:
-        """That plans keep near to."""
+        """Usual grasp, which plans approximate."""
         return self.factory.usual_grasp(self.fitted.asset.category).usual
 
     @cached_property
     def sized(self) -> Callable[[float], tuple[FittedAsset, Scene]]:
-        """Gives the asset at a size, and the scene to plan and verify it in; the last ones are kept."""
+        """Cached function from a size to the asset and the scene to plan and verify it in."""
         return lru_cache(OPEN_SIZES)(self._resize)
 
     def _resize(self, scale: float) -> tuple[FittedAsset, Scene]:
@@ -312,9 +312,9 @@ class OpenAsset:
     def show_variation(
         self, variation: Variation, cameras: Mapping[str, Camera]
     ) -> tuple[TwinModel, dict[str, StaticLayer], ObjectShadow | None]:
-        """The twin as a variation shows it, what cameras see of what never moves, and the object's soft shadow.
+        """Return the twin under a variation, the static layer of each camera, and the object's soft shadow.
 
-        What the recording's light and cameras show is kept for the next episode.
+        The layers for the recorded light and cameras are kept for the next episode.
         """
         twin = change_appearance(
             scale_object(self.twin, variation.scale), variation.light, variation.material
@@ -336,10 +336,10 @@ class OpenAsset:
 
 
 def open_grasping(results: Results, folder: Path) -> Callable[[int], WorkingGrasps]:
-    """Worker function that finds the working grasps of assets."""
+    """Open a worker function that finds the working grasps of assets."""
     return EpisodeFactory(results, folder).working_grasps
 
 
 def open_factory(results: Results, folder: Path) -> Work:
-    """Worker function that makes units; `results` is pickled without what was read: the project and its folders."""
+    """Open a worker function that makes units; of `results`, only the project and its folders are pickled."""
     return EpisodeFactory(results, folder).make

@@ -1,4 +1,4 @@
-"""Motion of the arm between two configurations around what stands in the way: RRT-Connect of OMPL.
+"""Collision-free motion of the arm between two configurations: RRT-Connect of OMPL.
 
 Source: Kuffner and LaValle, "RRT-Connect" (2000); Sucan, Moll and Kavraki, "The Open Motion Planning Library" (2012).
 """
@@ -27,22 +27,22 @@ SPLINE_PASSES: Final = 4
 def find_free_path(
     start: Array, goal: Array, limits: Array, is_free: Callable[[Array], bool], seed: int
 ) -> Array | None:
-    """Joints (N, J) from `start` to `goal` (J,) without collisions, shortened and smoothed.
+    """Find joints (N, J) from `start` to `goal` (J,) without collisions, shortened and smoothed.
 
     Args:
-        limits: Of the joints (J, 2).
-        is_free: Whether a configuration (J,) has no collision.
-        seed: Of the samples, at least 1; equal arguments give equal paths.
+        limits: Joint limits (J, 2).
+        is_free: Function that returns whether a configuration (J,) has no collision.
+        seed: Seed of the samples, at least 1; equal arguments give equal paths.
 
     Returns:
         The path; None where start or goal collides, or no path is found.
 
-    Not checked: collisions between the configurations that are looked at.
+    Not checked: collisions between the tested configurations.
     """
     if not (is_free(start) and is_free(goal)):
         return None
     util.noOutputHandler()
-    # The seed of all generators that are made from here on, so that a path does not depend on those before it.
+    # OMPL seeds all generators that are created from here on, so that a path does not depend on earlier ones.
     util.RNG.setSeed(seed)
     size = len(start)
     ends = np.stack([start, goal])
@@ -54,7 +54,7 @@ def find_free_path(
         bounds.setHigh(joint, float(high[joint]))
     space.setBounds(bounds)
     setup = og.SimpleSetup(space)
-    # A share of the space's diagonal.
+    # OMPL expects a fraction of the space's diagonal.
     space.setLongestValidSegmentFraction(RESOLUTION / space.getMaximumExtent())
     setup.setStateValidityChecker(lambda state: bool(is_free(_joints(state, size))))
     setup.setStartAndGoalStates(_state(space, start), _state(space, goal), 1e-9)

@@ -1,6 +1,7 @@
-"""Ask for episodes until every asset has enough, or as many attempts as are allowed have failed.
+"""Request episodes until every asset has enough, or as many attempts as are allowed have failed.
 
-Which draws are tried does not depend on how many workers there are: of an asset no more are begun than are missing.
+The draws that are tried do not depend on the number of workers: no more draws of an asset
+are begun than are missing.
 """
 
 from collections.abc import Callable, Iterator
@@ -29,20 +30,20 @@ from aomgen.executors import Done, Executor
 from aomgen.io.atomic import remove_folder, remove_staging
 from aomgen.io.episode_folder import episode_folder
 
-# Draws in a row that are not worth trying, before an asset is given up: where one in a hundred fits, one is found.
+# An asset is given up after this many skipped draws in a row: where one in a hundred fits, one is found.
 MAX_SKIPPED: Final = 500
 LOST: Final = {
-    "worker_died": "the process that worked on it died, again and again",
+    "worker_died": "the process that worked on it died repeatedly",
     "timeout": "it took longer than the limit",
 }
 
-# The variation of an asset's draw, and why it is not worth trying, if it is not.
+# Function that returns the variation of an asset's draw, and the reason why it is not worth trying, if any.
 Screen = Callable[[Unit], tuple[Variation, Rejection | None]]
 
 
 @dataclass(slots=True)
 class _Quota:
-    """The episodes of one asset: which draws have been made, and what came of them."""
+    """State of the episodes of one asset: the draws made, and their outcomes."""
 
     asset: int
     wanted: int
@@ -55,7 +56,7 @@ class _Quota:
     exhausted: bool = False
 
     def next_unit(self) -> Unit | None:
-        """The next draw that is worth trying; None when nothing is missing, or no more is allowed."""
+        """Return the next draw that is worth trying; None when none is missing, or no more are allowed."""
         if self.committed + self.running >= self.wanted or self.begun >= self.allowed or self.exhausted:
             return None
         skipped = 0
@@ -72,7 +73,7 @@ class _Quota:
         return None
 
     def end(self, *, committed: bool) -> None:
-        """A unit that ran has ended."""
+        """Record that a unit has ended."""
         self.running -= 1
         self.committed += committed
 
@@ -92,19 +93,20 @@ def generate(
     progress: Progress,
     on_done: Callable[[Done], None] = lambda done: None,
 ) -> None:
-    """Fill the folder of all episodes with what is requested; what is there is kept, and the ledger is closed.
+    """Make the requested episodes in a folder; existing ones are kept, and the ledger is closed at the end.
 
     Args:
-        folder: See `ledger`. It belongs to the same assets, demonstration and parameters.
+        folder: Folder of all episodes of the same assets, demonstration and parameters, see `ledger`.
         request: Requested episodes.
-        executor: Its work commits the episode of a `Unit` or writes its rejection, and returns whether it was committed first, see `EpisodeFactory.make`.
-        screen: Draws of the assets.
+        executor: Its work commits the episode of a `Unit` or writes its rejection, and returns first whether
+            it was committed, see `EpisodeFactory.make`.
+        screen: Screening of the draws.
         progress: Called after every unit.
-        on_done: Receives every unit that the executor has done.
+        on_done: Receives every finished unit.
 
     Raises:
-        StorageError: The disk refuses.
-        AomgenError: Whatever the work raises.
+        StorageError: A file cannot be written.
+        AomgenError: Any error that the work raises.
     """
     _remove_staging(folder)
     (folder / DRAWS_FILE).unlink(missing_ok=True)
@@ -164,7 +166,7 @@ def _forget_others(folder: Path, quotas: list[_Quota]) -> None:
 def _outcomes(
     folder: Path, request: Request, quotas: list[_Quota], committed: set[Unit]
 ) -> Iterator[dict[str, Any]]:
-    """Every draw with what came of it."""
+    """Yield every draw with its outcome."""
     for quota in quotas:
         for index, (variation, screened) in enumerate(quota.draws):
             unit = Unit(asset=quota.asset, index=index)

@@ -1,9 +1,9 @@
-"""The usual grasp: all demonstrations hold their objects as nearly so as they can, so that policies can learn from them.
+"""The usual grasp, which all demonstrations of a category approximate so that policies can learn from them.
 
-Many grasps work for a draw, and each works for some draws only. The one nearest to the demonstrated differs from draw to
-draw: of a microwave's 150 demonstrations 46 would share the most frequent grasp among 26, and a policy learns their mean.
-Objects of one category share it: how another microwave is held cannot be seen, and a policy that learned from several
-would learn the mean of theirs.
+Many grasps work for a draw, and each works for some draws only. The grasp nearest to the demonstrated one
+differs from draw to draw: 150 demonstrations of a microwave would use 26 grasps, the most frequent one 46
+times, and a policy would learn their mean. All objects of a category share the grasp: how another microwave
+is held is not visible, so a policy that learned from several objects would learn the mean of their grasps.
 """
 
 from collections.abc import Sequence
@@ -15,16 +15,17 @@ import numpy as np
 
 from aomgen.episodes.grasps import Grasp, difference
 
-# So many draws tell which grasps work; of each of many objects fewer do, but so many at least.
+# Number of draws that determine which grasps work; with many objects fewer suffice for each,
+# but at least this many.
 DRAWS, LEAST_DRAWS = 24, 4
-# Folder of the working grasps, one file for each object, and of the choices, one for each category, below that of all
-# episodes.
+# Folder of the working grasps, one file per object, and of the choices, one per category, in the
+# folder of all episodes.
 GRASPS_FOLDER: Final = "grasps"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class WorkingGrasps:
-    """Of one object.
+    """Working grasps of one object.
 
     Attributes:
         draws: For each of its first draws the grasps with which an episode could be planned.
@@ -35,12 +36,12 @@ class WorkingGrasps:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class GraspChoice:
-    """Of a category's objects.
+    """Usual grasp of a category's objects.
 
     Attributes:
-        usual: None where none works.
-        mean_rad: How much the grasp of a draw differs from it in the mean, see `grasps.difference`.
-        draws: How many were looked at.
+        usual: The grasp; None if no grasp works.
+        mean_rad: Mean difference of the draws' grasps from it, see `grasps.difference`.
+        draws: Number of draws that were examined.
     """
 
     usual: Grasp | None
@@ -49,15 +50,15 @@ class GraspChoice:
 
 
 def draws_of(objects: int) -> int:
-    """How many draws of each of so many objects are looked at."""
+    """Return how many draws of each object are examined for a number of objects."""
     return max(LEAST_DRAWS, DRAWS // objects)
 
 
 def choose_grasp(working: Sequence[Sequence[Grasp]]) -> GraspChoice:
-    """The grasp from which the draws' grasps differ least in the mean, when each draw takes the one that is most like it.
+    """Choose the grasp with the smallest mean difference to the most similar grasp of each draw.
 
     Args:
-        working: For every draw the grasps that work; of equals the one is chosen that comes first.
+        working: Working grasps of every draw; among equal candidates the first one is chosen.
     """
     served = [grasps for grasps in working if grasps]
     candidates: dict[tuple[float, ...], Grasp] = {}

@@ -1,7 +1,7 @@
-"""How a hand may hold the new handle: the demonstrated way first, then ways near it.
+"""Grasps for the new handle: the demonstrated one first, then grasps near it.
 
-In the end effector frame of every robot z points out of the palm and the fingers close along y, so that a held
-bar lies along x.
+In the end effector frame of every robot z points out of the palm and the fingers close along y, so that
+a held bar lies along x.
 """
 
 from collections.abc import Iterator, Sequence
@@ -20,29 +20,30 @@ from aomgen.robots.robot import RobotModel
 
 # Rotations of the gripper that are tried, the smallest first, [deg]: about the handle, and along it.
 TILTS_DEG, SWINGS_DEG = (0.0, 15.0, -15.0, 30.0, -30.0, 45.0, -45.0), (20.0, -20.0, 40.0, -40.0)
-# How far beyond the end effector point a bar is held, [m]: adaptive fingers that hold it with the inner half of their pads
-# let it slip towards the palm.
+# Distances of a held bar beyond the end effector point, [m]: adaptive fingers that hold it with the inner
+# half of their pads let it slip towards the palm.
 DEPTHS_M = (0.006, 0.012)
-# How far finger tips reach beyond the held point of a rim, the farthest first, [m]: a stiff, heavy lid slips off greasy
-# fingers that reach less, but what is below a lid may leave them no more room.
+# Distances of the fingertips beyond the held point of a rim, the largest first, [m]: a stiff, heavy lid slips
+# off greasy fingers at a smaller distance, but an obstacle below a lid may leave them no more room.
 RIM_OVERLAPS_M = (0.006, 0.004)
-# Cosines: a bar that lies more along the approach is held squarely; fingers that close less across the plate of a rim
-# slip off when it is slippery.
+# Cosines: for a bar that is closer to parallel to the approach, the grasp is made square; fingers that close
+# less across the plate of a rim slip off when it is slippery.
 MAX_ALONG_BAR, MIN_ACROSS_RIM = 0.6, 0.7
-# The square hand is worth trying when it differs by more than this.
+# A square orientation is tried only if it differs by more than this.
 MIN_LEVELLED_RAD = np.deg2rad(5.0)
-# A hand that cannot turn as far as the door lets the bar turn between its fingers this much.
+# Rotation ratio for an end effector that cannot rotate as far as the door: the bar rotates between its
+# fingers.
 LOOSE_RATIO = 0.7
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Grasp:
-    """One way to hold the handle.
+    """One grasp of the handle.
 
     Attributes:
-        R_object_ee: Hand's orientation at the closed part.
+        R_object_ee: Orientation of the end effector at the closed part.
         held_ee: Held point in the end effector frame, [m].
-        turn_ratio: Turn of the hand over turn of the part.
+        turn_ratio: Rotation of the end effector over rotation of the part.
     """
 
     name: str
@@ -56,17 +57,17 @@ class Grasp:
 def orientations(
     R_front_ee: Array, handle_axis: Array, tilts_deg: tuple[float, ...]
 ) -> Iterator[tuple[str, Array]]:
-    """Hand orientations whose fingers close across the handle, nearest to the demonstrated first.
+    """Yield orientations whose fingers close across the handle, nearest to the demonstrated first.
 
     Args:
-        R_front_ee: Demonstrated hand at the closed part, in the recorded object's upright front frame (3, 3); the
-            asset's own frame is of the same kind.
-        handle_axis: Along the new handle's bar (3,), asset frame, part closed.
+        R_front_ee: Demonstrated orientation at the closed part, in the recorded object's upright front frame
+            (3, 3); the asset's own frame is of the same kind.
+        handle_axis: Direction of the new handle's bar (3,), asset frame, part closed.
 
     Yields:
-        Name and R_asset_ee (3, 3): with the demonstrated approach direction, then with the hand
-        square to the bar, each with every tilt; then leaning along the bar, likewise; last the
-        hand turned half round, which swaps the fingers.
+        Name and R_asset_ee (3, 3): with the demonstrated approach direction, then with the end effector
+        square to the bar, each with every tilt; then tilted along the bar, likewise; last the
+        end effector rotated by half a turn, which swaps the fingers.
     """
     bar = R_front_ee[:, 0]
     near = handle_axis if bar @ handle_axis >= 0 else -handle_axis
@@ -89,9 +90,10 @@ def orientations(
 
 
 def grasp_depths(asset: ArticulatedAsset, demonstrated_depth: float, robot: RobotModel) -> tuple[float, ...]:
-    """How far beyond the end effector point, along the approach, the hand holds the handle, the best first, [m].
+    """Return distances of the held handle beyond the end effector point, the best first, [m].
 
-    A bar lies where the recorded one did; a rim is held by the finger tips, whatever was held in the recording.
+    A bar is held at the recorded distance; a rim is held by the fingertips, whatever was held in the
+    recording.
     """
     if not (robot.pads and held_at_rim(asset)):
         return (float(np.clip(demonstrated_depth, *DEPTHS_M)),)
@@ -110,15 +112,16 @@ def grasps(
     turn_ratio: float,
     usual: Grasp | None = None,
 ) -> Iterator[Grasp]:
-    """Grasps to try with the first depth, those like the usual one first, or else like the demonstrated one.
+    """Yield grasps to try, for one depth after the other.
 
-    Then with the next depth.
+    For each depth, those most similar to the usual grasp come first, or else to the demonstrated one.
 
     Args:
         R_front_ee: As for `orientations`.
-        depths: See `grasp_depths`, [m].
-        turn_ratio: Demonstrated turn of the hand over turn of the part; a revolute part may be followed with less.
-        usual: See `grasp_choice`; maybe another object's.
+        depths: Result of `grasp_depths`, [m].
+        turn_ratio: Demonstrated rotation of the end effector over rotation of the part; smaller ratios are
+            tried for a revolute part.
+        usual: See `grasp_choice`; possibly another object's.
     """
     asset, revolute = fitted.asset, fitted.asset.joint.type == "revolute"
     ratio = float(np.clip(turn_ratio, 0.0, 1.0)) if revolute else 1.0
@@ -137,13 +140,13 @@ def grasps(
 
 
 def difference(a: Grasp, b: Grasp) -> float:
-    """Angle between two hands at the closed part, and what it grows by until the part has turned by a radian, [rad]."""
+    """Compute the angle between grasps at the closed part plus its growth per radian of the part, [rad]."""
     turn = rotvec_from_matrix(a.R_object_ee.T @ b.R_object_ee)
     return float(np.linalg.norm(turn)) + abs(a.turn_ratio - b.turn_ratio)
 
 
 def between(a: Grasp, b: Grasp, share: float) -> Grasp:
-    """A grasp some share of the way from a to b, at b's depth."""
+    """Interpolate by a share between grasps a and b, at b's depth."""
     turn = rotvec_from_matrix(a.R_object_ee.T @ b.R_object_ee)
     return Grasp(
         name=f"{share:.1%} from {a.name} to {b.name}",
@@ -154,7 +157,7 @@ def between(a: Grasp, b: Grasp, share: float) -> Grasp:
 
 
 def _across(R: Array, bar: Array) -> Array:
-    """The hand rolled about its approach by at most 90 degrees until its fingers close across the bar."""
+    """Roll an orientation about its approach by at most 90 degrees until the fingers close across the bar."""
     approach, closing = R[:, 2], R[:, 1]
     side = np.cross(approach, closing)
     angle = np.arctan2(-(closing @ bar), side @ bar)
@@ -163,7 +166,7 @@ def _across(R: Array, bar: Array) -> Array:
 
 
 def _least_turn(a: Array, b: Array) -> Array:
-    """Rotation (3, 3) by the least angle that takes unit vector a to unit vector b, a @ b >= 0."""
+    """Find the rotation (3, 3) by the least angle that takes unit vector a to unit vector b, a @ b >= 0."""
     axis = np.cross(a, b)
     sine = float(np.linalg.norm(axis))
     if sine < 1e-9:

@@ -1,7 +1,7 @@
 """Inverse kinematics along paths, all poses of a path at once.
 
-A coarse chain of knots is solved first, each from the one before, so the arm keeps its branch; the poses between start
-from the joints of their knots.
+A coarse chain of knots is solved first, each from the previous one, so that the arm keeps its branch; the
+poses in between start from the joints of their knots.
 Source: damped Gauss-Newton steps (Wampler, 1986) on the product of exponentials of the arm (Brockett, 1984).
 """
 
@@ -19,29 +19,33 @@ from aomgen.core.values import Array, Matrix4, freeze_arrays
 from aomgen.episodes.joint_limits import IkLimits
 from aomgen.robots.robot import RobotModel
 
-# Of the least-squares step, [m^2]; carries the arm across singular poses instead of around them.
+# Damping of the least-squares step, [m^2]; carries the arm across singular poses instead of around them.
 DAMPING = 1e-3
-# A turn of one radian counts as this much way, [m].
+# A rotation by one radian counts as this distance, [m].
 TURN_WEIGHT_M = 0.3
-# From knot to knot of a chain, way and turn together, [m]: so near that the step keeps the branch.
+# Distance between knots of a chain, path and rotation together, [m]: so small that the step keeps the branch.
 KNOT_WAY_M = 0.08
 # Largest change of a joint in one step, [rad] or [m]; far targets make long steps, and more would leave the branch.
 MAX_STEP = 0.5
-# Weight of joint accelerations against hand errors in a smooth path, [m^2 s^4/rad^2]: 5 rad/s^2 that last a frame of
-# 0.1 s count as much as 1 mm.
+# Weight of joint accelerations against end effector errors in a smooth path, [m^2 s^4/rad^2]: 5 rad/s^2
+# during a frame of 0.1 s count as much as 1 mm.
 SMOOTHNESS = 3e-8
-# Of its least-squares step, [m^2]: only keeps it solvable.
+# Regularization of its least-squares step, [m^2]: only keeps it solvable.
 STIFFNESS = 1e-6
-# Steps of a smooth path are small enough, [rad]; the weights are set anew so often; share of a limit that is aimed at.
+# A smooth path has converged below this step, [rad]; number of updates of the weights; share of a limit to
+# aim at.
 SETTLED, ROUNDS, RESERVE = 1e-3, 5, 0.95
-# Poses between the demonstrated grasp and the new one: near enough to each other to stay on the branch.
+# Number of poses between the demonstrated grasp and the new one: near enough to each other
+# to stay on the branch.
 SEED_STEPS = 12
-# Of Gauss-Newton at each of them; what is left over is done at the next.
+# Gauss-Newton steps at each of them; the remaining error is reduced at the next.
 SEED_ITERATIONS = 4
-# Starts from which other configurations of a pose are searched, and steps of each: a UR5e has eight, and a few more
-# where its wrist may turn twice. Configurations that differ by less in each joint count as one, [rad] or [m].
+# Starts from which other configurations of a pose are searched, and steps of each: a UR5e has eight,
+# and a few more where its wrist may rotate twice. Configurations that differ by less in each joint
+# count as one, [rad] or [m].
 ARM_SEEDS, ARM_ITERATIONS, SAME_ARM = 64, 60, 0.3
-# Good enough is better than exact: near a singular pose the last 0.2 mm cost a turn of the wrist. [m], [rad].
+# Exact solutions are not required: near a singular pose the last 0.2 mm cost a rotation of
+# the wrist. [m], [rad].
 CLOSE_M, CLOSE_RAD = 2e-4, 2e-3
 
 
@@ -50,10 +54,10 @@ class IkSolver:
     """The arm as a chain of J joints, described in the world frame with all joints at zero.
 
     Attributes:
-        robot: Its model.
+        robot: Model of the robot.
         lines: Direction and a point of every joint's axis, homogeneous, as columns; [m].
-        turning: What each joint does: `(1, sin q, cos q, q) @ turning` is its transform, row by row.
-        T_world_home: End effector.
+        turning: Coefficients of each joint's transform: `(1, sin q, cos q, q) @ turning`, row by row.
+        T_world_home: End effector pose with all joints at zero.
     """
 
     robot: RobotModel
@@ -64,7 +68,7 @@ class IkSolver:
     __post_init__ = freeze_arrays
 
     def kinematics(self, joints: Array) -> tuple[Array, Array]:
-        """End effector poses (N, 4, 4) at joints (N, J), and their Jacobians (N, 6, J): velocity, angular velocity."""
+        """Compute end effector poses (N, 4, 4) and Jacobians (N, 6, J; linear, angular) at joints (N, J)."""
         q = joints.T
         factors = np.stack([np.ones_like(q), np.sin(q), np.cos(q), q], -1)
         steps = (factors @ self.turning).reshape(*q.shape, 4, 4)
@@ -83,7 +87,7 @@ class IkSolver:
         return T, np.ascontiguousarray(jacobians.transpose(1, 2, 0))
 
     def errors(self, Ts_world_ee: Array, joints: Array) -> tuple[Array, Array]:
-        """What is left (N, 6) from joints (N, J) to poses (N, 4, 4), [m] and [rad], and the Jacobians (N, 6, J)."""
+        """Compute errors (N, 6) against poses (N, 4, 4), [m] and [rad], and Jacobians (N, 6, J)."""
         T, jacobians = self.kinematics(joints)
         turn = Ts_world_ee[:, :3, :3] @ T[:, :3, :3].swapaxes(1, 2)
         sines = 0.5 * (turn[:, [2, 0, 1], [1, 2, 0]] - turn[:, [1, 2, 0], [2, 0, 1]])
@@ -111,7 +115,7 @@ def ik_solver(robot: RobotModel) -> IkSolver:
             continue
         along, K = np.outer(axis, axis), skew(axis)
         across = np.eye(3) - along
-        # Rodrigues' formula about a line through a point.
+        # Rodrigues' formula for a line through a point.
         turning[j, :3, :3, :3] = along, K, across
         turning[j, :3, :3, 3] = across @ point, -K @ point, -across @ point
         turning[j, 0, 3, 3] = 1.0
@@ -122,10 +126,10 @@ def ik_solver(robot: RobotModel) -> IkSolver:
 def solve_path(
     solver: IkSolver, Ts_world_ee: Array, start_joints: ArrayLike, limits: IkLimits
 ) -> Array | Rejection:
-    """Arm joints (T, J) along a path of end effector poses (T, 4, 4), close enough together for the arm to follow.
+    """Solve arm joints (T, J) along a path of end effector poses (T, 4, 4) with small steps.
 
-    Where the arm is before the first pose (J,) sets its branch. Speed is left to `check_speed`, as only the caller
-    knows the time.
+    The configuration before the first pose (J,) determines the branch. Speed is left to `check_speed`, as
+    only the caller knows the time.
 
     Returns:
         The path; or a Rejection "unreachable" or "joint_limit" at the first pose that breaks a limit.
@@ -148,9 +152,10 @@ def solve_smoothly(
     fps: float,
     limits: IkLimits,
 ) -> Array | Rejection:
-    """As `solve_path`, from joints near the solution (T, J), so smoothly in time as the limits of the residuals allow.
+    """Solve a path from joints near the solution (T, J), as smoothly as the residual limits allow.
 
-    Near a singular pose, where exact joints would jump, the end effector strays by up to those limits instead.
+    Near a singular pose, where exact joints would jump, the end effector deviates by up to those limits
+    instead.
     """
     low, high = solver.robot.joint_limits.T
     joints, count = np.clip(guesses, low, high), len(guesses)
@@ -173,13 +178,13 @@ def solve_smoothly(
         shares = residuals / (RESERVE * np.array([limits.residual_mm, limits.residual_deg]))
         if shares.max() <= 1.0:
             break
-        # Poses that stray too far count more in the next round.
+        # Poses with too large a deviation get more weight in the next round.
         weights *= np.clip(shares, 1.0, 3.0)
     return _judge(solver, Ts_world_ee, joints, limits)
 
 
 def _solve_banded(hessians: Array, bending: Array, gradient: Array) -> Array:
-    """Solve for a step (T, J): Hessians (T, J, J) of the poses, and second differences (T, T) that tie each joint in time."""
+    """Solve for a step (T, J) with Hessians (T, J, J) of the poses and second differences in time (T, T)."""
     count, size = gradient.shape
     bands = np.zeros((2 * size + 1, count, size))
     for below in range(size):
@@ -192,7 +197,7 @@ def _solve_banded(hessians: Array, bending: Array, gradient: Array) -> Array:
 
 
 def _judge(solver: IkSolver, Ts_world_ee: Array, joints: Array, limits: IkLimits) -> Array | Rejection:
-    """The joints (T, J); or a Rejection at the first pose that breaks a limit."""
+    """Check joints (T, J) and return them, or a Rejection at the first pose that breaks a limit."""
     residuals_mm, residuals_deg = path_residuals(solver, Ts_world_ee, joints)
     low, high = solver.robot.joint_limits.T
     keep = np.where(solver.robot.slides, limits.slide_margin, limits.limit_margin)
@@ -213,7 +218,7 @@ def _judge(solver: IkSolver, Ts_world_ee: Array, joints: Array, limits: IkLimits
     margin, name = float(margins[row, worst]), solver.robot.joint_names[worst]
     return Rejection(
         reason="joint_limit",
-        detail=f"{name} is {margin:.3f} from its limit, at least {keep[worst]} wanted",
+        detail=f"{name} is {margin:.3f} from its limit, need at least {keep[worst]}",
         metrics={"limit_margin": margin, "sample": float(row)},
     )
 
@@ -221,9 +226,10 @@ def _judge(solver: IkSolver, Ts_world_ee: Array, joints: Array, limits: IkLimits
 def follow(
     solver: IkSolver, Ts_world_ee: Array, starts: Array, limits: IkLimits
 ) -> tuple[Array, NDArray[np.int64]]:
-    """Joints (K, B, J) along B chains of poses (K, B, 4, 4), each from the one before, the first from `starts` (B, J).
+    """Solve joints (K, B, J) along B chains of poses (K, B, 4, 4), starting at (B, J).
 
-    Also how many poses of each chain (B,) were reached; a chain that misses one stops before it.
+    Returned with them is how many poses of each chain (B,) were reached; a chain stops
+    before a pose that it misses.
     """
     joints = np.empty((*Ts_world_ee.shape[:2], starts.shape[1]))
     now, reached = np.array(starts), np.zeros(len(starts), np.int64)
@@ -239,9 +245,9 @@ def follow(
 
 
 def walk(solver: IkSolver, T_world_from: Array, Ts_world_to: Array, start: Array) -> Array:
-    """Joints (B, J) at poses (B, 4, 4), on the branch of joints (J,) at a pose (4, 4) nearby.
+    """Solve joints (B, J) at poses (B, 4, 4), on the branch of joints (J,) at a nearby pose (4, 4).
 
-    Part of the way between them may be out of reach although its end is not.
+    Poses between them may be out of reach although the last one is not.
     """
     steps = interpolate(T_world_from, Ts_world_to, np.linspace(0, 1, SEED_STEPS)[:, None])
     joints = np.repeat(start[None], len(Ts_world_to), 0)
@@ -251,9 +257,9 @@ def walk(solver: IkSolver, T_world_from: Array, Ts_world_to: Array, start: Array
 
 
 def find_arms(solver: IkSolver, T_world_ee: Array, first: Array, limits: IkLimits) -> Array:
-    """Configurations (N, J) that reach a pose (4, 4): `first` (J,), then others, those most like it first.
+    """Find configurations (N, J) that reach a pose (4, 4): `first` (J,), then the most similar ones.
 
-    Arms that differ by whole turns of a joint count as one.
+    Configurations that differ by whole turns of a joint count as one.
     """
     low, high = solver.robot.joint_limits.T
     seeds = np.random.default_rng(0).uniform(
@@ -280,7 +286,7 @@ def converge(
     iterations: int,
     close: tuple[float, float] = (CLOSE_M, CLOSE_RAD),
 ) -> Array:
-    """Joints (N, J) after Gauss-Newton steps from `starts` (N, J) towards poses (N, 4, 4), within the joint limits."""
+    """Compute joints (N, J) by Gauss-Newton from `starts` (N, J) to poses (N, 4, 4), within limits."""
     close_m, close_rad = close
     low, high = solver.robot.joint_limits.T
     weights = np.repeat([1.0, TURN_WEIGHT_M], 3)[:, None]
@@ -294,7 +300,7 @@ def converge(
             break
         rows, errors, J = rows[left], weights * errors[left, :, None], weights * jacobians[left]
         gradient = J.swapaxes(1, 2) @ errors
-        # A joint at its limit that would go on stands still.
+        # A joint at its limit that would go beyond it is held.
         q = joints[rows]
         stuck = ((q <= low) & (gradient[..., 0] < 0)) | ((q >= high) & (gradient[..., 0] > 0))
         J = np.where(stuck[:, None], 0.0, J)
@@ -306,11 +312,11 @@ def converge(
 
 
 def path_residuals(solver: IkSolver, Ts_world_ee: Array, joints: Array) -> tuple[Array, Array]:
-    """Distances of joints (N, J) to poses (N, 4, 4): (N,), [mm] and [deg]."""
+    """Compute distances of joints (N, J) to poses (N, 4, 4): (N,), [mm] and [deg]."""
     errors, _ = solver.errors(Ts_world_ee, joints)
     return 1000 * np.linalg.norm(errors[:, :3], axis=1), np.rad2deg(np.linalg.norm(errors[:, 3:], axis=1))
 
 
 def _cross(a: Array, b: Array) -> Array:
-    """Cross products (..., 3); numpy's own is several times slower on short arrays."""
+    """Compute cross products (..., 3); numpy's own is several times slower on short arrays."""
     return a[..., [1, 2, 0]] * b[..., [2, 0, 1]] - a[..., [2, 0, 1]] * b[..., [1, 2, 0]]

@@ -14,17 +14,17 @@ from aomgen.core.values import Array
 class IkLimits:
     """Limits that a solved path must keep.
 
-    Arms state their largest speeds, few their accelerations: planners of such arms use 5 to 10 rad/s^2, and makers that
-    state a limit 7.5 to 20 rad/s^2. From about 7 rad/s^2 on, near a straight elbow, the simulated drives of a UR5e are at
-    their largest torque.
+    Arms state their largest speeds, few their accelerations: planners of such arms use 5 to 10 rad/s^2, and
+    manufacturers that state a limit 7.5 to 20 rad/s^2. Above about 7 rad/s^2, near a straight elbow, the
+    simulated drives of a UR5e reach their largest torque.
 
     Attributes:
-        residual_mm, residual_deg: Largest distance to the asked pose.
-        speed, slide_speed: Largest speed of a turning and of a sliding joint, [rad/s] and [m/s].
+        residual_mm, residual_deg: Largest distance to the requested pose.
+        speed, slide_speed: Largest speed of a revolute and of a prismatic joint, [rad/s] and [m/s].
         acceleration, slide_acceleration: The same, [rad/s^2] and [m/s^2].
         jerk, slide_jerk: The same, [rad/s^3] and [m/s^3].
         limit_margin, slide_margin: Distance kept from their limits, [rad] and [m].
-        iterations: Gauss-Newton steps a pose.
+        iterations: Number of Gauss-Newton steps per pose.
     """
 
     residual_mm: float = 1.0
@@ -47,13 +47,13 @@ def check_speed(
     slides: NDArray[np.bool_],
     phases: NDArray[np.int64],
 ) -> dict[str, float] | Rejection:
-    """Largest speed, acceleration and jerk on a path (T, J) that begins and ends at rest.
+    """Check the largest speed, acceleration and jerk on a path (T, J) that begins and ends at rest.
 
-    A jump is too fast. `slides` marks the prismatic joints (J,).
+    A jump counts as too fast. `slides` marks the prismatic joints (J,).
 
     Returns:
-        `joint_speed`, `joint_acceleration`, `joint_jerk` in [rad/s] and so on; or a Rejection "too_fast" or "too_jerky"
-        with the factor by which each phase would have to take longer.
+        Metrics `joint_speed`, `joint_acceleration`, `joint_jerk` in [rad/s] and so on; or a Rejection
+        "too_fast" or "too_jerky" with the factor by which the duration of each phase would have to grow.
     """
     at_rest = np.pad(joints, ((2, 2), (0, 0)), mode="edge")
     needed, figures, reason, detail = np.zeros(len(joints)), {}, "", ""
@@ -72,7 +72,7 @@ def check_speed(
         if not shares[step, joint] <= 1.0 and not reason:
             reason = "too_fast" if order == 1 else "too_jerky"
             detail = f"{name} of joint {joint + 1} is {rates[step, joint]:.1f}, limit {(slide_limit if slides[joint] else limit)}"
-        # A rate belongs to all samples that it is made of.
+        # A rate is assigned to all samples from which it is computed.
         factors = shares.max(1) ** (1 / order)
         for shift in range(order + 1):
             rows = np.arange(len(factors)) + shift - 2

@@ -1,13 +1,13 @@
 """Ledger of the requested episodes and their outcomes, as the files in the stage's folder.
 
 ```
-request.json          how many episodes of which assets
+request.json          requested episodes of each asset
 000005/               a committed episode: asset 0, draw 5
-rejected/100002.json  an attempt that gave none, and why: asset 1, draw 2
+rejected/100002.json  an attempt without an episode, and the reason: asset 1, draw 2
 objects/000005/       the object of an episode that has another size than its asset
 draws.json            when all is done: every draw with its outcome, also those that were not tried
 ```
-At any moment, requested = committed + rejected + left. Distributions follow from the draws.
+At any moment, requested = committed + rejected + left. Distributions are computed from the draws.
 """
 
 from collections import Counter
@@ -29,15 +29,15 @@ from aomgen.io.episode_folder import list_committed
 
 REQUEST_FILE, DRAWS_FILE = "request.json", "draws.json"
 REJECTED_FOLDER, OBJECTS_FOLDER = "rejected", "objects"
-# Draws of an asset at most: the number of an episode has five digits for them.
+# Largest number of draws of an asset: the number of an episode has five digits for them.
 MAX_DRAWS: Final = 100_000
-# Bars of a histogram: each still holds some of a few dozen episodes.
+# Number of bars of a histogram: each still counts some of a few dozen episodes.
 BINS: Final = 8
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Unit:
-    """One draw of one asset: what is worked on from the plan to the committed episode or the rejection."""
+    """One draw of one asset: the unit of work from the plan to the committed episode or the rejection."""
 
     asset: int
     index: int
@@ -63,8 +63,9 @@ class Account:
 
     Attributes:
         asset: Its name.
-        requested, committed, rejected, left: Episodes; `rejected` are those that all attempts have failed to make.
-        attempts: That have ended.
+        requested, committed, rejected, left: Numbers of episodes; `rejected` counts those for
+            which all attempts failed.
+        attempts: Number of attempts that have ended.
         reasons: How often each reason rejected an attempt, and how often a draw was not tried.
     """
 
@@ -77,12 +78,12 @@ class Account:
 
     @property
     def left(self) -> int:
-        """Episodes that are still to be made."""
+        """Number of episodes that are still to be made."""
         return self.requested - self.committed - self.rejected
 
     @property
     def why(self) -> str:
-        """The reasons in words, the commonest first."""
+        """The reasons in words, the most frequent first."""
         return ", ".join(f"{count} {reason}" for reason, count in self.reasons.items())
 
 
@@ -90,36 +91,36 @@ def write_request(folder: Path, request: Request) -> None:
     """Store the request before any episode is made.
 
     Raises:
-        StorageError: The disk refuses.
+        StorageError: The file cannot be written.
     """
     write_json(folder / REQUEST_FILE, asdict(request))
 
 
 def write_rejection(folder: Path, unit: Unit, variation: Variation, rejection: Rejection) -> None:
-    """Keep why an attempt gave no episode.
+    """Store why an attempt gave no episode.
 
     Raises:
-        StorageError: The disk refuses.
+        StorageError: The file cannot be written.
     """
     content = {"variation": asdict(variation), **asdict(rejection)}
     write_json(rejection_file(folder, unit), content)
 
 
 def rejection_file(folder: Path, unit: Unit) -> Path:
-    """Path of the file that states why an attempt gave no episode."""
+    """Return the path of the file that states why an attempt gave no episode."""
     return folder / REJECTED_FOLDER / f"{unit.number:06d}.json"
 
 
 def object_folder(folder: Path, unit: Unit) -> Path:
-    """Folder with the USD of an episode's object whose size differs from its asset's."""
+    """Return the folder with the USD of an episode's object whose size differs from its asset's."""
     return folder / OBJECTS_FOLDER / f"{unit.number:06d}"
 
 
 def read_rejection(folder: Path, unit: Unit) -> Rejection:
-    """Why an attempt gave no episode.
+    """Read why an attempt gave no episode.
 
     Raises:
-        MissingFileError, MalformedFileError: As their names say.
+        MissingFileError, MalformedFileError: The file is missing or malformed.
     """
     path = rejection_file(folder, unit)
     content = read_json(path)
@@ -130,22 +131,22 @@ def read_rejection(folder: Path, unit: Unit) -> Rejection:
 
 
 def list_ended_units(folder: Path) -> tuple[set[Unit], set[Unit]]:
-    """Units whose episode is committed, and those that were rejected."""
+    """List units whose episode is committed, and those that were rejected."""
     rejected = (folder / REJECTED_FOLDER).glob("[0-9]*.json")
     return {unit_of(path.name) for path in list_committed(folder)}, {unit_of(path.stem) for path in rejected}
 
 
 def unit_of(number: str | int) -> Unit:
-    """The unit of an episode's number."""
+    """Return the unit of an episode's number."""
     asset, index = divmod(int(number), MAX_DRAWS)
     return Unit(asset=asset, index=index)
 
 
 def read_accounts(folder: Path) -> list[Account]:
-    """Current outcome of the request; nothing where there is none.
+    """Read the current outcome of the request; empty where there is none.
 
     Raises:
-        MalformedFileError: A file is none of ours.
+        MalformedFileError: A file was not written by this stage.
     """
     if not (folder / REQUEST_FILE).is_file():
         return []
@@ -186,19 +187,21 @@ def _read_request(path: Path) -> Request:
 
 
 def write_draws(folder: Path, draws: Iterator[dict[str, Any]]) -> None:
-    """Keep every draw with its outcome: the request is done with.
+    """Store every draw with its outcome, which completes the request.
 
     Raises:
-        StorageError: The disk refuses.
+        StorageError: The file cannot be written.
     """
     write_json(folder / DRAWS_FILE, {"draws": list(draws)})
 
 
 def read_draws(folder: Path) -> list[dict[str, Any]]:
-    """Every draw of a finished stage: asset, number, variation, outcome ("committed", "rejected", "skipped"), reason.
+    """Read every draw of a finished stage: asset, number, variation, outcome and reason.
+
+    The outcome is "committed", "rejected" or "skipped".
 
     Raises:
-        MissingFileError, MalformedFileError: As their names say.
+        MissingFileError, MalformedFileError: The file is missing or malformed.
     """
     content = read_json(folder / DRAWS_FILE)
     try:
@@ -213,7 +216,7 @@ class Distribution:
 
     Attributes:
         name, unit: For example "yaw", "deg".
-        edges: Of the bins, in that unit.
+        edges: Edges of the bins, in that unit.
         drawn, tried, delivered: Draws in each bin; those that were planned; those that became episodes.
     """
 
@@ -228,7 +231,7 @@ class Distribution:
 
 
 def distributions(draws: Sequence[Mapping[str, Any]], ranges: Ranges, free: int) -> list[Distribution]:
-    """Histograms of every quantity that has a range, from a ledger's draws; the last `free` cameras were added."""
+    """Compute histograms of every quantity with a range; the last `free` cameras were added."""
     found = []
     for name, unit, (low, high), values in _quantities([draw["variation"] for draw in draws], ranges, free):
         if low == high or not draws:
@@ -248,7 +251,7 @@ def distributions(draws: Sequence[Mapping[str, Any]], ranges: Ranges, free: int)
 def _quantities(
     variations: list[Mapping[str, Any]], ranges: Ranges, free: int
 ) -> Iterator[tuple[str, str, tuple[float, float], list[float]]]:
-    """Name, unit, range and values of everything that may differ."""
+    """Yield name, unit, range and values of every quantity that may vary."""
     x, y = ranges.x_m, ranges.y_m
     if ranges.polygon:
         x, y = ((min(axis), max(axis)) for axis in zip(*ranges.polygon, strict=True))

@@ -1,8 +1,8 @@
 """Plan one episode: generate candidates, evaluate them one by one, and take the first that passes.
 
-The candidates come in the order in which policies want them: the arm's configuration and the motion as demonstrated, the
-grasp most like the usual one. Only where none of them passes, the end effector approaches straight, then the free motion is
-searched around obstacles, and at last the arm takes another configuration.
+The candidates come in the order of their value for policies: the arm's configuration and the motion as
+demonstrated, the grasp most like the usual one. Only where none of them passes, the end effector approaches
+straight, then the free motion is searched around obstacles, and finally the arm takes another configuration.
 """
 
 from collections.abc import Iterator, Sequence
@@ -39,12 +39,14 @@ from aomgen.simulation.collision_check import (
 )
 from aomgen.simulation.scene import Scene
 
-# Kept free between the object and the arm before its gripper, [m]: a lid that resists lags behind its plan.
+# Distance kept between the object and the arm without its gripper, [m]: a lid that resists lags behind its
+# plan.
 CLEARANCE_M = 0.003
-# Bisections between two grasps, to an eighth of their difference; and how far apart they may be, [rad].
+# Number of bisections between two grasps, to an eighth of their difference; largest
+# difference of these, [rad].
 HALVINGS: Final = 3
 MAX_APART_RAD: Final = np.pi / 2
-# A motion that is too fast is made this much slower than needed, as a factor: sampling shifts its peaks.
+# A motion that is too fast is slowed down by this factor more than needed: sampling shifts its peaks.
 SLOWER = 1.05
 # Reasons of rejection, from early to late.
 REASONS = (
@@ -62,13 +64,14 @@ REASONS = (
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PlanParams:
-    """How an episode is planned.
+    """Parameters of the planning of an episode.
 
     Attributes:
-        fps: Samples a second.
+        fps: Samples per second.
         ik: Limits of the arm.
         kinematic: Limits of tier A.
-        max_slow_down: How much slower than requested a phase may become: demonstrations may start near the handle.
+        max_slow_down: Largest factor on the requested duration of a phase: demonstrations
+            may start near the handle.
     """
 
     fps: float = 10.0
@@ -89,14 +92,14 @@ def plan_episode(
     """Plan one episode, with the grasp most like the usual one that works, or else like the demonstrated one.
 
     Args:
-        fitted: The object and its planned motion. It faces as the recorded object did, so its
-            axes are those in which the demonstrated end effector is understood.
+        fitted: The object and its planned motion. It is oriented like the recorded object, so that its
+            axes are those of the demonstrated end effector.
         scene: Robot, table and this asset, at any pose.
         usual: See `grasp_choice`.
 
     Returns:
-        The plan; or the Rejection of the candidate that came farthest, its metrics with the number of
-        `grasps_tried`.
+        The plan; or the Rejection of the candidate that came farthest, with the number of
+        `grasps_tried` among its metrics.
     """
     planner = Planner(fitted, demo, variation, scene, solver, params)
     motions = planner.list_motions(usual)
@@ -107,7 +110,7 @@ def plan_episode(
 
 
 class Planner:
-    """What all candidates of one variation share; arguments as for `plan_episode`."""
+    """Planner of one variation; arguments as for `plan_episode`."""
 
     def __init__(
         self,
@@ -138,10 +141,10 @@ class Planner:
         self.seed = 1 + int(np.random.default_rng([variation.seed, variation.index]).integers(2**31 - 1))
 
     def _find_start(self, T_from: Array, joints: Array) -> Array | None:
-        """Where the arm begins (J,), in the configuration that it has at a pose (4, 4).
+        """Find the arm's start (J,), in the configuration that it has at a pose (4, 4).
 
-        The end effector begins where it was demonstrated, or where it was as seen from the object, and is raised until
-        it is free.
+        The end effector starts at its demonstrated pose in the world, or else relative to the object, and is
+        raised until it is free of collisions.
         """
         demo, offset = self.shown.demo, np.array(self.variation.start_offset or 0.0)
         if np.array_equal(joints, demo.joints[0]) and self.is_free(joints):
@@ -153,13 +156,13 @@ class Planner:
         return None if found is None else found + offset
 
     def list_motions(self, usual: Grasp | None = None) -> list[RetargetedMotion]:
-        """Motions with all grasps, see `candidates.list_motions`."""
+        """List motions with all grasps, see `candidates.list_motions`."""
         return list_motions(self.fitted, self.shown, self.T_world_object, self.robot, usual)
 
     def search(
         self, motions: Sequence[RetargetedMotion], ways: Sequence[Way] = WAYS
     ) -> tuple[Candidate, EpisodePlan] | Rejection:
-        """The first candidate that passes, and its plan; or the rejection that came farthest."""
+        """Find the first candidate that passes, and its plan; or return the rejection that came farthest."""
         best = Rejection(reason="no_grasp", detail="the asset offers no grasp")
         for found in self.evaluate_all(motions, ways):
             if not isinstance(found, Rejection):
@@ -170,13 +173,13 @@ class Planner:
     def evaluate_all(
         self, motions: Sequence[RetargetedMotion], ways: Sequence[Way]
     ) -> Iterator[tuple[Candidate, EpisodePlan] | Rejection]:
-        """Evaluate all candidates, the best first; what cannot be held is evaluated once."""
+        """Evaluate all candidates, the best first; a grasp that cannot hold is evaluated once."""
         for number, arm in enumerate(self._arms(ways)):
             contacts = dict[int, Array]()
             for k, contact in enumerate(follow_contact(motions, arm, self.solver, self.params.ik)):
                 if isinstance(contact, Rejection):
                     yield contact
-                # Of the first arm a rejection shall name what collides.
+                # For the first arm configuration, a rejection shall name what collides.
                 elif number == 0 or self._is_clear(contact):
                     contacts[k] = contact
             for way in ways if number == 0 else ways[-1:]:
@@ -192,7 +195,7 @@ class Planner:
                         yield candidate, result
 
     def _is_clear(self, contact: Array) -> bool:
-        """Whether the arm is free of collisions at both ends of a contact (K, J), which most arms are not."""
+        """Check that the arm has no collision at either end of a contact (K, J)."""
         ends = zip(self._held_tests, contact[[0, -1]], strict=True)
         return all(is_free(joints) for is_free, joints in ends)
 
@@ -208,7 +211,7 @@ class Planner:
         if start is None:
             start = self._find_start(motion.knots[0, 0], goal)
         if start is None:
-            return Rejection(reason="no_path", detail="the arm has a collision wherever it could begin")
+            return Rejection(reason="no_path", detail="the arm collides at every possible start")
         path = self._find_free_path(start, goal, held_at) if free == "searched" else None
         if isinstance(path, Rejection):
             return path
@@ -223,7 +226,7 @@ class Planner:
             if isinstance(joints, Rejection):
                 return _locate(joints, shown.phases(times), first)
             mm, deg = path_residuals(self.solver, poses, joints)
-            # The smoothed path begins beside the first knot.
+            # The smoothed path does not begin exactly at the first knot.
             goal = candidate.joints[0, 0] + joints[0] - guesses[0]
             joints = np.concatenate([self._free_joints(times[:first], start, goal, path), joints])
             rates = check_speed(joints, params.fps, params.ik, self.robot.slides, shown.phases(times))
@@ -253,13 +256,13 @@ class Planner:
         )
 
     def approach_usual(self, usual: Grasp, found: Candidate, plan: EpisodePlan) -> EpisodePlan:
-        """A plan whose grasp lies between the usual and the found one, by bisection, as near to the usual one as works.
+        """Bisect between the usual and the found grasp for the plan nearest to the usual one that works.
 
-        Grasps then change with the object's pose by small steps, which policies learn; those offered are 15 degrees and
-        more apart.
+        Grasps then change with the object's pose by small steps, which policies can learn; the grasps on
+        offer are at least 15 degrees apart.
         """
         far, low, high = found.motion.grasp, 0.0, 1.0
-        # Between an end effector and one that is turned half round there is none that holds.
+        # No grasp holds between an end effector and one that is rotated by half a turn.
         if found.free == "searched" or not 0 < difference(usual, far) < MAX_APART_RAD:
             return plan
         for _ in range(HALVINGS):
@@ -273,7 +276,7 @@ class Planner:
         return plan
 
     def working_grasps(self) -> list[Grasp]:
-        """All grasps with which an episode can be planned the first way, that nearest to the demonstrated first."""
+        """List grasps with which an episode can be planned without a search, in order of preference."""
         found = self.evaluate_all(self.list_motions(), WAYS[:1])
         working = dict[str, Grasp]()
         for item in found:
@@ -283,7 +286,7 @@ class Planner:
         return list(working.values())
 
     def _arms(self, ways: Sequence[Way]) -> Iterator[Array]:
-        """Configurations (J,) that hold the handle as demonstrated; others than the demonstrated one if paths are searched."""
+        """Yield configurations (J,) at the handle: the demonstrated one, and others if paths are searched."""
         times = self.shown.from_closed(self.fitted)[:1]
         first = self.shown.joints(times)[0]
         yield first
@@ -291,7 +294,7 @@ class Planner:
             yield from find_arms(self.solver, self.shown.poses(times)[0], first, self.params.ik)[1:]
 
     def _find_free_path(self, start: Array, goal: Array, held_at: float) -> Array | Rejection:
-        """Joints (N, J) from the start to the approach, around what stands in the way."""
+        """Find joints (N, J) from the start to the approach, around obstacles."""
         opened = float(self.shown.gripper(self.shown.knots[0], held_at).min())
         is_free = make_collision_test(self.scene, opened, self.fitted.start_theta, self.params.kinematic)
         path = find_free_path(start, goal, self.robot.joint_limits, is_free, self.seed)
@@ -302,7 +305,7 @@ class Planner:
         return path
 
     def _free_joints(self, times: Array, start: Array, goal: Array, path: Array | None) -> Array:
-        """Joints (N, J) of the free motion that ends at `goal` (J,): along a path, or the demonstrated ones."""
+        """Compute joints (N, J) of the free motion to `goal` (J,), along a path or as demonstrated."""
         if path is None:
             return self.shown.bend(times, start, goal)
         shares = ease(times / max(self.shown.marks[1], 1e-9))
@@ -311,7 +314,7 @@ class Planner:
         return along + shares[:, None] * (goal - path[-1])
 
     def _find_stall(self, candidate: Candidate) -> float:
-        """Gripper value 0..1 at which the fingers stall on the handle; the same for all arms with a grasp."""
+        """Find the gripper value 0..1 at which the fingers stall on the handle; cached per grasp."""
         grasp, demo = candidate.motion.grasp, self.shown.demo
         key = (grasp.name, *grasp.held_ee)
         if key not in self._stalls:
@@ -323,10 +326,10 @@ class Planner:
     def _check_motion(
         self, motion: RetargetedMotion, times: Array, joints: Array, held_at: float
     ) -> dict[str, float] | Rejection:
-        """Tier A at times (N,), the fingers as wide open as the handle will hold them."""
+        """Check tier A at times (N,), with the fingers as wide open as the handle will hold them."""
         phases, gripper = self.shown.phases(times), self.shown.gripper(times, held_at)
         holding = (phases == CONTACT) & (gripper > 0.95)
-        # While the fingers close or open about the handle, how far they are is left to the simulation.
+        # While the fingers close or open around the handle, their position is left to the simulation.
         between = (phases == CONTACT) & ~holding
         gripper = np.minimum(gripper, held_at)
         widest = max(0.5 * held_at, float(gripper.min()))
@@ -337,13 +340,13 @@ class Planner:
 
 
 def _locate(rejection: Rejection, phases: NDArray[np.int64], first: int = 0) -> Rejection:
-    """A Rejection of rows from `first` on, with where it is: in contact no other approach can mend it."""
+    """Add the location to a Rejection of rows from `first` on; in contact no other approach helps."""
     row = first + round(rejection.metrics["sample"])
     where = {"path_share": row / len(phases), "in_contact": float(phases[row] == CONTACT)}
     return replace(rejection, metrics={**rejection.metrics, **where})
 
 
 def _rank(rejection: Rejection) -> float:
-    """How far planning came, to find which of several rejections says most."""
+    """Rank how far planning came, to find the most informative of several rejections."""
     known = REASONS.index(rejection.reason) if rejection.reason in REASONS else -1
     return known + rejection.metrics.get("path_share", 0.0)

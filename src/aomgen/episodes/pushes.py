@@ -1,7 +1,8 @@
-"""Pushes that carry the arm off its plan before the contact: demonstrations then show how to come back.
+"""Pushes that carry the arm off its plan before the contact: demonstrations then show how to recover.
 
-Only the command of the simulated arm differs; the actions of the episode stay the plan's next targets. A policy that learns
-from plans alone never sees where its own errors lead. Source: Laskey et al., DART (2017), for the idea.
+Only the command of the simulated arm differs; the actions of the episode remain the plan's next targets.
+A policy that learns from plans alone never observes the results of its errors. Source: Laskey et al.,
+DART (2017), for the idea.
 """
 
 from typing import Final
@@ -15,12 +16,13 @@ from aomgen.episodes.retarget import CONTACT
 
 # Duration of a push, and the least time between its end and the beginning of the contact, [s].
 PUSH_S, CALM_S = 1.0, 0.5
-# Damping of the pseudo-inverse that turns a displacement of the end effector into joints, [m]: near singular poses it moves less.
+# Damping of the pseudo-inverse from end effector displacement to joints, [m]: near singular poses it moves
+# less.
 DAMPING: Final = 0.05
 
 
 def push_joints(plan: EpisodePlan, solver: IkSolver) -> Array:
-    """The plan's joints (T, J) with smooth offsets before the contact, which move the end effector by up to `variation.push_m`."""
+    """Add smooth offsets of up to `variation.push_m` to the plan's joints (T, J) before the contact."""
     variation, joints = plan.variation, plan.joints.copy()
     frames, each = int(np.argmax(plan.phases == CONTACT)) - round(CALM_S * plan.fps), round(PUSH_S * plan.fps)
     count = max(frames, 0) // each

@@ -20,35 +20,35 @@ from aomgen.episodes.retarget import DemonstratedMotion
 from aomgen.episodes.variations import Range, Ranges, scale_fit
 from aomgen.robots.robot import longest_reach
 
-# Distance of nodes, [m] and [deg], and the largest number of nodes along each axis.
+# Spacing of nodes, [m] and [deg], and the largest number of nodes along each axis.
 PITCH_M, PITCH_DEG, MAX_NODES = 0.05, 15.0, 7
 # Name of an asset's map in the stage's folder, with the asset's number.
 REACH_MAP: Final = "reach_{:02d}"
-# Grasps that are tried with other configurations of the arm: the map is coarse, and they are alike.
+# Number of grasps tried with other configurations of the arm: the map is coarse, and grasps are similar.
 OTHER_GRASPS: Final = 6
-# Number of poses of the contact: some 10 cm of a handle's path apart.
+# Number of poses of the contact: about 10 cm of a handle's path apart.
 POSES: Final = 5
-# Width of a map, [px], and room around what is drawn, [m].
+# Width of a map, [px], and margin around its content, [m].
 WIDTH, ROOM_M = 480, 0.08
 # Length of a line in the direction of an object's front, [m].
 LINE_M: Final = 0.06
 OUTCOMES: Final = {"committed": "#2c7a4b", "rejected": "#d1495b", "skipped": "#b9c2cf"}
 TABLE, OBSTACLE, REACHED = "#f3ead9", "#8a8f98", "#57b894"
-# Opacity of a place that the arm reaches in every turn, 0..1.
+# Opacity of a location that the arm reaches for every yaw, 0..1.
 REACHED_OPACITY: Final = 0.7
-# Half the side of the square of a place without neighbours, [m].
+# Half the side of the square of a location without neighbors, [m].
 LEAST_HALF_M: Final = 0.01
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ReachMap:
-    """Nodes of a grid over the places and turns of draws, and at which of them the arm can hold the handle.
+    """Grid over the positions and yaws of draws, with the nodes at which the arm can hold the handle.
 
     Attributes:
         x, y: As in `Variation`, [m].
         yaw: [rad].
         reached: (X, Y, W).
-        places_world: Where the middle of the object's footprint is at each node, [m].
+        places_world: Center of the object's footprint at each node, [m].
     """
 
     x: Annotated[Array, "X"]
@@ -60,7 +60,7 @@ class ReachMap:
     __post_init__ = freeze_arrays
 
     def may_reach(self, variation: Variation) -> bool:
-        """Return whether the arm can hold the handle at any node about a draw, or the draw is outside the map."""
+        """Return whether the arm holds the handle at any node around a draw, or the draw is off the map."""
         cell = []
         for nodes, value in ((self.x, variation.x), (self.y, variation.y), (self.yaw, variation.yaw)):
             after = int(np.searchsorted(nodes, value))
@@ -79,11 +79,12 @@ def map_reach(
     *,
     max_nodes: int = MAX_NODES,
 ) -> ReachMap:
-    """Follow the contact at every node with every grasp that planning tries, on the demonstrated configuration of the arm.
+    """Follow the contact at every node with every grasp, in the demonstrated arm configuration.
 
     Where none reaches, other configurations are tried with some of the grasps.
 
     Args:
+        fitted: Asset, whose size is the center of the range of sizes.
         fitted: Its size is the middle of the range of sizes.
 
     Not checked: collisions, the motion to the handle and back, joint margins, speed.
@@ -110,7 +111,7 @@ def map_reach(
     first, *others = find_arms(solver, T_world_from, start, params.ik)
     some = Ts_object_ee[:: max(1, len(Ts_object_ee) // OTHER_GRASPS)]
     for arm, Ts in chain(product([first], Ts_object_ee), product(others, some)):
-        # Nodes that no arm and no grasp before has reached.
+        # Nodes that no earlier arm configuration and grasp has reached.
         left = np.flatnonzero(near & ~reached)
         if not len(left):
             break
@@ -144,7 +145,7 @@ class Shape:
 
 
 def scene_shapes(scene: EpisodeScene, maps: Sequence[ReachMap]) -> list[Shape]:
-    """The known table, where the arm reaches (the stronger, the more turns of the object and maps), and obstacles."""
+    """List the known table, the reached locations (opaque for many yaws and maps), and obstacles."""
     shapes = []
     low, high = scene.support.low_xy, scene.support.high_xy
     if np.isfinite([low, high]).all():
@@ -159,7 +160,7 @@ def scene_shapes(scene: EpisodeScene, maps: Sequence[ReachMap]) -> list[Shape]:
 
 
 def draw_map(shapes: Iterable[Shape]) -> str:
-    """Shapes in order, the last on top; the robot's base is a cross at the origin, x points to the right, y up."""
+    """Draw shapes, the last on top; the robot's base is a cross at the origin, x points right, y up."""
     shapes = list(shapes)
     points = np.concatenate([np.zeros((1, 2)), *(shape.points_world for shape in shapes)])
     low, high = points.min(0) - ROOM_M, points.max(0) + ROOM_M
@@ -190,7 +191,7 @@ def draw_map(shapes: Iterable[Shape]) -> str:
 
 
 def front_line(fitted: FittedAsset, variation: Variation, outcome: str) -> Shape:
-    """From the middle of an object to before its front, in the color of what came of its draw."""
+    """Make a line from the center of an object to before its front, in the color of its draw's outcome."""
     ends = np.stack([fitted.middle_asset, fitted.middle_asset - [0.0, LINE_M, 0.0]])
     return Shape(
         points_world=apply(variation.place_at(fitted), ends)[:, :2], color=OUTCOMES[outcome], dot=True
@@ -198,7 +199,7 @@ def front_line(fitted: FittedAsset, variation: Variation, outcome: str) -> Shape
 
 
 def _mark_reached_places(found: ReachMap, opacity: float) -> list[Shape]:
-    """A square about each place that is reached in some turn."""
+    """Make a square around each location that is reached for some yaw."""
     places, shares = found.places_world, found.reached.mean(2)
     gaps = [np.linalg.norm(np.diff(places, axis=axis), axis=-1).ravel() for axis in (0, 1)]
     half = min((gap[gap > 0].min() / 2 for gap in gaps if (gap > 0).any()), default=LEAST_HALF_M)

@@ -1,4 +1,4 @@
-"""The record that a verified plan becomes, and how it is committed with its images."""
+"""Record of a verified plan, and its commit with images."""
 
 from collections.abc import Mapping
 from dataclasses import asdict
@@ -28,7 +28,10 @@ def episode_of(
     joint_zeros_rad: Array,
     paths: Mapping[str, CameraPath] | None = None,
 ) -> Episode:
-    """The episode that a verified plan becomes; its actions are the plan one frame ahead, `paths` cameras that move."""
+    """Build the episode of a verified plan; actions are the plan one frame ahead.
+
+    `paths` are those of moving cameras.
+    """
     plan, reached, paths = verified.plan, verified.reached, paths or {}
     moving = {name: path.at(0) for name, path in paths.items()}
     asset = plan.fitted.asset
@@ -62,7 +65,7 @@ def episode_of(
 
 
 def _ahead(samples: Array) -> Array:
-    """Samples (T, ...) shifted by one; the last is repeated."""
+    """Shift samples (T, ...) by one; the last is repeated."""
     return np.concatenate([samples[1:], samples[-1:]])
 
 

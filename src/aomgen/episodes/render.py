@@ -23,7 +23,7 @@ from aomgen.twin.twin import (
     trajectory_body_poses,
 )
 
-# Frames that are rendered at once; bounds the memory of their colors and shadows.
+# Number of frames that are rendered at once; bounds the memory of their colors and shadows.
 BATCH: Final = 32
 
 
@@ -32,10 +32,10 @@ class ImageParams:
     """Stored images of an episode.
 
     Attributes:
-        codec: Of the videos.
+        codec: Codec of the videos.
         depth: Also store depth, [mm].
         labels: Also store part labels.
-        robot_cameras: Also draw what the robot's own cameras see, each of which costs as much as all fixed ones.
+        robot_cameras: Also render the robot's own cameras, each of which costs as much as all fixed ones.
     """
 
     codec: Codec = "h264"
@@ -50,8 +50,8 @@ class CameraFrames:
 
     Attributes:
         images_srgb: Frames.
-        depth_mm: Median depth, 0 for none; None unless asked for.
-        labels: Part that is seen, see `conventions.PART_LABELS`; None unless asked for.
+        depth_mm: Median depth, 0 for none; None unless requested.
+        labels: Visible part, see `conventions.PART_LABELS`; None unless requested.
     """
 
     images_srgb: Annotated[NDArray[np.uint8], "T H W 3"]
@@ -71,16 +71,16 @@ def render_episode(
     paths: Mapping[str, CameraPath] | None = None,
     params: ImageParams = ImageParams(),
 ) -> dict[str, CameraFrames]:
-    """Draw an episode from fixed and from moving cameras.
+    """Render an episode from fixed and from moving cameras.
 
     Args:
-        twin: With the object of the episode.
-        layers: From `static_layers`, of the same twin.
-        T_world_plane: The surface that the object's shadow falls on; None for no shadow.
+        twin: Twin with the object of the episode.
+        layers: Result of `static_layers` for the same twin.
+        T_world_plane: Pose of the surface that the object's shadow falls on; None for no shadow.
         threads: As in `splatting.rasterizer.render`.
-        soft: From `tabulate_object_shadow`, of the same twin and surface; None to find it here.
-        paths: Cameras that move, by name.
-        params: Which images.
+        soft: Result of `tabulate_object_shadow` for the same twin and surface; None to compute it here.
+        paths: Moving cameras, by name.
+        params: Images to render.
     """
     states = states_of(twin, robot, trajectory)
     Ts = states.Ts_world_body[0]
@@ -106,7 +106,7 @@ def render_episode(
 
 
 def states_of(twin: TwinModel, robot: RobotModel, trajectory: SceneTrajectory) -> States:
-    """Poses of the twin's bodies in a trajectory."""
+    """Compute poses of the twin's bodies in a trajectory."""
     moved = (trajectory.joints, trajectory.gripper, trajectory.thetas)
     Ts = trajectory_body_poses(twin, robot, *moved, trajectory.T_world_object)
     return States(Ts, trajectory.thetas)
@@ -120,7 +120,7 @@ def _outputs(params: ImageParams) -> tuple[str, ...]:
 def _frames(
     batches: Sequence[Mapping[str, NDArray]], labels: NDArray[np.uint8], params: ImageParams
 ) -> CameraFrames:
-    """All batches of a camera as one; `labels` (N,) of the Gaussians in the engine's order."""
+    """Join all batches of a camera; `labels` (N,) of the Gaussians are in the engine's order."""
     depth, parts = None, None
     if params.depth:
         depth = np.concatenate([np.rint(np.clip(1000 * item["median_depth"], 0, 65535)) for item in batches])
@@ -139,5 +139,5 @@ def _frames(
 def static_layers(
     twin: TwinModel, cameras: Mapping[str, Camera], threads: int | None = None
 ) -> dict[str, StaticLayer]:
-    """View of each camera of the static scene; the same for all episodes of a scene."""
+    """Render each camera's view of the static scene; it is the same for all episodes of a scene."""
     return {name: static_layer(twin, camera, threads) for name, camera in cameras.items()}

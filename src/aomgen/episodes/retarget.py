@@ -3,7 +3,7 @@
 The demonstration has four parts: the free motion of the arm, the approach near the handle, the contact, and the retreat.
 During contact the end effector follows the new handle as a function of the joint value, at the demonstrated times. The
 approach and the retreat move with the object. The free motion is planned in joint space (`planning`).
-Source: AOMGen, sec. 4.3.3, "Pose Generalization". The paper turns the contact segment rigidly; here
+Source: AOMGen, sec. 4.3.3, "Pose Generalization". The paper rotates the contact segment rigidly; here
 it is computed from the joint, so that the object may be another one.
 """
 
@@ -35,15 +35,16 @@ APPROACH, CONTACT, RETREAT = range(len(PHASES))
 Style = Literal["demonstrated", "straight"]
 # The last part of the approach, and the first of the retreat, moves with the object, [m].
 NEAR_M = 0.10
-# Length of the free motion before it, at least, [m]. A demonstration that starts nearer to the handle is extended by a
-# rest at its start, as if the end effector came at this speed, [m/s].
+# Least length of the free motion before it, [m]. A demonstration that starts nearer to the handle is extended
+# by a rest at its start, as if the end effector came at this speed, [m/s].
 FREE_M, REST_SPEED = 0.05, 0.1
 # A rotation by one radian counts as this distance, [m].
 TURN_WEIGHT_M = 0.15
-# Before the contact the fingers are open by this much more than on the handle, as a share of their stroke: the handle
-# is some millimetres off the middle.
+# Before the contact the fingers are open by this much more than on the handle, as a share of their stroke:
+# the handle is a few millimeters off the center.
 ROOM = 0.09
-# Poses of each interval between two marks at which inverse kinematics is solved first: some 5 cm apart.
+# Number of poses per interval between two marks at which inverse kinematics is solved first: about 5 cm
+# apart.
 KNOTS = 16
 # The intervals between the marks of a demonstration, and the phase of each.
 FREE, NEAR, CLOSE, MOVE, OPEN, LEAVE = range(6)
@@ -54,9 +55,10 @@ class DemonstratedMotion:
     """The demonstration as a function of time, which all retargeted motions share; times are from its first sample, [s].
 
     Attributes:
-        marks: Times (7,): start, `NEAR_M` before the grasp, fingers close, part moves, part rests, fingers are open, end.
-        knots: Times (6, K) of each interval between two marks.
-        lengths: Of the end effector's path in each interval (6,), [m].
+        marks: Times (7,): start, `NEAR_M` before the grasp, fingers close, part moves, part
+            rests, fingers are open, end.
+        knots: Times (6, K) in each interval between two marks.
+        lengths: Length of the end effector's path in each interval (6,), [m].
     """
 
     def __init__(self, demo: Demonstration) -> None:
@@ -81,47 +83,47 @@ class DemonstratedMotion:
         self.lengths = path_steps(poses, TURN_WEIGHT_M).sum(1)
 
     def gripper(self, times: Array, held_at: float) -> Array:
-        """Gripper command (N,) for a handle at which the fingers stall at `held_at`; they arrive wider open than that."""
+        """Return gripper commands (N,) for fingers that stall at `held_at`; they arrive wider open."""
         return np.interp(times, self.times, gripper_command(self.demo, max(held_at - ROOM, 0.0)))
 
     def poses(self, times: Array) -> Array:
-        """Recorded end effector poses (N, 4, 4)."""
+        """Interpolate recorded end effector poses (N, 4, 4)."""
         poses = self._poses(np.clip(times, self.times[0], self.times[-1]))
         return transform(matrix_from_quat(poses[:, 3:]), poses[:, :3])
 
     def from_closed(self, fitted: FittedAsset) -> Array:
-        """Knots (K,) of the contact, starting at the closed part.
+        """Return the knots (K,) of the contact, starting at the closed part.
 
-        Demonstrated and new end effector pose are most alike there: an object whose hinge is on the other side is held
-        alike only at the closed part.
+        The demonstrated and the new end effector pose are most similar there: an object whose hinge is on the
+        other side is held similarly only at the closed part.
         """
         return self.knots[MOVE][:: int(np.sign(fitted.travel))]
 
     def hand_at_closed(self, fitted: FittedAsset) -> Array:
-        """Demonstrated orientation (3, 3) of the end effector at the closed part, in the frame of the fitted asset."""
+        """Return the demonstrated end effector orientation (3, 3) at the closed part, asset frame."""
         return fitted.T_world_asset[:3, :3].T @ self.poses(self.from_closed(fitted)[:1])[0, :3, :3]
 
     def distance(self, times: Array | float) -> Array:
-        """Path length of the end effector up to times (N,), [m]; a rest inserted at the start counts as motion."""
+        """Compute the end effector's path length up to times (N,), [m]; an inserted rest counts."""
         return np.asarray(np.interp(times, self.times, self._distances))
 
     def joints(self, times: Array) -> Array:
-        """Recorded arm joints (N, J)."""
+        """Interpolate recorded arm joints (N, J)."""
         return np.stack([np.interp(times, self.times, column) for column in self.demo.joints.T], -1)
 
     def phases(self, times: Array) -> NDArray[np.int64]:
-        """Index into `PHASES` (N,)."""
+        """Return indices into `PHASES` (N,)."""
         close, free = self.moments.close, self.moments.free
         return np.where(times < close, APPROACH, np.where(times <= free, CONTACT, RETREAT))
 
     def bend(self, times: Array, start: Array, goal: Array) -> Array:
-        """Demonstrated joints (N, J) of the free motion, shifted so that they go from `start` to `goal` (J,)."""
+        """Shift demonstrated joints (N, J) of the free motion so that they go from `start` to `goal` (J,)."""
         shares = ease(self.distance(times) / self._free_m)[:, None]
         first, last = self.joints(self.marks[:2])
         return self.joints(times) + (1 - shares) * (start - first) + shares * (goal - last)
 
     def retime(self, stretches: Array, fps: float) -> Array:
-        """Times of the demonstration (N,) at `fps` samples a second, each interval (6,) stretched by a factor."""
+        """Compute sample times of the demonstration (N,), each interval (6,) stretched by a factor."""
         new_marks = np.concatenate([[0.0], np.cumsum(np.diff(self.marks) * stretches)])
         samples = np.arange(int(new_marks[-1] * fps + 1e-6) + 1) / fps
         keep = np.concatenate([[True], np.diff(new_marks) > 1e-9])
@@ -144,7 +146,7 @@ class RetargetedMotion:
     Attributes:
         shown: The demonstration.
         fitted, T_world_object: The object and its pose (4, 4).
-        grasp: How the end effector holds the handle.
+        grasp: Grasp of the handle.
         style: Motion near the handle before and after the contact.
     """
 
@@ -155,12 +157,12 @@ class RetargetedMotion:
     style: Style = "demonstrated"
 
     def thetas(self, times: Array) -> Array:
-        """Planned joint value (N,), [rad] or [m]."""
+        """Compute the planned joint value (N,), [rad] or [m]."""
         moments = self.shown.moments
         return self.fitted.theta_at((times - moments.start) / max(moments.end - moments.start, 1e-9))
 
     def holding(self, times: Array) -> Array:
-        """End effector poses (N, 4, 4) that hold the handle at times (N,)."""
+        """Compute end effector poses (N, 4, 4) that hold the handle at times (N,)."""
         asset, grasp, thetas = self.fitted.asset, self.grasp, self.thetas(times)
         held = apply(asset.joint.motion(thetas), self.fitted.contact_asset[None])
         R = np.broadcast_to(grasp.R_object_ee, (len(thetas), 3, 3))
@@ -170,7 +172,7 @@ class RetargetedMotion:
         return self.T_world_object @ transform(R, held - np.einsum("nij,j->ni", R, grasp.held_ee))
 
     def at(self, times: Array) -> Array:
-        """End effector poses (N, 4, 4) at times from the second mark on."""
+        """Compute end effector poses (N, 4, 4) at times from the second mark on."""
         shown, moments = self.shown, self.shown.moments
         ends = np.array([moments.close, moments.free])
         result = np.empty((len(times), 4, 4))
@@ -195,9 +197,9 @@ class RetargetedMotion:
         return self.at(times.ravel()).reshape(*times.shape, 4, 4)
 
     def stretches(self, free: Array) -> Array:
-        """Factor 1..4 on the duration of each interval (6,): path length over the demonstrated one, of the approach as a whole.
+        """Compute the factor 1..4 on the duration of each interval (6,) from the ratio of path lengths.
 
-        Poses `free` (N, 4, 4) are those of the free motion.
+        The approach counts as a whole. Poses `free` (N, 4, 4) are those of the free motion.
         """
         marks, demonstrated = self.shown.marks, self.shown.lengths
         new = np.append(path_steps(free, TURN_WEIGHT_M).sum(), path_steps(self.knots, TURN_WEIGHT_M).sum(1))
@@ -208,11 +210,11 @@ class RetargetedMotion:
 
 
 def _back_off(T_world_ee: Array, distances: Array) -> Array:
-    """Poses (N, 4, 4) at distances (N,) behind a pose, along its approach direction, [m]."""
+    """Compute poses (N, 4, 4) at distances (N,) behind a pose, along its approach direction, [m]."""
     return transform(T_world_ee[:3, :3], T_world_ee[:3, 3] - distances[:, None] * T_world_ee[:3, 2])
 
 
 def ease(shares: Array) -> Array:
-    """Shares, clipped to 0..1, with zero slope at both ends."""
+    """Ease shares, clipped to 0..1, so that their slope is zero at both ends."""
     shares = np.clip(shares, 0.0, 1.0)
     return shares * shares * (3 - 2 * shares)

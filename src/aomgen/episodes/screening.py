@@ -1,4 +1,4 @@
-"""Screening of a draw before anything is planned: it is on the table, in view and within reach, or the reason why not."""
+"""Screening of a draw before planning: it must be on the table, in view and within reach."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -15,13 +15,13 @@ from aomgen.core.values import Array
 from aomgen.episodes.variations import Ranges, inside
 from aomgen.robots.robot import Reach
 
-# An object may stand this far beyond the table's estimated edge, [m].
+# An object may protrude this far beyond the table's estimated edge, [m].
 OVERHANG_M: Final = 0.02
 # Share of the object that each camera must show, 0..1: a corner may be cut off.
 LEAST_IN_VIEW: Final = 0.85
-# Part of the longest reach at which an arm can still turn its end effector, 0..1.
+# Part of the longest reach at which an arm can still rotate its end effector, 0..1.
 USEFUL_REACH: Final = 0.9
-# Joint values at which the held point is looked at, from the first to the last planned one.
+# Number of joint values at which the held point is tested, from the first to the last planned one.
 SAMPLED_VALUES: Final = 5
 # Name of added cameras, with their number.
 FREE_CAMERA: Final = "free{}"
@@ -39,7 +39,7 @@ class Place:
     free: int = 0
 
     def views(self, variation: Variation, fitted: FittedAsset) -> dict[str, Camera]:
-        """The cameras of an episode, world frame: the scene's, moved as drawn, and the added ones."""
+        """Return the cameras of an episode, world frame: the scene's, moved as drawn, and the added ones."""
         recorded = apply(fitted.T_world_asset, fitted.contact_asset)
         now = apply(variation.place_at(fitted), fitted.contact_asset)
         changes = variation.orbits or (OrbitChange(),) * len(self.cameras)
@@ -54,7 +54,7 @@ class Place:
         return views
 
     def screen(self, variation: Variation, fitted: FittedAsset) -> Rejection | None:
-        """Why a draw is not worth planning: what `barred` says, or "out_of_view"."""
+        """Screen a draw: the result of `find_obstruction`, "out_of_view", or None if it is worth planning."""
         barred = self.find_obstruction(variation, fitted)
         if barred is not None:
             return barred
@@ -71,7 +71,7 @@ class Place:
         return None
 
     def find_obstruction(self, variation: Variation, fitted: FittedAsset) -> Rejection | None:
-        """Why an object cannot be used where it would stand: "outside_area", "off_table", "blocked" or "out_of_reach"."""
+        """Find why a pose is unusable: "outside_area", "off_table", "blocked" or "out_of_reach"."""
         T = variation.place_at(fitted)
         if self.ranges.polygon and not inside(self.ranges.polygon, np.array([variation.x, variation.y])):
             return Rejection(reason="outside_area", detail="the place lies beside the area given")
@@ -99,7 +99,7 @@ class Place:
         return None
 
     def _overhang_m(self, fitted: FittedAsset, T_world_object: Array) -> float:
-        """Distance of the object beyond the table, [m]; its recorded location belongs to the table, whatever was estimated."""
+        """Compute the distance beyond the table, [m]; the recorded location counts as part of the table."""
         recorded, corners = (_footprint(fitted, T) for T in (fitted.T_world_asset, T_world_object))
         low = np.minimum(self.support.low_xy, recorded.min(0))
         high = np.maximum(self.support.high_xy, recorded.max(0))
@@ -107,11 +107,11 @@ class Place:
 
 
 def orbit_camera(camera: Camera, target_world: Array, change: OrbitChange) -> Camera:
-    """A camera moved about a point (3,); the point stays where it is in the image."""
+    """Move a camera about a point (3,), which keeps its position in the image."""
     if change == OrbitChange():
         return camera
     turned = matrix_from_rotvec(np.array([0.0, 0.0, change.turn]))
-    # A camera's y axis points down: a turn about its x axis by a negative angle looks from higher up.
+    # A camera's y axis points down: a rotation about its x axis by a negative angle raises the camera.
     tilted = matrix_from_rotvec(-change.tilt * camera.T_world_cam[:3, 0])
     R = turned @ tilted
     eye = target_world + change.distance * (R @ (camera.center - target_world))
@@ -119,7 +119,7 @@ def orbit_camera(camera: Camera, target_world: Array, change: OrbitChange) -> Ca
 
 
 def measure_visible_share(camera: Camera, held_world: Array, corners_world: Array) -> float:
-    """Share 0..1 of the outline box of corners (N, 3) in the image; 0 where a held point (M, 3) is not in view."""
+    """Measure the visible share 0..1 of the box of corners (N, 3); 0 if a held point (M, 3) is hidden."""
     size = np.array([camera.width, camera.height])
     pixels, depths = camera.project(held_world)
     if not (np.all(depths > 0) and np.all(pixels >= 0) and np.all(pixels <= size)):
@@ -133,7 +133,7 @@ def measure_visible_share(camera: Camera, held_world: Array, corners_world: Arra
 
 
 def _aim_camera(camera: Camera, target_world: Array) -> Array:
-    """Pose (4, 4) of a camera shifted so that it shows a point (3,) in the middle of its image, from as far as before."""
+    """Shift a camera pose (4, 4) so that a point (3,) is in the center of its image, at the same distance."""
     R = camera.T_world_cam[:3, :3]
     ray = R @ np.array(
         [(camera.width / 2 - camera.cx) / camera.fx, (camera.height / 2 - camera.cy) / camera.fy, 1.0]
@@ -143,7 +143,7 @@ def _aim_camera(camera: Camera, target_world: Array) -> Array:
 
 
 def _held(fitted: FittedAsset, T_world_object: Array) -> Array:
-    """Positions of the handle (N, 3) while the part moves, world frame."""
+    """Compute positions of the handle (N, 3) while the part moves, world frame."""
     thetas = np.linspace(fitted.start_theta, fitted.target_theta, SAMPLED_VALUES)
     return apply(T_world_object @ fitted.asset.joint.motion(thetas), fitted.contact_asset[None])
 
@@ -156,12 +156,12 @@ def _stands_in(fitted: FittedAsset, T_world_object: Array, box: OrientedBox) -> 
 
 
 def _footprint(fitted: FittedAsset, T_world_object: Array) -> Array:
-    """Corners of the static part seen from above (N, 2), world frame, [m]."""
+    """Compute corners of the static part seen from above (N, 2), world frame, [m]."""
     feet = np.concatenate([box.corners for box in fitted.asset.static.colliders])
     return apply(T_world_object, feet)[:, :2]
 
 
 def _corners(fitted: FittedAsset, T_world_object: Array) -> Array:
-    """Corners of the closed object's colliders (N, 3), world frame."""
+    """Compute corners of the closed object's colliders (N, 3), world frame."""
     boxes = (*fitted.asset.static.colliders, *fitted.asset.moving.colliders)
     return apply(T_world_object, np.concatenate([box.corners for box in boxes]))

@@ -1,7 +1,7 @@
-"""Verified demonstrations of every asset: drawn, planned, simulated, rendered and committed one by one. [paper 4.3.3, 5.2]
+"""Episodes stage: verified and rendered demonstrations of every asset. [paper 4.3.3, 5.2]
 
-Each is made from start to end by one worker, so that nothing that was made is lost, and as many work at the same time
-as there are processors, or Ray has.
+One worker makes each episode from start to end, so that no finished episode is lost. The number of parallel
+workers is that of the processors, or of Ray.
 """
 
 from collections import Counter
@@ -31,9 +31,9 @@ from aomgen.saved_units import SavedUnits
 
 # Distributions of the episodes over the requested ranges.
 DISTRIBUTIONS_FILE = "distributions.json"
-# Draws of each asset that are looked at: where one in fifty is usable, one is found.
+# Number of draws of each asset that are screened: where one in fifty is usable, one is found.
 LOOKED_AT: Final = 200
-# Nodes along each axis of the map of the arm's reach.
+# Number of nodes along each axis of the map of the arm's reach.
 WIDE_NODES: Final = 13
 PICTURE: Final = "reach_map.svg"
 WORDS: Final = {
@@ -47,7 +47,7 @@ WORDS: Final = {
 def run(
     results: Results, folder: Path, progress: Progress, on_done: Callable[[Done], None] = lambda done: None
 ) -> dict[str, Any]:
-    """As many episodes of every asset as the project asks for, or fewer and why."""
+    """Make the requested episodes of every asset, or report why there are fewer."""
     factory = EpisodeFactory(results, folder)
     request = Request(
         assets=tuple(fitted.asset.name for fitted in results.fitted_assets),
@@ -57,7 +57,7 @@ def run(
     check_ranges(factory, folder)
     for number, found in enumerate(factory.reach_maps):
         save_artifact(folder, REACH_MAP.format(number), found)
-    # A copy without what has been read.
+    # Workers get a copy without cached results.
     opened = (replace(results), folder)
     SavedUnits(folder / GRASPS_FOLDER, {}, WorkingGrasps).make(
         range(len(request.assets)),
@@ -93,10 +93,10 @@ def run(
 
 
 def open_executor(results: Results, opener: Opener, timeout_s: float) -> Executor:
-    """Workers as the run was asked for.
+    """Open workers as requested for the run.
 
     Raises:
-        BackendError: There is no Ray.
+        BackendError: Ray is not available.
     """
     if results.ray:
         return RayCluster(opener, results.ray, timeout_s)
@@ -104,7 +104,7 @@ def open_executor(results: Results, opener: Opener, timeout_s: float) -> Executo
 
 
 def account_sentence(account: Account) -> str:
-    """Outcome of an asset's request, in one sentence."""
+    """Describe the outcome of an asset's request in one sentence."""
     return (
         f"asset {account.asset}: {account.committed} of {account.requested} episodes after {account.attempts} attempts "
         f"({account.why or 'none tried'})"
@@ -114,10 +114,10 @@ def account_sentence(account: Account) -> str:
 def check_ranges(factory: EpisodeFactory, folder: Path) -> None:
     """Screen the first draws of the assets until one can be used; where none can, write a map into `folder`.
 
-    An asset that alone finds no place is reported in its account when the others are made.
+    An asset without a usable draw is reported in its account when the others are made.
 
     Raises:
-        ConfigError: Where the first asset's draws are, and where table and arm are.
+        ConfigError: No draw is usable; states the location of the draws, the table and the reach.
     """
     homeless = []
     for number, (fitted, found) in enumerate(
@@ -144,7 +144,7 @@ def _reason(factory: EpisodeFactory, variation: Variation, fitted: FittedAsset, 
 def _refusal(
     factory: EpisodeFactory, fitted: FittedAsset, reasons: dict[Variation, str], picture: Path
 ) -> ConfigError:
-    """Error on the ranges for an asset; the map shows it."""
+    """Make the error about the ranges of an asset; the map at `picture` illustrates it."""
     scene, place, ranges = factory.results.episode_scene, factory.place, factory.params.ranges
     (x, y), r = place.reach.shoulder_world[:2], place.reach.reach_m
     around = ((x - r, y - r), (x + r, y - r), (x + r, y + r), (x - r, y + r))
@@ -177,6 +177,6 @@ def _refusal(
 
 
 def _extent(points: np.ndarray) -> str:
-    """The bounds of points (N, 2), in words."""
+    """Format the bounds of points (N, 2)."""
     (low_x, low_y), (high_x, high_y) = points.min(0), points.max(0)
     return f"x {low_x:.2f} to {high_x:.2f} m, y {low_y:.2f} to {high_y:.2f} m"

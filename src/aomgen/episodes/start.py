@@ -1,4 +1,4 @@
-"""Where the arm begins when the object stands in the way of the demonstrated beginning."""
+"""Start of the arm when the object blocks the demonstrated start."""
 
 from collections.abc import Callable
 from typing import Final
@@ -10,9 +10,9 @@ from aomgen.core.values import Array
 from aomgen.episodes.ik import IkSolver, follow
 from aomgen.episodes.joint_limits import IkLimits
 
-# How much higher than demonstrated the end effector begins, the lowest that is free, [m].
+# Heights above the demonstrated start that are tried, the lowest free one is taken, [m].
 RAISED_M: Final = (0.0, 0.1, 0.2, 0.3)
-# Poses on the way to a start, so that the arm keeps its configuration.
+# Number of poses between the given pose and a start, so that the arm keeps its configuration.
 STEPS: Final = 12
 
 
@@ -24,12 +24,12 @@ def find_start(
     limits: IkLimits,
     is_free: Callable[[Array], bool],
 ) -> Array | None:
-    """Arm joints (J,) at the first of some poses, or above it, at which nothing collides; None when there are none.
+    """Find arm joints (J,) at the first collision-free of some poses, or above it; None if there is none.
 
     Args:
         Ts_start: Poses (N, 4, 4) at which the end effector may begin.
         T_from, joints: A pose (4, 4) and the arm's joints (J,) there, whose configuration is kept.
-        is_free: Whether joints (J,) have no collision.
+        is_free: Function that returns whether joints (J,) have no collision.
     """
     goals = np.repeat(Ts_start[None], len(RAISED_M), 0)
     goals[..., 2, 3] += np.array(RAISED_M)[:, None]

@@ -27,19 +27,19 @@ from aomgen.simulation.judge import PassRule
 Range = tuple[float, float]
 # An area has at least three corners.
 CORNERS: Final = 3
-# Farther off its plan the arm would meet what planning has kept it clear of, [m].
+# With a larger deviation from its plan the arm would meet obstacles that planning has avoided, [m].
 MAX_PUSH_M: Final = 0.02
-# Light of a black body has a known color between these, [K].
+# Range of black-body temperatures with a known color, [K].
 COLDEST_K, HOTTEST_K = 1667, 25_000
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class OrbitRanges:
-    """Ranges of a camera's motion about the point that it looks at.
+    """Ranges of a camera's motion about its target.
 
     Attributes:
-        turn_deg: About the vertical, [deg].
-        tilt_deg: Upwards, [deg].
+        turn_deg: Rotation about the vertical, [deg].
+        tilt_deg: Rotation upwards, [deg].
         distance: Factor on the distance.
     """
 
@@ -54,18 +54,19 @@ class Ranges:
 
     Attributes:
         x_m, y_m: Shift, [m].
-        yaw_deg: Turn about the vertical, [deg].
-        axes: Whose x and y are meant: the robot's base ("world"), or the object's, y pointing into its front.
-        polygon: Corners of an area of the table, world frame, [m]: the middle of the object's footprint is spread over
-            it, whatever x_m and y_m say; empty for none.
+        yaw_deg: Rotation about the vertical, [deg].
+        axes: Frame of x and y: the robot's base ("world"), or the object's, y pointing into its front.
+        polygon: Corners of an area of the table, world frame, [m]: the center of the object's footprint is
+            spread over it, and x_m and y_m are ignored; empty for none.
         scale: Factor on the asset's size.
         speed: Factor on the demonstrated speed.
         start_deg: Offset of every arm joint at the start, [deg].
         light_turn_deg, light_intensity, light_temperature_k: See `LightChange`.
         hue_deg, saturation, brightness: See `MaterialChange`.
-        push_m: Largest displacement of the end effector off its plan before it holds, [m]; actions stay the plan's.
-        around: Of every camera that the scene has.
-        free: Of the cameras that are added, about the object where it stands.
+        push_m: Largest displacement of the end effector off its plan before the grasp, [m];
+            actions stay the plan's.
+        around: Motion of every camera of the scene.
+        free: Motion of the added cameras, about the object at its pose.
 
     Example:
         >>> ag.Ranges(x_m=(0.0, 0.2), scale=(0.8, 1.0)).y_m
@@ -95,7 +96,7 @@ class Ranges:
     )
 
     def __post_init__(self) -> None:
-        """Refuse ranges that hold nothing.
+        """Refuse empty or inconsistent ranges.
 
         Raises:
             ConfigError: A range is no pair or ends before it begins, an area has too few corners or is empty.
@@ -136,7 +137,7 @@ class Ranges:
 
     @property
     def frame(self) -> VariationFrame:
-        """Meaning of x and y of draws."""
+        """Frame of x and y of draws."""
         return "polygon" if self.polygon else self.axes
 
     @property
@@ -151,17 +152,17 @@ class Ranges:
 def draw(
     seed: int, asset: int, index: int, ranges: Ranges, *, arm_joints: int = 0, cameras: int = 0, free: int = 0
 ) -> Variation:
-    """Number `index` of the sequence of an asset.
+    """Draw sample `index` of the sequence of an asset.
 
     Adding joints or cameras changes no other value.
 
     Args:
-        seed: Of the generation.
+        seed: Seed of the generation.
         asset: Number of the asset; each has a separate sequence.
-        index: From 0.
-        arm_joints: How many have an offset at the start.
-        cameras: How many are moved by `ranges.around`.
-        free: How many are moved by `ranges.free`.
+        index: Index in the sequence, from 0.
+        arm_joints: Number of joints with an offset at the start.
+        cameras: Number of cameras moved by `ranges.around`.
+        free: Number of cameras moved by `ranges.free`.
     """
     orbits = [ranges.around] * cameras + [ranges.free] * free
     bounds = _bounds(ranges, arm_joints, orbits)
@@ -170,13 +171,13 @@ def draw(
 
 
 def draw_independently(rng: np.random.Generator, seed: int, index: int, ranges: Ranges) -> Variation:
-    """A variation whose values are uniform and know nothing of any other's; arm and cameras begin as recorded."""
+    """Draw a variation with uniform values, independent of all others; arm and cameras begin as recorded."""
     bounds = _bounds(ranges, 0, [])
     return _variation(rng.random(len(bounds)), bounds, ranges, seed, index, 0)
 
 
 def _bounds(ranges: Ranges, arm_joints: int, orbits: Sequence[OrbitRanges]) -> Array:
-    """Lowest and highest values (D, 2) of a draw."""
+    """Return the lowest and highest values (D, 2) of a draw."""
     return np.array([
         *ranges.place_bounds, ranges.yaw_deg, ranges.scale, ranges.speed,
         ranges.light_turn_deg, ranges.light_intensity, ranges.light_temperature_k,
@@ -189,7 +190,7 @@ def _bounds(ranges: Ranges, arm_joints: int, orbits: Sequence[OrbitRanges]) -> A
 def _variation(
     shares: Array, bounds: Array, ranges: Ranges, seed: int, index: int, arm_joints: int
 ) -> Variation:
-    """The variation at shares (D,) of the bounds (D, 2)."""
+    """Make the variation at shares (D,) of the bounds (D, 2)."""
     lows, highs = bounds.T
     values = (lows + shares * (highs - lows)).tolist()
     x, y, yaw, scale, speed, turn, intensity, temperature_k, hue, saturation, brightness, push = values[:12]
@@ -217,10 +218,10 @@ def _variation(
 
 
 def scale_fit(fitted: FittedAsset, scale: float) -> FittedAsset:
-    """A fitted asset of another size, which is held at the same place, seen from above, and opened as far.
+    """Scale a fitted asset, keeping the position of its held point as seen from above, and its opening.
 
-    A slide's travel is scaled as its object is, but for a small one, which is opened as far as counts where it can be; a
-    hinge turns by the same angle.
+    A slide's travel scales with its object, but a small one is opened at least as far as success requires,
+    where its range allows; a hinge turns by the same angle.
     """
     if scale == 1.0:
         return fitted
@@ -243,7 +244,7 @@ def scale_fit(fitted: FittedAsset, scale: float) -> FittedAsset:
 
 
 def area(corners: tuple[tuple[float, float], ...]) -> float:
-    """Area of a polygon that does not cross itself, [m^2]."""
+    """Compute the area of a polygon that does not cross itself, [m^2]."""
     x, y = np.asarray(corners, np.float64).T
     return 0.5 * abs(float(x @ np.roll(y, -1) - y @ np.roll(x, -1)))
 

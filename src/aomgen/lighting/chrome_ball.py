@@ -1,6 +1,6 @@
-"""Light from all around, read off a picture of a mirroring ball.
+"""Environment light from images of a mirror ball.
 
-Source: Debevec 1998 (mirrored balls); Debevec & Malik 1997 (pictures of several exposures).
+Source: Debevec 1998 (mirror balls); Debevec & Malik 1997 (images of several exposures).
 """
 
 from typing import Final
@@ -14,18 +14,18 @@ from aomgen.core.camera import Camera
 from aomgen.core.environment_map import EnvironmentMap, map_directions
 from aomgen.core.values import Array
 
-# From the first to the second sRGB value of its brightest channel a pixel is more and more clipped.
+# Between these sRGB values of its brightest channel a pixel counts as increasingly clipped.
 CLIPPED: Final = (0.8, 0.95)
-# Rows of the map: the ball of a usual picture has 256 pixels across.
+# Number of rows of the map: the ball of a typical image is 256 pixels wide.
 ROWS: Final = 256
 
 
 def merge_exposures(pictures_srgb: ArrayLike, exposures: ArrayLike) -> Array:
-    """Linear radiance (H, W, 3) of pictures of one view.
+    """Merge images of one view to linear radiance (H, W, 3).
 
     Args:
         pictures_srgb: (E, H, W, 3), 0..1, brightest first.
-        exposures: Of each, (E,), in stops; radiance 1 is white at 0.
+        exposures: Exposure of each image (E,), in stops; radiance 1 is white at 0.
     """
     pictures = np.asarray(pictures_srgb, np.float64)
     radiance = linear_from_srgb(pictures) / 2.0 ** np.reshape(exposures, (-1, 1, 1, 1))
@@ -38,7 +38,7 @@ def merge_exposures(pictures_srgb: ArrayLike, exposures: ArrayLike) -> Array:
 
 
 def compute_reflected_directions(camera: Camera) -> tuple[NDArray[np.bool_], Array]:
-    """Which pixels (H, W) of a square picture a ball covers that touches its borders, and what they mirror.
+    """Find the pixels (H, W) of a ball that touches the borders of a square image, and their reflections.
 
     Returns:
         The pixels, and for each of them the unit direction (N, 3), world frame, from which its light comes.
@@ -48,7 +48,7 @@ def compute_reflected_directions(camera: Camera) -> tuple[NDArray[np.bool_], Arr
     rays /= np.linalg.norm(rays, axis=-1, keepdims=True)
     edges = np.stack([rays[half, 0], rays[half, side - 1], rays[0, half], rays[side - 1, half]])
     middle = edges.mean(0) / np.linalg.norm(edges.mean(0))
-    # The ball's distance is 1 and its radius the sine of the angle at which it is seen.
+    # The ball's distance is 1 and its radius the sine of half its viewing angle.
     cosine = float((edges @ middle).mean())
     radius, along = np.sqrt(1 - cosine**2), rays @ middle
     inside = along > cosine
@@ -59,9 +59,9 @@ def compute_reflected_directions(camera: Camera) -> tuple[NDArray[np.bool_], Arr
 
 
 def unwrap_ball(radiance_linear: Array, camera: Camera) -> EnvironmentMap:
-    """The light around a mirroring ball that touches the borders of a square picture (S, S, 3).
+    """Compute the light around a mirror ball that touches the borders of a square image (S, S, 3).
 
-    What is right behind the ball is not seen in it and taken from its outline.
+    Directions right behind the ball are invisible in it and are filled from its outline.
     """
     inside, directions = compute_reflected_directions(camera)
     wanted = map_directions(ROWS, 2 * ROWS)

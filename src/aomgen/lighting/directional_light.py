@@ -1,8 +1,8 @@
 """Estimation of the directional light that casts the shadow of the robot on its work surface.
 
-A fixed camera sees the same point of the surface in light and in shadow. A direction is right when the shadow that the
-posed twin would cast from there explains how the brightness of every point changes over time; the points' own colors do
-not enter.
+A fixed camera shows the same point of the surface in light and in shadow. A direction is right when the
+shadow that the posed twin would cast from there explains how the brightness of every point changes over time;
+the colors of the points do not matter.
 """
 
 from dataclasses import dataclass, replace
@@ -25,29 +25,29 @@ from aomgen.splatting.rasterizer import render
 from aomgen.splatting.surfaces import compute_rendered_points
 from aomgen.twin.twin import CONTOUR_PX, PosedImages, TwinModel, body_poses, pose_bodies
 
-# Images that are compared; a half of them to find the light, the other to judge it.
+# Number of images that are compared; one half is used for the fit, the other for validation.
 IMAGES: Final = 16
-# Every third of the fitted images judges the first directions.
+# Every third of the fitted images is used to evaluate the first directions.
 FIRST_EVERY: Final = 3
-# Points of the surface that are observed.
+# Number of observed points of the surface.
 POINTS: Final = 4000
-# A point is seen when no moving body covers more than this of it, `CONTOUR_PX` around.
+# A point is visible when no moving body covers more than this of it, `CONTOUR_PX` around.
 COVERED: Final = 0.02
-# Brightness is compared above this, sRGB: below, noise counts more than light.
+# Brightness is compared only above this, sRGB: below, noise exceeds changes of light.
 DARK: Final = 0.03
-# Lights at least this high above the surface, as the sine of their elevation.
+# Least height of a light above the surface, as the sine of its elevation.
 MIN_SINE: Final = 0.25
-# First directions: every one has another within about 8 degrees, which is less than the width of an arm's shadow.
+# Number of first directions: the spacing of about 8 degrees is less than the width of an arm's shadow.
 FIRST_DIRECTIONS: Final = 350
-# First step of the refinement, about half the spacing of the first directions, and where it ends, [rad]: that moves
+# First step of the refinement, about half the spacing of the first directions, and last step, [rad]: it moves
 # the shadow of a point 1 m high by less than half a centimeter.
 FIRST_STEP, LAST_STEP = 0.07, 0.004
-# Half the angles under which a light may be seen, [rad]: a spot, a bulb's shade, a panel near by, a window.
+# Half angular widths of lights that are tried, [rad]: a spot, a bulb's shade, a nearby panel, a window.
 WIDTHS: Final = (0.0, 0.05, 0.1, 0.15, 0.2)
 # The shadow has to explain at least this share of the variance in images it was not fitted to.
 # With less, as under soft light, most of the rendered shadow would be wrong.
 MIN_EXPLAINED: Final = 0.5
-# A point this much in shadow is wholly in it.
+# A point with at least this share of shadow is fully in it.
 CORE: Final = 0.95
 
 
@@ -58,10 +58,10 @@ class SurfaceObservations:
     Attributes:
         points: World frame (N, 3).
         logs: Logarithms of linear colors (T, N, 3).
-        seen: (T, N), whether no moving body hides the point.
-        casters: From `select_casters`.
+        seen: Visibility of the points past moving bodies (T, N).
+        casters: Result of `select_casters`.
         Ts_world_body: Poses of the bodies (T, B, 4, 4).
-        T_world_plane: The surface.
+        T_world_plane: Pose of the surface.
     """
 
     points: Array
@@ -72,20 +72,20 @@ class SurfaceObservations:
     T_world_plane: Array
 
     def part(self, which: slice) -> "SurfaceObservations":
-        """Some of the images."""
+        """Select some of the images."""
         Ts = self.Ts_world_body[which]
         return replace(self, logs=self.logs[which], seen=self.seen[which], Ts_world_body=Ts)
 
     def block(self, directions: Array) -> Array:
-        """Share (T, N) of the light from directions (K, 3) that the moving bodies take from the points."""
+        """Compute the blocked share (T, N) of the light from directions (K, 3) at the points."""
         Ts, T_world_plane = self.Ts_world_body, self.T_world_plane
         return measure_blocked_light(self.casters, Ts, T_world_plane, directions, self.points)
 
     def explain(self, directions: Array) -> float:
-        """Share of the variance of brightness over time that the shadow of light from directions (K, 3) explains."""
+        """Compute the explained share of brightness variance for light from directions (K, 3)."""
         weight = self.seen.astype(np.float64)
         count = np.maximum(weight.sum(0), 1)
-        # Every point has its own color, so both are compared without their means over time.
+        # Every point has another color, so both are compared without their means over time.
         bright, shadow = (
             values - (weight * values).sum(0) / count
             for values in (self.logs.mean(-1), self.block(directions))
@@ -101,7 +101,7 @@ def find_directional_light(
     """Find the directional light of a scene; None when no direction explains the video.
 
     Args:
-        twin: With all surfaces of its robot.
+        twin: Twin with all surfaces of its robot.
         view: A fixed camera's images of many joint configurations.
         T_world_plane: Surface (4, 4) whose brightness is observed.
     """
@@ -111,7 +111,7 @@ def find_directional_light(
     fitted, unseen = observed.part(slice(0, None, 2)), observed.part(slice(1, None, 2))
     directions = sphere_directions(FIRST_DIRECTIONS)
     directions = directions[directions @ T_world_plane[:3, 2] > MIN_SINE]
-    # Some of the images distinguish the first directions.
+    # A subset of the images suffices to compare the first directions.
     few = fitted.part(slice(0, None, FIRST_EVERY))
     best = _refine_direction(max(directions, key=lambda direction: few.explain(direction[None])), fitted)
     width = max(WIDTHS, key=lambda width: fitted.explain(spread_directions(best, width)))
@@ -125,7 +125,7 @@ def find_directional_light(
 
 
 def _refine_direction(direction: Array, observed: SurfaceObservations) -> Array:
-    """The best direction around one, by simplex search over its tangents."""
+    """Refine a direction by simplex search over its tangents."""
     side = np.cross(direction, np.eye(3)[np.argmin(np.abs(direction))])
     side /= np.linalg.norm(side)
     across = np.stack([side, np.cross(direction, side)])
@@ -144,10 +144,10 @@ def _refine_direction(direction: Array, observed: SurfaceObservations) -> Array:
 
 
 def estimate_share(observed: SurfaceObservations, blocked: Array) -> Array | None:
-    """Share (3,) of the surface's light that is missing where a light is blocked; None when no point is seen in both.
+    """Estimate the share (3,) of a light in the surface's light; None without lit and shadowed points.
 
-    Only the core of a shadow (T, N) and points far from it are compared: the rendered edge of a shadow is often a
-    little off the real one.
+    Only the core of a shadow (T, N) and points far from it are compared: the rendered edge of a shadow often
+    deviates a little from the real one.
     """
     shadow = observed.seen & (blocked > CORE * blocked.max())
     light = observed.seen & (blocked < 1 - CORE)
@@ -158,19 +158,20 @@ def estimate_share(observed: SurfaceObservations, blocked: Array) -> Array | Non
     dark, bright = (
         (values * which[:, both, None]).sum(0) / which[:, both].sum(0)[:, None] for which in (shadow, light)
     )
-    # Colors in shadow and in light are as 1 - share * blocked in either.
+    # Colors in shadow and in light are proportional to 1 - share * blocked.
     ratio = np.exp(dark[:, :3] - bright[:, :3])
     return np.median((1 - ratio) / (dark[:, 3:] - ratio * bright[:, 3:]), 0)
 
 
 def _raise_plane(T_world_plane: Array, twin: TwinModel, camera: Camera) -> Array:
-    """Move a surface (4, 4) along its normal to where a camera sees it.
+    """Move a surface (4, 4) along its normal to its observed height.
 
     Centers of trained Gaussians are below the surface that they represent.
     """
     scene = render(twin.gaussians.select(twin.bodies == 0), camera, with_ids=True)
     heights = apply(invert(T_world_plane), compute_rendered_points(scene, camera))[..., 2]
-    # Seen points fade out of the surface that far above it; they are searched as far below. NaN is no point.
+    # Visible points fade out of the surface that far above it; they are searched as far below.
+    # NaN marks invalid points.
     near = np.abs(heights) < HEIGHTS[-1]
     T = np.array(T_world_plane, np.float64)
     T[:3, 3] += T[:3, 2] * (float(np.median(heights[near])) if near.any() else 0.0)
@@ -180,7 +181,7 @@ def _raise_plane(T_world_plane: Array, twin: TwinModel, camera: Camera) -> Array
 def _observe_surface(
     twin: TwinModel, robot: RobotModel, view: PosedImages, T_world_plane: Array
 ) -> SurfaceObservations | None:
-    """Points of the surface in some images of a video; None when it is hardly seen."""
+    """Observe points of the surface in some images of a video; None when it is hardly visible."""
     count = len(view.states)
     chosen = np.unique(np.linspace(0, count - 1, min(IMAGES, count)).astype(int))
     camera, still = view.camera, twin.bodies == 0
@@ -195,7 +196,7 @@ def _observe_surface(
     usable = usable[np.unique(np.linspace(0, len(usable) - 1, POINTS).astype(int))]
     colors = np.stack([view.images_srgb[i].reshape(-1, 3)[usable] for i in chosen]) / 255.0
     logs = np.log(linear_from_srgb(np.maximum(colors, DARK)))
-    # Exposure changes everything at once; most points are lit most of the time.
+    # Exposure changes all points alike; most points are lit most of the time.
     logs -= np.median(logs - np.median(logs, 0), axis=1, keepdims=True)
     return SurfaceObservations(
         points=points.reshape(-1, 3)[usable],

@@ -1,4 +1,4 @@
-"""Shadows that an episode's robot and object cast on the table and on the walls, beyond those that were scanned."""
+"""Shadows that an episode's robot and object cast on the table and on the walls, beyond the scanned ones."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -18,11 +18,11 @@ from aomgen.lighting.wall_shadow import cast_wall_shadow
 from aomgen.robots.robot import RobotModel
 from aomgen.twin.twin import OBJECT, PART, TwinModel, body_poses, pose_bodies
 
-# Samples of walls and objects at which the object's shadow is computed.
+# Number of samples of walls and objects at which the object's shadow is computed.
 WALL_SAMPLES: Final = 2000
-# Cell of the map of the robot's shadow in soft light, [m], and how far around the robot's base it reaches.
+# Cell of the map of the robot's shadow in soft light, and its reach around the robot's base, [m].
 ARM_CELL, ARM_REACH = 0.05, 1.3
-# Points on each body of the robot from which its spheres are found, and the fewest in one.
+# Number of points on each body of the robot to which spheres are fitted, and the least number for one sphere.
 POINTS, MIN_POINTS = 500, 20
 
 
@@ -33,7 +33,7 @@ class States(NamedTuple):
     thetas: Array
 
     def part(self, frames: slice) -> "States":
-        """Some of the frames."""
+        """Select some of the frames."""
         return States(self.Ts_world_body[frames], self.thetas[frames])
 
 
@@ -41,9 +41,9 @@ class TableShadow(NamedTuple):
     """A shadow on a surface.
 
     Attributes:
-        T_world_plane: The surface it falls on.
-        prepare: Given points (N, 3) on it, world frame, a function that computes the share (T, N) of the points' linear
-            light that is blocked in each state.
+        T_world_plane: Pose of the surface.
+        prepare: Function that takes points (N, 3) on it, world frame, and returns a function from states to
+            the share (T, N) of the points' linear light that is blocked.
     """
 
     T_world_plane: Array
@@ -59,14 +59,14 @@ def cast_shadows(
     T_world_plane: Array | None,
     threads: int | None,
 ) -> tuple[TwinModel, list[TableShadow]]:
-    """The twin with a relit object's shadow on its walls, and the shadows on its table.
+    """Return the twin with a relit object's shadow on its walls, and the shadows on its table.
 
     Args:
-        twin, robot: As of `render_episode`.
+        twin, robot: As in `render_episode`.
         Ts_world_body: Poses (B, 4, 4) of the twin's bodies in any state.
         eyes_world: Camera centers (K, 3).
         table: Visibility from the table past a relit object, if there is one.
-        T_world_plane: The table; None for the directional light's shadow alone.
+        T_world_plane: Pose of the table; None for the directional light's shadow alone.
         threads: As in `splatting.rasterizer.render`.
     """
     lamp, shadows = twin.directional_light, []
@@ -90,7 +90,7 @@ def cast_shadows(
 def _cast_lamp_shadow(
     lamp: DirectionalLight, casters: tuple[TwinModel, TwinModel], threads: int | None
 ) -> TableShadow:
-    """The shadow of moving and new bodies in the directional light."""
+    """Make the shadow of moving and new bodies in the directional light."""
     share, T_world_plane = float(lamp.share.mean()), lamp.T_world_plane
 
     def prepare(points: Array) -> Callable[[States], Array]:
@@ -112,7 +112,7 @@ def _cast_soft_shadow(
     table: ObjectShadow,
     T_world_plane: Array,
 ) -> TableShadow:
-    """The shadow of a relit object and of the robot in all light but that of the directional light."""
+    """Make the shadow of a relit object and of the robot in all light except the directional light."""
     T_world_object, lamp, share = Ts_world_body[twin.body(OBJECT)], twin.directional_light, 1.0
     if lamp is not None:
         (light, _), share = lamp.split(light), 1 - float(lamp.share.mean())
@@ -138,10 +138,11 @@ def _cast_soft_shadow(
 def _cast_arm_shadow(
     twin: TwinModel, robot: RobotModel, share: float, T_world_plane: Array
 ) -> tuple[PlaneGrid, Callable[[Array], NDArray[np.float32]]]:
-    """Change of the robot's shadow since the scan in a share of the light: light returns where the arm was.
+    """Compute the change of the robot's shadow since the scan; light returns where the arm was.
 
-    The robot is represented by a few spheres in even light, whose visibility past a sphere has a closed form. Source: Ren
-    et al. 2006, "Real-time soft shadows in dynamic scenes using spherical harmonic exponentiation".
+    The shadow is one in a share of the light. The robot is represented by a few spheres in uniform light,
+    whose visibility past a sphere has a closed form. Source: Ren et al. 2006, "Real-time soft shadows in
+    dynamic scenes using spherical harmonic exponentiation".
 
     Returns:
         Cells, and a function that computes maps (T, rows, columns) of the blocked share for body poses (T, B, 4, 4).
@@ -162,7 +163,7 @@ def _cast_arm_shadow(
 
 
 def find_body_spheres(robot: RobotModel) -> list[tuple[int, Array, float]]:
-    """Spheres along each body of a robot, one for every piece that is as long as the body is thick.
+    """Fit spheres along each body of a robot, one for every segment that is as long as the body is thick.
 
     Each has the body's index in the twin, the center (3,) in the body frame, and the radius, [m].
     """
@@ -171,7 +172,7 @@ def find_body_spheres(robot: RobotModel) -> list[tuple[int, Array, float]]:
     for body in sorted({mesh.body for mesh in robot.meshes}):
         own = np.concatenate([m.vertices_body[m.faces] for m in robot.meshes if m.body == body])
         points = sample_triangles(own, POINTS, rng)
-        # Axes by falling length.
+        # The axes are in order of decreasing extent.
         along = points @ np.linalg.eigh(np.cov(points.T))[1][:, ::-1]
         length, thickness = np.ptp(along, axis=0)[:2]
         pieces = max(1, round(length / thickness))
@@ -180,7 +181,8 @@ def find_body_spheres(robot: RobotModel) -> list[tuple[int, Array, float]]:
             chosen = points[piece_of == piece]
             if len(chosen) < MIN_POINTS:
                 continue
-            # Seen from all sides, a convex body shows a quarter of its surface on the mean (Cauchy).
+            # Averaged over directions, the projection of a convex body has a quarter of its
+            # surface area (Cauchy).
             radius = float(np.sqrt(ConvexHull(chosen, qhull_options="QJ").area / (4 * np.pi)))
             # The twin's first body is the world.
             spheres.append((1 + body, (chosen.min(0) + chosen.max(0)) / 2, radius))
@@ -188,13 +190,13 @@ def find_body_spheres(robot: RobotModel) -> list[tuple[int, Array, float]]:
 
 
 def measure_sphere_share(centers: Array, radius: float, grid: PlaneGrid) -> NDArray[np.float32]:
-    """Share (T, rows, columns) of even light from above that a sphere blocks at cells; its centers (T, 3) are above."""
+    """Measure the share (T, rows, columns) of uniform light that a sphere at centers (T, 3) blocks."""
     x, y, height = centers.T.astype(np.float32)[..., None]
     across, along = (
         (low + grid.cell * (np.arange(count, dtype=np.float32) + np.float32(0.5)) - center) ** 2
         for low, count, center in ((grid.low[0], grid.columns, x), (grid.low[1], grid.rows, y))
     )
     squared = (across + height**2)[:, None] + along[..., None]
-    # The sphere covers pi (r/d)^2 h/d of the projected half sphere, which counts pi.
+    # The sphere covers pi (r/d)^2 h/d of the projected hemisphere, whose area is pi.
     share = radius**2 * height[..., None].clip(0) / (squared * np.sqrt(squared))
     return share.clip(0, 1).astype(np.float32)

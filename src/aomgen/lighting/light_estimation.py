@@ -1,8 +1,9 @@
-"""The light at the location of a new object: radiance that the scan shows around it, and radiance inferred from the robot.
+"""Light at the location of a new object: radiance shown by the scan, and radiance inferred from the robot.
 
-Walls, table and clutter are scanned, and so is the light that they send to the object. Light sources mostly are not: a scan looks
-down. The robot is a surface whose shape and colors are known; what it receives beyond what is seen from it comes from
-there. Where too little of the robot was seen, the light falls from above with the brightness of the scene.
+Walls, table and clutter are scanned, and so is the light that they reflect to the object. Light sources
+mostly are not: a scan looks down. The robot is a surface of known shape and color; light on it that the
+visible surroundings do not explain comes from unobserved directions. Where too little of the robot is
+visible, the light is assumed to come from above with the brightness of the scene.
 """
 
 from collections.abc import Sequence
@@ -32,52 +33,55 @@ from aomgen.twin.twin import TwinModel, body_poses, pose_twin
 MIN_SAMPLES, MAX_SAMPLES = 200, 3000
 # A Gaussian farther than this from the posed meshes is not on their surface, [m].
 MAX_DISTANCE: Final = 0.008
-# Points drawn on each body of the robot.
+# Number of points sampled on each body of the robot.
 POINTS_PER_BODY: Final = 3000
-# Least sine of the angle between a surface and a view, least share of views above it, and least share of the sky above the surface.
+# Least sine of the angle between surface and view, least share of views above it, and least
+# share of open sky above it.
 FACING, MIN_EYES, MIN_OPEN = 0.2, 0.15, 0.25
-# Share of the light that paint and plastic reflect beside their own color: normal incidence, refractive index 1.5.
+# Share of light that paint and plastic reflect in addition to their color: normal incidence, refractive index
+# 1.5.
 REFLECTED: Final = 0.04
-# Errors of colors beyond this are outliers: glints, wrong links, sRGB.
+# Errors of colors beyond this are outliers: highlights, wrong links, sRGB.
 OUTLIER: Final = 0.05
-# Standard deviations of bands 1 and 2 of what is not seen, shares of its mean, and of the tone curve; what share of all
-# colors weighs as much as one of them.
+# Standard deviations of bands 1 and 2 of unobserved radiance, as shares of its mean, and of the tone curve;
+# the share of all colors that has the weight of one of them.
 BAND_SD, TONE_SD, PRIOR_COLORS = (0.6, 0.4), 0.3, 1e-4
-# Shoulder and loss of color are at most these.
+# Upper limits of shoulder and color loss.
 MAX_TONE: Final = (2.0, 0.95)
-# A cell of the table weighs as much as this number of colors of the robot: its grain differs from cell to cell.
+# A cell of the table has the weight of this number of colors of the robot: its grain differs from cell to
+# cell.
 TABLE: Final = 4.0
 # Nearly black surfaces show reflections rather than light; below the second number they show both, linear.
 MIN_ALBEDO, BRIGHT = 0.05, 0.1
-# Mean albedo of a scene, to judge the brightness of light when the robot cannot.
+# Mean albedo of a scene, which determines the brightness of light when the robot cannot.
 MEAN_ALBEDO: Final = 0.4
-# Light is recovered from images up to this share of the brightest value that a tone curve shows at all.
+# Light is recovered from image values up to this share of the largest value of a tone curve.
 BRIGHTEST: Final = 0.95
 # Brightness of a white, level surface stays within these limits, linear, 1 = image white.
 LIMITS: Final = (0.3, 1.6)
 
 
 class ToneCurve(NamedTuple):
-    """From light to image colors, both linear, dark light as it is.
+    """Map from light to image colors, both linear, that leaves dark light unchanged.
 
     Attributes:
-        shoulder: How much brightness is compressed, 0 or more: light of 1 is shown as 1 / (1 + shoulder).
-        color_loss: Share of its distance from grey that a color as bright as white loses, below 1; darker ones lose less
-            in proportion.
+        shoulder: Compression of brightness, 0 or more: light of 1 is shown as 1 / (1 + shoulder).
+        color_loss: Share of its distance from gray that a color as bright as white loses, below 1; darker
+            ones lose less in proportion.
     """
 
     shoulder: float = 0.0
     color_loss: float = 0.0
 
     def show(self, light: Array) -> Array:
-        """Colors (..., 3) of images of light."""
+        """Compute image colors (..., 3) of light."""
         positive = np.maximum(light, 0)
         bent = positive / (1 + self.shoulder * positive)
         grey = bent.mean(-1, keepdims=True)
         return np.asarray(grey + self._kept(grey) * (bent - grey), np.float64)
 
     def undo(self, shown: Array) -> Array:
-        """Light (..., 3) of which images show colors."""
+        """Compute the light (..., 3) that images show in given colors."""
         grey = shown.mean(-1, keepdims=True)
         bent = np.maximum(grey + (shown - grey) / self._kept(grey), 0)
         return np.asarray(bent / (1 - np.minimum(self.shoulder * bent, BRIGHTEST)), np.float64)
@@ -90,9 +94,9 @@ class SceneLight(NamedTuple):
     """Light on a new object, and the tone curve with which the scene's images show it.
 
     Attributes:
-        arriving: Where the object stands.
-        tone: Of the cameras.
-        source: "robot", or "scene" when too little of the robot was seen, or "file" or "diffusion" of a map.
+        arriving: Light at the object's location.
+        tone: Tone curve of the cameras.
+        source: "robot"; "scene" when too little of the robot was visible; "file" or "diffusion" for a map.
     """
 
     arriving: Light
@@ -101,7 +105,7 @@ class SceneLight(NamedTuple):
 
     @property
     def shown(self) -> Light:
-        """The light in the colors in which images show white surfaces."""
+        """The light in the image colors of white surfaces."""
         transfer = open_transfer(sphere_directions(DIRECTIONS)).astype(np.float64)
         white = self.tone.show(transfer @ self.arriving.radiance_sh)
         return light_from_harmonics(np.linalg.lstsq(transfer, white)[0])
@@ -109,7 +113,7 @@ class SceneLight(NamedTuple):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LitSamples:
-    """N places of a surface: what light its shape and what is around let through, its own colors and those seen, linear."""
+    """N surface points: transfer past occluders (see `core.light`), albedo and observed colors, linear."""
 
     transfer: Annotated[Array, "N 9"]
     albedo: Annotated[Array, "N 3"]
@@ -118,7 +122,7 @@ class LitSamples:
     __post_init__ = freeze_arrays
 
     def select(self, which: NDArray | slice) -> "LitSamples":
-        """Some of them."""
+        """Select some of the points."""
         return LitSamples(transfer=self.transfer[which], albedo=self.albedo[which], seen=self.seen[which])
 
 
@@ -131,18 +135,19 @@ def estimate_light(
     views: Sequence[Camera],
     rng: np.random.Generator,
 ) -> SceneLight:
-    """Find the light that the scan was taken under.
+    """Estimate the light of the scan.
 
     Args:
         twin: Recorded scene.
         robot: Its robot.
-        around: What stands still about the object, in its shadow too, world frame.
+        around: Static surroundings of the object, also inside its shadow, world frame.
         place: Location at which the light is estimated (3,), world frame.
-        table: Of the table about the object, whose shadow falls on it.
+        table: Samples of the table around the object, on which its shadow falls.
         views: The scan's cameras.
-        rng: Chooses points on the robot.
+        rng: Generator for points on the robot.
 
     Not checked: the real robot's paint may differ from its model; a uniform difference
+    changes the light's brightness, which is limited to `LIMITS`.
     enters the light's brightness, which is limited to `LIMITS`.
     """
     world = pose_twin(twin, robot, twin.scan_state)
@@ -161,26 +166,27 @@ def estimate_light(
 
 
 def scene_light(world: Gaussians, labels: NDArray[np.uint8]) -> Light:
-    """Light from above whose brightness explains the scene's mean color with a mean albedo."""
+    """Make light from above whose brightness explains the scene's mean color with a mean albedo."""
     solid = (labels == BACKGROUND) & (world.opacities > 0.5)
     if not solid.any():
         return hemisphere_light(np.ones(3), np.full(3, 0.4))
     colors = linear_from_srgb(np.clip(0.5 + SH_C0 * world.sh[solid, 0], 0, 1))
     level = np.clip(np.median(colors, 0).mean() / MEAN_ALBEDO, *LIMITS)
-    # A half sphere of radiance L lights a level surface with irradiance pi L.
+    # A hemisphere of radiance L lights a level surface with irradiance pi L.
     return hemisphere_light(np.full(3, level), np.full(3, 0.4 * level))
 
 
 def fit_unseen(samples: LitSamples, around: Probe, table: LitSamples, here: Probe) -> tuple[Array, ToneCurve]:
-    """Radiance from directions in which the scan shows nothing, as harmonics (9, 3), and the camera's tone curve.
+    """Fit radiance from unobserved directions, as harmonics (9, 3), and the camera's tone curve.
 
-    Dark and bright parts of the robot together determine the curve. They show reflections too, so bright ones determine the light.
+    Dark and bright parts of the robot together determine the curve. Dark parts are affected by reflections,
+    so bright ones determine the light.
 
     Args:
-        samples: On the robot.
-        around: What is seen from its middle.
-        table: In the shadow of the recorded object and outside it.
-        here: What is seen from the object's place.
+        samples: Samples on the robot.
+        around: Visible radiance at the robot's center.
+        table: Samples in the shadow of the recorded object and outside it.
+        here: Visible radiance at the object's location.
     """
     _, tone = _explain(samples, around, table.select(slice(0)), here, None)
     bright = samples.select(samples.albedo.mean(1) > BRIGHT)
@@ -190,7 +196,7 @@ def fit_unseen(samples: LitSamples, around: Probe, table: LitSamples, here: Prob
 def _explain(
     samples: LitSamples, around: Probe, table: LitSamples, here: Probe, known: ToneCurve | None
 ) -> tuple[Array, ToneCurve]:
-    """The light, and the tone curve unless it is known, that explain samples and table best."""
+    """Fit the light, and the tone curve unless it is known, to samples and table."""
     wanted = srgb_from_linear(np.clip(samples.seen, 0, 1))
     grey = srgb_from_linear(np.clip(table.seen.mean(1, keepdims=True), 0, 1))
     spreads = np.repeat(BAND_SD, [3, 5])[:, None]
@@ -213,37 +219,37 @@ def _explain(
 
 
 def radiance_around(around: Probe, unseen: Array, tone: ToneCurve) -> Array:
-    """Harmonics (9, 3) of all that arrives at a probe: what it sees, before the camera, and the rest."""
+    """Compute harmonics (9, 3) of all light at a probe: visible radiance, tone curve undone, and the rest."""
     rest = np.maximum(sh_basis(around.directions, 2) @ unseen, 0)
     seen = around.seen[:, None]
     return around.project(seen * tone.undo(around.radiance_linear) + (1 - seen) * rest)
 
 
 def limit_light(light: SceneLight) -> SceneLight:
-    """The light with the shown brightness of a level white surface inside `LIMITS`."""
+    """Limit the shown brightness of a level white surface to `LIMITS`."""
     shown = np.clip(light.tone.show(np.full(3, _up(light))), *LIMITS)
     return _with_level(light, float(light.tone.undo(shown)[0]))
 
 
 def light_of_map(around: EnvironmentMap, scan: SceneLight, source: str) -> SceneLight:
-    """The light of a map, as bright on a level surface and shown as the light found in a scan."""
+    """Make the light of a map, with the level brightness and the tone curve of a scan's light."""
     return _with_level(SceneLight(around.light(), scan.tone, source), _up(scan))
 
 
 def _with_level(light: SceneLight, level: float) -> SceneLight:
-    """The light made brighter or darker, so that a level white surface sends back so much, linear."""
+    """Scale the light so that a level white surface reflects a given radiance, linear."""
     return light._replace(arriving=light.arriving.scale_by(level / max(_up(light), 1e-6)))
 
 
 def _up(light: SceneLight) -> float:
-    """Radiance that a level white surface reflects, linear, mean of the channels."""
+    """Compute the radiance that a level white surface reflects, linear, mean of the channels."""
     return float(light.arriving.irradiance(np.array([[0, 0, 1.0]])).mean())
 
 
 def _robot_samples(
     twin: TwinModel, world: Gaussians, robot: RobotModel, eyes_world: Array, rng: np.random.Generator
 ) -> LitSamples:
-    """The robot's Gaussians that lie on its meshes and were seen from several sides."""
+    """Sample the robot's Gaussians that lie on its meshes and were seen from several sides."""
     Ts = body_poses(twin, robot, twin.scan_state)
     points, normals, colors = _surface_points(robot, Ts[1 : 1 + len(robot.body_names)], rng)
     mine = np.flatnonzero((twin.labels == ROBOT) & (world.opacities > 0.3) & (twin.bodies > 0))

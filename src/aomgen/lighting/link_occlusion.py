@@ -15,10 +15,11 @@ from aomgen.splatting.surfels import Surfels
 
 # Joint values, as shares of the range.
 STATES: Final = (0.0, 0.5, 1.0)
-# Occlusion is computed at every THINNED-th disc, and is a mean over NEAR of these, among which another direction
-# counts as this distance, [m].
+# Occlusion is computed at every THINNED-th disc and averaged over the NEAR closest of these, where a
+# difference of direction counts as this distance, [m].
 THINNED, NEAR, ALIKE_M = 2, 8, 0.2
-# Surfaces open to less than this share of the sky in every state are hidden: faces of a gap, insides of bodies.
+# Surfaces open to less than this share of the sky in every state are hidden: faces of a gap, interior
+# surfaces.
 CLOSED: Final = 0.02
 
 
@@ -30,14 +31,14 @@ def estimate_link_transfer(
     normals: NDArray[np.float32],
     links: NDArray[np.int64],
 ) -> NDArray[np.float32]:
-    """Transfer (N, 9), see `core.light`, of points on an asset's links, mean over the joint's range.
+    """Estimate the transfer (N, 9), see `core.light`, of points on an asset's links, as mean over the range.
 
-    Surfaces that are closed in are not seen: joint values at which a disc is open to the sky count more. A point gets
-    the mean of the discs near by with a similar normal: a single one's is as rough as the cells in which its occlusion
-    was found.
+    Enclosed surfaces are invisible, so joint values at which a disc is open to the sky have more weight. A
+    point gets the mean of nearby discs with a similar normal: a single disc is as noisy as the cells in which
+    its occlusion was computed.
 
     Args:
-        covers: Discs on the static and on the moving link, own frame.
+        covers: Discs on the static and on the moving link, link frame.
         solids: Dense points (M, 3) of each.
         means, normals: The points (N, 3) and their unit normals, frame of their link.
         links: Link of each point (N,), 0 or 1.

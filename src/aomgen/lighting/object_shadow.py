@@ -1,4 +1,4 @@
-"""Visibility of the sky from the surface that an object stands on, as a table that moves along with the object."""
+"""Visibility of the sky from the surface below an object, as a table that moves with the object."""
 
 from dataclasses import dataclass, replace
 from typing import Annotated, Final
@@ -19,19 +19,20 @@ from aomgen.twin.twin import OBJECT, PART, TwinModel
 CELL: Final = 0.015
 # Soft shadow is computed up to this distance from the object, and fades out over the last third, [m].
 REACH: Final = 0.35
-# Directions of soft light over the whole sphere, of which half lie above the plane; the map is smoothed after.
+# Number of directions of soft light on the sphere, half of them above the plane; the map is smoothed
+# afterwards.
 SKY_DIRECTIONS: Final = 160
-# Joint values, from limit to limit, for which soft shadow is computed; between them it is interpolated.
+# Number of joint values, from limit to limit, for which soft shadow is computed; others are interpolated.
 STATES: Final = 9
-# Light that surrounding surfaces reflect into a shadow, as a share of what is blocked.
+# Light that surrounding surfaces reflect into a shadow, as a share of the blocked light.
 FILL: Final = 0.15
-# Pixels rendered for each cell of a soft map, along a side.
+# Number of pixels rendered for each cell of a soft map, along a side.
 FINER: Final = 2
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ObjectShadow:
-    """Visibility of light from D directions past an object, from the surface it stands on.
+    """Visibility of light from D directions past an object, from the surface below it.
 
     Attributes:
         T_object_plane: Frame of the surface.
@@ -50,7 +51,7 @@ class ObjectShadow:
     __post_init__ = freeze_arrays
 
     def block(self, light: Light, T_world_object: ArrayLike) -> NDArray[np.float32]:
-        """Share (K, rows, columns) of a light's irradiance that is blocked where the object is at a pose (4, 4)."""
+        """Compute the share (K, rows, columns) of irradiance that an object at a pose (4, 4) blocks."""
         R = (np.asarray(T_world_object) @ self.T_object_plane)[:3, :3]
         radiance = (sh_basis(self.directions @ R.T, 2) @ light.radiance_sh).mean(1)
         weights = self.directions[:, 2] * np.maximum(radiance, 0)
@@ -59,19 +60,19 @@ class ObjectShadow:
             weights.sum(), 1e-9
         )
         blocked = np.stack([gaussian_filter((1 - FILL) * (1 - share), 1.0) for share in passed])
-        # The cell's distance from the border, as a share of the last third of the reach.
+        # The fade is the cell's distance from the border, as a share of the last third of the reach.
         rows, columns = (np.minimum(np.arange(n), n - 1 - np.arange(n)) for n in passed.shape[1:])
         fade = np.clip(np.minimum(rows[:, None], columns) * CELL / (REACH / 3), 0, 1)
         return (blocked * fade).astype(np.float32)
 
     def interpolate(self, maps: NDArray[np.float32], thetas: Array) -> NDArray[np.float32]:
-        """Maps (T, rows, columns) at joint values (T,), of those of all states (K, rows, columns)."""
+        """Interpolate maps (K, rows, columns) of all states at joint values (T,)."""
         place = np.interp(thetas, self.thetas, np.arange(len(self.thetas)))
         weights = np.maximum(1 - np.abs(place[:, None] - np.arange(len(self.thetas))), 0)
         return np.einsum("tk,kij->tij", weights.astype(np.float32), maps)
 
     def scale_by(self, factor: float, prismatic: bool) -> "ObjectShadow":
-        """The shadow of the object scaled about its origin."""
+        """Scale the shadow with its object about the object's origin."""
         T = np.array(self.T_object_plane)
         T[:3, 3] *= factor
         grid = replace(self.grid, low=self.grid.low * factor, cell=self.grid.cell * factor)

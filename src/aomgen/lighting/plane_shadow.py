@@ -1,8 +1,8 @@
 """Shadows on a level surface: the fast path of `visibility` for many directions of light and many frames.
 
-The engine renders the bodies pressed flat onto the surface along the light, so that an image is a map of the shadow.
-Points above the surface, but below the bodies, are looked up along the light too (shadow mapping: Williams 1978,
-"Casting curved shadows on curved surfaces").
+The engine renders the bodies projected onto the surface along the light, so that an image is a map of the
+shadow. For points above the surface, but below the bodies, the map is read at their projection along the
+light (shadow mapping: Williams 1978, "Casting curved shadows on curved surfaces").
 """
 
 from dataclasses import dataclass, replace
@@ -20,14 +20,14 @@ from aomgen.robots.robot import RobotModel
 from aomgen.splatting.session import Motion, RenderSession, draw_outputs
 from aomgen.twin.twin import OBJECT, TwinModel, standing_bodies
 
-# Heights over which a seen point fades in and out of the surface, [m]. Depth of trained
-# surfaces is uncertain, mostly downwards, because lower Gaussians shine through.
+# Heights over which a visible point fades in and out of the surface, [m]. Depth of trained
+# surfaces is uncertain, mostly downwards, because lower Gaussians are visible through upper ones.
 HEIGHTS: Final = (-0.09, -0.06, 0.012, 0.03)
 # Least side of the cells of a crisp shadow, [m], about a pixel, and of the shadow of a wide light, which is softer.
 CELL, WIDE_CELL = 0.004, 0.012
-# Most cells along a side of a map.
+# Largest number of cells along a side of a map.
 MAP_SIDE: Final = 512
-# Nothing that an arm carries casts a shadow farther from its base than this, [m].
+# Bodies carried by an arm do not cast a shadow farther from its base than this, [m].
 REACH: Final = 2.5
 
 
@@ -49,12 +49,12 @@ class PlaneGrid:
     __post_init__ = freeze_arrays
 
     def points(self) -> Array:
-        """Centers of the cells (rows, columns, 3), on the surface."""
+        """Compute the centers of the cells (rows, columns, 3), on the surface."""
         centers = self.low + (np.indices((self.columns, self.rows)).T + 0.5) * self.cell
         return np.concatenate([centers, np.zeros_like(centers[..., :1])], -1)
 
     def lookup(self, points: Array) -> csr_array:
-        """Matrix (N, rows * columns) that interpolates a map at points (N, 2); 0 outside."""
+        """Make a matrix (N, rows * columns) that interpolates a map at points (N, 2); 0 outside."""
         places = (points - self.low) / self.cell - 0.5
         corner = np.floor(places).astype(np.int64)
         share = places - corner
@@ -77,11 +77,11 @@ def project_shadow(
     grid: PlaneGrid,
     threads: int | None = None,
 ) -> NDArray[np.float32]:
-    """Share (T, D, rows, columns) of each direction's light that bodies block at each cell.
+    """Compute the share (T, D, rows, columns) of each direction's light that bodies block at each cell.
 
     Args:
         bodies: N Gaussians in the frames of their parts.
-        parts: Part of each (N,); None for one rigid body.
+        parts: Part of each Gaussian (N,); None for one rigid body.
         Ts_plane_part: Poses (T, P, 4, 4) in the frame of the surface.
         directions_plane: Unit directions to the light (D, 3), z > 0.
         grid: Cells of the maps.
@@ -90,7 +90,7 @@ def project_shadow(
     camera = Camera(
         fx=1 / grid.cell, fy=1 / grid.cell, cx=0.0, cy=0.0, width=grid.columns, height=grid.rows, T_world_cam=np.eye(4)
     )  # fmt: skip
-    # Along the light onto the surface, which lies at depth 1.
+    # The bodies are projected along the light onto the surface, which is at depth 1.
     Ts_flat = np.tile(np.eye(4), (len(directions_plane), 1, 1))
     Ts_flat[:, :2, 2] = -directions_plane[:, :2] / directions_plane[:, 2:]
     Ts_flat[:, :2, 3] = -grid.low
@@ -109,7 +109,7 @@ def project_shadow(
 def select_casters(
     twin: TwinModel, robot: RobotModel, new_object: bool = False
 ) -> tuple[TwinModel, TwinModel]:
-    """Bodies whose shadow is new, and bodies whose shadow was scanned because no joint moves them.
+    """Select the bodies whose shadow is new, and the static bodies whose shadow was scanned.
 
     The static part of a `new_object` was not scanned.
     """
@@ -127,22 +127,22 @@ def measure_blocked_light(
     points_world: Array,
     threads: int | None = None,
 ) -> Array:
-    """Share (T, N) of the light from directions (K, 3) that bodies with a new shadow take from points (N, 3) below them.
+    """Measure the share (T, N) of light from directions (K, 3) that is newly blocked at points (N, 3).
 
-    Where other bodies cast a scanned shadow there is nothing left to take. Cells depend on the points alone, so that equal
-    states give equal results.
+    Where other bodies cast a scanned shadow, no more light is removed. Cells depend on the points alone, so
+    that equal states give equal results.
 
     Args:
-        casters: From `select_casters`.
+        casters: Result of `select_casters`.
         Ts_world_body: Poses (T, B, 4, 4).
-        T_world_plane: A surface near the points, on which the maps are.
+        T_world_plane: Pose of a surface near the points, on which the maps are computed.
         directions: Unit directions to the light, world frame.
         points_world: Points on, above or below the surface.
         threads: As in `splatting.rasterizer.render`.
     """
     to_plane = invert(T_world_plane)
     directions_plane, points = directions @ to_plane[:3, :3].T, apply(to_plane, points_world)
-    # The light through a point meets the surface there.
+    # Each point is projected onto the surface along the light.
     along = points[:, :2] - points[:, 2:] * (directions_plane[:, :2] / directions_plane[:, 2:])[:, None]
     reached = np.clip(along.reshape(-1, 2), to_plane[:2, 3] - REACH, to_plane[:2, 3] + REACH)
     if not len(reached):
@@ -160,7 +160,7 @@ def measure_blocked_light(
 
 
 def intersect_surface(T_world_plane: Array, camera: Camera, depth: Array) -> tuple[Array, Array]:
-    """Intersect lines of sight with a plane: points (H, W, 3), and how much the depth seen (H, W) belongs to it, 0..1."""
+    """Intersect pixel rays with a plane (H, W, 3), and measure how much depths (H, W) belong to it, 0..1."""
     rays = camera.directions()
     to_plane = invert(T_world_plane)
     eye, falls = apply(to_plane, camera.center)[2], rays @ to_plane[2, :3]
@@ -171,6 +171,6 @@ def intersect_surface(T_world_plane: Array, camera: Camera, depth: Array) -> tup
 
 
 def surface_share(T_world_plane: Array, points_world: ArrayLike) -> Array:
-    """Measure how much points (..., 3) belong to a surface, 0..1, by their height over it."""
+    """Measure how much points (..., 3) belong to a surface, 0..1, by their height above it."""
     heights = apply(invert(T_world_plane), points_world)[..., 2]
     return np.interp(heights, HEIGHTS, (0.0, 1.0, 1.0, 0.0))

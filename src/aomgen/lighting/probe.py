@@ -1,4 +1,4 @@
-"""Radiance that arrives at a point from all directions: the twin rendered outward, and the share of the sphere it shows."""
+"""Radiance that arrives at a point from all directions, rendered from the twin, and the covered share."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -16,7 +16,7 @@ from aomgen.core.values import Array, freeze_arrays
 from aomgen.splatting.rasterizer import render
 from aomgen.splatting.surfaces import compute_rendered_points
 
-# Pixels along the side of a face of the cube.
+# Number of pixels along the side of a face of the cube.
 FACE_PX: Final = 24
 # Directions with less accumulated alpha than this were not scanned.
 MIN_ALPHA: Final = 0.05
@@ -28,13 +28,13 @@ FACES: Final = tuple(
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Probe:
-    """Radiance at a place in D directions.
+    """Radiance at a location from D directions.
 
     Attributes:
-        directions: Unit, to where the light comes from, world frame.
-        solid_angles: Of each, [sr]; 4 pi together.
-        seen: Share of each that the scan shows, 0..1.
-        radiance_linear: Of that share, as images show it.
+        directions: Unit vectors towards the light, world frame.
+        solid_angles: Solid angle of each direction, [sr]; 4 pi together.
+        seen: Share of each direction that the scan shows, 0..1.
+        radiance_linear: Radiance of that share, as images show it.
     """
 
     directions: Annotated[Array, "D 3"]
@@ -45,14 +45,14 @@ class Probe:
     __post_init__ = freeze_arrays
 
     def project(self, radiance: Array) -> Array:
-        """Harmonics (9, ...) of radiance (D, ...)."""
+        """Compute harmonics (9, ...) of radiance (D, ...)."""
         return project_radiance(self.directions, self.solid_angles, radiance)
 
 
 def probe_light(world: Gaussians, place: Array, views: Sequence[Camera]) -> Probe:
-    """Draw Gaussians, world frame, outward from a place (3,).
+    """Render Gaussians, world frame, outward from a location (3,).
 
-    Directions that no view of the scan has in its frame count as unknown: Gaussians far out there explain other surfaces.
+    Directions outside all views of the scan count as unknown: distant Gaussians there explain other surfaces.
     """
     found = []
     half = FACE_PX / 2
@@ -68,7 +68,7 @@ def probe_light(world: Gaussians, place: Array, views: Sequence[Camera]) -> Prob
         )
         found.append((
             (rays / length[..., None]).reshape(-1, 3),
-            # A pixel of the unit cube, seen under the cosine, at its distance.
+            # Solid angle of a pixel of the unit cube, by its distance and viewing angle.
             ((2 / FACE_PX) ** 2 / length**3).ravel(),
             np.where(known, drawn.alpha.ravel(), 0.0),
             linear_from_srgb(np.clip(shown, 0, 1)).reshape(-1, 3),
@@ -83,7 +83,7 @@ def probe_light(world: Gaussians, place: Array, views: Sequence[Camera]) -> Prob
 
 
 def _in_frame(points: Array, views: Sequence[Camera]) -> NDArray[np.bool_]:
-    """Points (N, 3) that lie in the frame of one of the views; NaN lie nowhere."""
+    """Find points (N, 3) that are in the frame of one of the views; NaN are in none."""
     inside = np.zeros(len(points), bool)
     for view in views:
         pixels, depth = view.project(points)

@@ -1,11 +1,12 @@
 """Appearance of a new object's surfaces in a scene's light: colors as its camera shows them, and reflections.
 
-A reflection is a function of where a surface is seen from. Mirrored at the surface, the harmonics of the light are those
-of what is seen in it, blurred by roughness; the flatter the look, the more is reflected, the less so the rougher. Gaussians
-keep harmonics of it beside their color, in the frame of their link. They are right where the object was recorded and turn
-with the part: about the vertical little changes, because light comes from above.
+A reflection depends on the viewing direction. The harmonics of the light, mirrored at the surface and
+blurred by roughness, are those of its reflection; reflectance grows at grazing angles, less so on rough
+surfaces. Gaussians store harmonics of the reflection next to their color, in the frame of their link. They
+are exact where the object was recorded and rotate with the part; rotation about the vertical changes little,
+because light comes from above.
 
-Source: Schlick 1994 (reflection by angle); Lagarde 2011 (of a rough surface).
+Source: Schlick 1994 (reflectance by angle); Lagarde 2011 (of a rough surface).
 """
 
 from dataclasses import replace
@@ -24,18 +25,19 @@ from aomgen.splatting.surfels import Surfels
 
 # Band of each of the nine harmonics.
 BANDS: Final = np.repeat([0, 1, 2], [1, 3, 5])
-# Views of a surface with the normal z, along which it is looked at: half of them show it.
+# Viewing directions of a surface with the normal z; the surface is visible in half of them.
 VIEWS: Final = sphere_directions(128)
-# Weight of the views from behind the surface; without it harmonics would be arbitrary there.
+# Weight of views from behind the surface; without it harmonics would be arbitrary there.
 BACK: Final = 0.02
-# Nothing is lit less than this, linear: dividing by it would make small differences large.
+# Lower bound of received light, linear: dividing by less would make small differences large.
 BLACK: Final = 0.002
 
 
 def show_in_light(surfels: Surfels, light: SceneLight, R_world_asset: Array) -> Surfels:
-    """Surfels of a link as they look in a light, asset frame at joint value 0.
+    """Compute the appearance of a link's surfels in a light, asset frame at joint value 0.
 
-    The albedo becomes what a diffuse surface would need to look alike on the whole; harmonics of the Gaussians add how
+    The albedo becomes that of a diffuse surface with the same mean color; harmonics of the Gaussians add the
+    deviation of the reflection from its mean.
     the reflection differs from its mean.
     """
     radiance, shown = (part.view_from(R_world_asset) for part in (light.arriving, light.shown))
@@ -45,13 +47,13 @@ def show_in_light(surfels: Surfels, light: SceneLight, R_world_asset: Array) -> 
     # The constant part of an open surface's transfer is the constant harmonic.
     open_ = np.clip(surfels.transfer[:, :1] / SH_C0, 0, 1)
     roughness = surfels.roughness[:, None].astype(np.float64)
-    # Lobes of microfacets: a GGX width of the square of the roughness.
+    # Microfacet lobes: the GGX width is the square of the roughness.
     blur = np.exp(-((BANDS * roughness**2) ** 2))
     half_turns = _to_upright(surfels.shading_normals.astype(np.float64))
     above = blur[..., None] * rotate_radiance(radiance, half_turns)
     views, fit = _views()
     mirrored = np.maximum(sh_basis(views * (1, 1, -1), 2) @ above, 0)
-    # Schlick's, which roughness makes smaller, for every view.
+    # Schlick's reflectance, reduced by roughness, for every view.
     more = (np.maximum(1 - roughness, share) - share)[:, None] * (1 + views[:, 2:]) ** 5
     transfer = surfels.transfer.astype(np.float64)
     diffuse = colors * (1 - metallic) * np.maximum(transfer @ radiance, 0)
@@ -64,7 +66,7 @@ def show_in_light(surfels: Surfels, light: SceneLight, R_world_asset: Array) -> 
 
 
 def _to_upright(normals: Array) -> Array:
-    """Half turns (N, 3, 3) that swap normals (N, 3) and z."""
+    """Compute half turns (N, 3, 3) that swap normals (N, 3) and z."""
     between = normals + (0, 0, 1)
     between[np.linalg.norm(between, axis=1) < 1e-3] = (1, 0, 0)
     between /= np.linalg.norm(between, axis=1, keepdims=True)
@@ -73,9 +75,9 @@ def _to_upright(normals: Array) -> Array:
 
 @cache
 def _views() -> tuple[Array, Array]:
-    """Views (K, 3) that show a surface, and a matrix (9, K) that fits harmonics to what they show.
+    """Return views (K, 3) that show a surface, and a matrix (9, K) that fits harmonics to their colors.
 
-    They count by how large the surface appears. Where it is not seen harmonics are held near the mean.
+    Their weight is the apparent size of the surface. Where it is invisible, harmonics are kept near the mean.
     """
     views, hidden = VIEWS[VIEWS[:, 2] < 0], VIEWS[VIEWS[:, 2] >= 0]
     weights = -views[:, 2] / -views[:, 2].sum()

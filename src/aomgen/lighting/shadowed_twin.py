@@ -1,4 +1,4 @@
-"""The shadow of a directional light on the surface of a twin: rendered, and removed from the scan's colors."""
+"""Shadow of a directional light on a twin's surface: rendering it, and removing it from the scan."""
 
 from dataclasses import replace
 from typing import Any, Final
@@ -23,11 +23,11 @@ from aomgen.robots.robot import RobotModel
 from aomgen.splatting.rasterizer import Rendering, render
 from aomgen.twin.twin import TwinModel, TwinState, body_poses, pose_bodies
 
-# Edges of shadows are this uncertain, a degree or two of the light's direction, [m].
+# Uncertainty of shadow edges, a degree or two of the light's direction, [m].
 EDGE_M: Final = 0.015
-# Opacity of Gaussians that count as surface, and how many around one determine its color.
+# Least opacity of Gaussians that count as surface.
 SOLID: Final = 0.3
-# Lit Gaussians whose median gives the color of the surface: outvotes single outliers.
+# Number of lit Gaussians whose median gives the color of the surface: robust to single outliers.
 NEIGHBORS: Final = 16
 
 
@@ -51,14 +51,14 @@ def observe_shadow(
     Ts_world_body: Array,
     camera: Camera,
 ) -> tuple[Array, Array]:
-    """Measure how much of each pixel (H, W) is the light's surface, and the share of the light that is blocked there, 0..1.
+    """Measure how much of each pixel (H, W) is the light's surface, and its blocked share of the light, 0..1.
 
     Args:
         twin: A twin.
         lamp: Its directional light.
-        casters: From `select_casters`.
+        casters: Result of `select_casters`.
         Ts_world_body: Poses (B, 4, 4).
-        camera: The view.
+        camera: Camera of the view.
     """
     still = (twin.bodies == 0).astype(np.float32)[:, None]
     rendered = render(pose_bodies(twin, Ts_world_body), camera, features=still, with_ids=True)
@@ -70,7 +70,7 @@ def observe_shadow(
 
 
 def remove_baked_shadow(twin: TwinModel, robot: RobotModel, lamp: DirectionalLight) -> TwinModel:
-    """Remove the baked shadow: surface colors become those in light, and shadows are cast by the twin."""
+    """Remove the baked shadow: surface colors become the lit ones, and the twin casts the shadows."""
     Ts, T_world_plane = body_poses(twin, robot, twin.scan_state), lamp.T_world_plane
     means = np.array(pose_bodies(twin, Ts).means, np.float64)
     share = surface_share(T_world_plane, means) * (twin.bodies == 0)
@@ -83,7 +83,7 @@ def remove_baked_shadow(twin: TwinModel, robot: RobotModel, lamp: DirectionalLig
         select_casters(twin, robot), Ts[None], T_world_plane, lamp.directions, shifted
     ).reshape(9, -1)
     blocked, most = around[0], around.max(0)
-    # The shadow of a wide light has no edges to be beside.
+    # The shadow of a wide light has no sharp edges.
     unsure = (most - around.min(0) > 1 - CORE) & (len(lamp.directions) == 1)
     lit = remove_shadow(twin.gaussians, blocked, lamp)
     from_color = _find_shadow_by_color(lit, twin.gaussians, unsure, share, lamp)
@@ -92,20 +92,20 @@ def remove_baked_shadow(twin: TwinModel, robot: RobotModel, lamp: DirectionalLig
 
 
 def remove_shadow(gaussians: Gaussians, blocked: Array, lamp: DirectionalLight) -> Gaussians:
-    """Gaussians of which a share (N,) of the light was blocked, as they look without the shadow."""
+    """Remove the shadow from Gaussians of which a share (N,) of the light was blocked."""
     return gaussians.illuminate(1 / (1 - blocked[:, None] * lamp.share))
 
 
 def _find_shadow_by_color(
     lit: Gaussians, seen: Gaussians, unsure: NDArray[np.bool_], share: Array, lamp: DirectionalLight
 ) -> Array:
-    """Estimate how much Gaussians at edges of a shadow are in it (M,), 0..1, by the brightness of lit neighbors.
+    """Estimate how much Gaussians at shadow edges are in shadow (M,), 0..1, from lit neighbors.
 
     Args:
-        lit: All Gaussians without the shadow, right away from its edges.
-        seen: The same with it.
-        unsure: Which are at edges, M of N.
-        share: How much each is the surface's (N,).
+        lit: All Gaussians without the shadow, correct except at its edges.
+        seen: The same Gaussians with it.
+        unsure: Mask of the Gaussians at edges, M of N.
+        share: Share of each that belongs to the surface (N,).
     """
     sure = np.flatnonzero((share > CORE) & ~unsure & (seen.opacities > SOLID))
     count = min(NEIGHBORS, len(sure))
@@ -117,5 +117,5 @@ def _find_shadow_by_color(
 
 
 def _measure_level(gaussians: Gaussians) -> Array:
-    """Linear brightness (N,)."""
+    """Compute the linear brightness (N,)."""
     return np.asarray(linear_from_srgb(np.maximum(gaussians.colors_srgb, DARK)), np.float64).mean(1)

@@ -1,7 +1,7 @@
-"""The shadow that the recorded object cast on its table, explained by light from many directions.
+"""Shadow of the recorded object on its table, explained by light from many directions.
 
-The visibility past the object is known for every cell of the table and every direction; the radiance of the directions is
-what explains the observed brightness best. Dividing by the irradiance removes the shadow, soft or crisp.
+The visibility past the object is known for every cell of the table and every direction; the radiance of the
+directions is fitted to the observed brightness. Dividing by the irradiance removes the shadow, soft or crisp.
 """
 
 from dataclasses import dataclass
@@ -22,31 +22,32 @@ from aomgen.lighting.light_estimation import LitSamples
 from aomgen.lighting.plane_shadow import PlaneGrid, project_shadow
 from aomgen.lighting.visibility import BODY_CELLS, Occluders, estimate_transfer
 
-# Cells of the picture from above that are one cell of the shadow, along a side: it is softer than wood is grained.
+# Cells of the top view per cell of the shadow, along a side: a shadow is smoother than the grain of wood.
 COARSER: Final = 3
-# Directions over the whole sphere; those of which the sine of the elevation is less than this hardly light a table.
+# Number of directions on the sphere; those with a smaller sine of the elevation than this hardly light a
+# table.
 DIRECTIONS, MIN_SINE = 240, 0.12
-# How much the light of every direction is held near that of an even sky, as a share of the evidence.
+# Weight of the prior that the light is uniform, as a share of the evidence.
 EVEN: Final = 0.02
-# More than this is not made of what is seen, linear.
+# Largest gain: a larger one would not be based on observed colors, linear.
 MAX_GAIN: Final = 4.0
-# Brightness is compared over so many cells of the shadow, a few widths of a grain.
+# Brightness is smoothed over this number of cells of the shadow, a few widths of a grain.
 SMOOTH: Final = 1.5
-# Wood is by so much brighter in some places than on the whole, linear.
+# Wood is brighter than its mean by up to this factor in some locations, linear.
 GRAIN: Final = 1.1
-# A cell of which more than this share is known tells; fewer such cells do not tell a shadow from the grain, and more than
-# the second number tell no more.
+# Only cells of which more than this share is known are used. Fewer cells than the second number do not
+# distinguish a shadow from the grain; more than the third add no information.
 SURE, MIN_CELLS, MAX_CELLS = 0.5, 200, 1500
 
 
 @dataclass(frozen=True, kw_only=True)
 class ShadowedTable:
-    """A table from above, and what stood on it when it was photographed.
+    """A table seen from above, and the object that stood on it when it was photographed.
 
     Attributes:
         caster: The object, world frame.
-        T_world_plane: The table, z = 0 on it.
-        low: Corner of the picture, plane frame (2,).
+        T_world_plane: Pose of the table, z = 0 on it.
+        low: Corner of the image, plane frame (2,).
         cell: Side of its cells, [m].
         picture_srgb: The table from above (H, W, 3).
         known: Cells (H, W) that show the table.
@@ -61,7 +62,7 @@ class ShadowedTable:
 
     @cached_property
     def coarse(self) -> tuple[PlaneGrid, Array, Array]:
-        """Cells of the shadow: where they are, the sums (h, w, 3) of the linear colors known in them, and how much is (h, w)."""
+        """Cells of the shadow, sums (h, w, 3) of their known linear colors, and their known share (h, w)."""
         rows, columns = (-(-side // COARSER) for side in self.known.shape)
         grid = PlaneGrid(low=self.low, cell=COARSER * self.cell, columns=columns, rows=rows)
         linear = np.asarray(linear_from_srgb(self.picture_srgb), np.float64)
@@ -70,10 +71,10 @@ class ShadowedTable:
 
 
 def shadow_gain(table: ShadowedTable) -> Array:
-    """Factors (H, W, 3), 1 or more, on the light of a table that remove the shadow of what stood on it.
+    """Compute factors (H, W, 3), 1 or more, on the light of a table that remove the shadow of its object.
 
-    Not checked: that the table has one color on the whole. Where its brightness changes evenly from side to side it is
-    left so.
+    Not checked: that the table has a uniform mean color. A gradual change of its brightness from
+    side to side is preserved.
     """
     known, (grid, colors, weight) = table.known, table.coarse
     gain = np.ones((*known.shape, 3))
@@ -82,9 +83,9 @@ def shadow_gain(table: ShadowedTable) -> Array:
         return gain
     directions = sphere_directions(DIRECTIONS)
     directions = directions[directions[:, 2] > MIN_SINE]
-    # An even sky lights a table by the sine of the elevation.
+    # A uniform sky lights a table by the sine of the elevation.
     sines = directions[:, 2]
-    # What the object lets through of each.
+    # Visibility past the object of each direction.
     T_plane_world = invert(table.T_world_plane)[None, None]
     passed = 1.0 - project_shadow(table.caster, None, T_plane_world, directions, grid)[0].astype(np.float64)
     middle = grid.points()[..., :2] - grid.points()[..., :2][sure].mean(0)
@@ -100,7 +101,7 @@ def shadow_gain(table: ShadowedTable) -> Array:
         light, slope = found[: len(passed)], np.tensordot(found[len(passed) :], slopes, 1)
         arriving = np.tensordot(light, passed, 1) / max(float(light.sum()), 1e-9)
         lift = 1 / np.maximum(gaussian_filter(arriving, 0.5), 1 / MAX_GAIN)
-        # What is as bright as the table in the light has no shadow to lose, whatever the sky.
+        # Cells as bright as the lit table have no shadow to remove, whatever the sky.
         observed = gaussian_filter(colors[..., channel], SMOOTH) / np.maximum(smooth_weight, 1e-3)
         lift = np.minimum(lift, np.maximum(GRAIN * (light.sum() + slope) / np.maximum(observed, 1e-3), 1))
         fine = map_coordinates(lift, places, order=1, mode="nearest")
@@ -109,7 +110,7 @@ def shadow_gain(table: ShadowedTable) -> Array:
 
 
 def select_lit_cells(table: ShadowedTable, rng: np.random.Generator) -> LitSamples:
-    """Places of a table in the shadow of what stood on it and beside it. Their albedo is not known, 1."""
+    """Select table cells inside and outside the object's shadow; their unknown albedo is set to 1."""
     grid, colors, weight = table.coarse
     sure = np.argwhere(weight > SURE)
     if not len(sure) >= MIN_CELLS:
@@ -126,7 +127,7 @@ def select_lit_cells(table: ShadowedTable, rng: np.random.Generator) -> LitSampl
 
 
 def _pool(image: Array, rows: int, columns: int) -> Array:
-    """Means over cells of an image (H, W, ...), 0 beyond its end."""
+    """Average an image (H, W, ...) over cells; it counts as 0 beyond its end."""
     more = [(0, rows * COARSER - image.shape[0]), (0, columns * COARSER - image.shape[1])]
     whole = np.pad(image, more + [(0, 0)] * (image.ndim - 2))
     return whole.reshape(rows, COARSER, columns, COARSER, *image.shape[2:]).mean((1, 3))

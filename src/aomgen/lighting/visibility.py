@@ -12,9 +12,9 @@ from scipy.ndimage import distance_transform_cdt
 from aomgen.core.sh import sh_basis, sphere_directions
 from aomgen.core.values import Array
 
-# Directions on the sphere that are tested: about ten for each of the nine coefficients of a transfer.
+# Number of tested directions on the sphere: about ten for each of the nine coefficients of a transfer.
 DIRECTIONS: Final = 96
-# Cells along the longest side of a surface that is given by dense samples of its meshes.
+# Number of cells along the longest side of a surface that is given by dense samples of its meshes.
 CELLS: Final = 64
 # The same for a body that is given by the centers of its Gaussians alone, which are less dense.
 BODY_CELLS: Final = 32
@@ -41,15 +41,16 @@ class Occluders:
         shape = np.ceil(np.ptp(points, axis=0) / self.cell).astype(int) + 3
         empty = np.ones(tuple(shape), bool)
         empty[tuple(((points - self._low) / self.cell).astype(int).T + 1)] = False
-        # Cells to the nearest solid one: a ray can advance as many steps of at most a cell without missing any.
+        # Number of cells to the nearest solid one: a ray can advance as many steps of at most a
+        # cell without missing any.
         self._free = np.asarray(distance_transform_cdt(empty, "chessboard"))
 
     def blocks(self, starts: Array, direction: Array) -> NDArray[np.bool_]:
         """Find which rays from `starts` (N, 3) in a direction (3,) meet a solid cell."""
-        # Rows of x, y and z: sums over three columns are slow.
+        # The array has rows of x, y and z: sums over three columns are slow.
         position = np.ascontiguousarray(((starts - self._low) / self.cell + 1).T)
         shape, step = np.array(self._free.shape)[:, None], direction[:, None]
-        # To where they enter the box of all cells.
+        # Rays start where they enter the box of all cells.
         with np.errstate(divide="ignore", invalid="ignore"):
             ends = np.stack([-position, shape - position]) / step
         enter, leave = np.nanmax(ends.min(0), 0), np.nanmin(ends.max(0), 0)
@@ -70,9 +71,9 @@ class Occluders:
 def find_visibility(
     points: Array, normals: Array, occluders: Occluders, directions: Array
 ) -> NDArray[np.bool_]:
-    """Find which light from directions (D, 3) reaches surface points (N, 3) with unit normals (N, 3), as (N, D).
+    """Find whether light from directions (D, 3) reaches points (N, 3) with unit normals (N, 3), as (N, D).
 
-    Light from behind a surface does not.
+    Light from behind a surface does not reach it.
     """
     visible = normals @ directions.T > 0
     starts = points + OFFSET_CELLS * occluders.cell * normals
@@ -82,9 +83,10 @@ def find_visibility(
 
 
 def estimate_transfer(points: Array, normals: Array, occluders: Occluders) -> tuple[Array, Array]:
-    """Transfer (N, 9), see `core.light`, of points past occluders, and the cosine-weighted share (N,) of open sky.
+    """Estimate the transfer (N, 9), see `core.light`, of points past occluders, and the open sky share (N,).
 
-    Blocked light is replaced by light of the walls that block it; in a cavity these are about as dark as it is closed.
+    The share is weighted by cosines. Blocked light is replaced by light of the walls that block it; in a
+    cavity these are dark in proportion to its closure.
     """
     directions = sphere_directions(DIRECTIONS)
     visible = find_visibility(points, normals, occluders, directions)
@@ -95,7 +97,7 @@ def estimate_transfer(points: Array, normals: Array, occluders: Occluders) -> tu
 
 
 def turn_outward(points: Array, normals: Array, occluders: Occluders) -> Array:
-    """Unit normals (N, 3), flipped where their side is closed in while the other side is open.
+    """Flip unit normals (N, 3) whose side is closed in while the other side is open.
 
     Meshes may be wound either way. `occluders` are all surfaces in the same frame.
     """

@@ -1,6 +1,6 @@
-"""Shadow of an object on the walls and objects around it; `plane_shadow` serves the surface it stands on.
+"""Shadow of an object on the walls and objects around it; `plane_shadow` serves the surface below it.
 
-The shadow is computed at some of their Gaussians and interpolated between these.
+The shadow is computed at some of their Gaussians and interpolated in between.
 """
 
 from typing import Final
@@ -17,14 +17,14 @@ from aomgen.lighting.object_shadow import FILL
 from aomgen.lighting.plane_shadow import surface_share
 from aomgen.lighting.visibility import BODY_CELLS, Occluders, estimate_transfer, find_visibility
 
-# Farther from the object its shadow is weaker than the noise of images, [m].
+# At larger distances from the object its shadow is weaker than the noise of images, [m].
 REACH_M: Final = 0.8
-# Neighbors over which normals are averaged: those of single Gaussians are rough.
+# Number of neighbors over which normals are averaged: those of single Gaussians are noisy.
 NEIGHBORS: Final = 16
-# Samples that a point's shadow is interpolated from, the standard deviation of their weights, [m], and the weight of no
-# shadow, which prevails where no sample is near.
+# Number of samples from which a point's shadow is interpolated, the standard deviation of their weights, [m],
+# and the weight of no shadow, which dominates where no sample is near.
 SAMPLES, SOFT_M, AWAY = 8, 0.03, 0.05
-# Gaussians of the object that represent its shape.
+# Number of Gaussians of the object that represent its shape.
 BODY_POINTS: Final = 20_000
 
 
@@ -37,13 +37,13 @@ def cast_wall_shadow(
     T_world_plane: Array,
     at_most: int,
 ) -> Array:
-    """Share (N, 1) of its light that each Gaussian of a scene receives past a body; all of it on a plane.
+    """Compute the share (N, 1) of light that each Gaussian of a scene receives past a body; 1 on a plane.
 
     Args:
         scene: N Gaussians that never move, world frame.
         body: The object, world frame.
         light: All light at the object's location.
-        lamp: The part of it that comes from one side.
+        lamp: The directional light contained in it, if any.
         eyes_world: Camera centers (K, 3): surfaces face them.
         T_world_plane: The plane (4, 4).
         at_most: Number of samples.
@@ -72,7 +72,7 @@ def cast_wall_shadow(
 
 
 def _interpolate(samples: Array, values: Array, points: Array) -> Array:
-    """Values (N,) at points (N, 3): the mean of the samples near by, 0 away from them."""
+    """Interpolate values (N,) at points (N, 3): the mean of nearby samples, 0 away from them."""
     count = min(SAMPLES, len(samples))
     distances, nearest = cKDTree(samples).query(points, count, distance_upper_bound=3 * SOFT_M)
     weights = np.exp(-0.5 * (distances / SOFT_M) ** 2).reshape(-1, count)
@@ -81,12 +81,12 @@ def _interpolate(samples: Array, values: Array, points: Array) -> Array:
 
 
 def _thin(items: NDArray, count: int) -> NDArray:
-    """At most `count` of the items, evenly."""
+    """Select at most `count` of the items, evenly."""
     return items[:: -(-len(items) // count)]
 
 
 def _estimate_normals(surface: Gaussians, points: Array, eyes_world: Array) -> Array:
-    """Unit normals (N, 3) of a surface at points (N, 3), towards the cameras."""
+    """Estimate unit normals (N, 3) of a surface at points (N, 3), towards the cameras."""
     _, around = cKDTree(surface.means).query(points, min(NEIGHBORS, len(surface)))
     axes = matrix_from_quat(surface.quats.astype(np.float64))
     normals = axes[np.arange(len(surface)), :, np.argmin(surface.scales, 1)]

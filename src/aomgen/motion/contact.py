@@ -1,8 +1,9 @@
-"""Where the hand touches the part when the motion begins: one patch a finger.
+"""Contact patches between the gripper and the part at the start of the motion, one patch per finger.
 
-A finger touches where the distance of its surface to the part is smallest in the direction in which it presses. Pads
-press towards each other on what is between them; any other hand presses the way that the part goes. Distances are known
-to the error of reconstructed surfaces only, so a patch is the mean over the places that may be nearest.
+A finger touches the part where the gap between their surfaces is smallest along the direction of pressing.
+Pads press towards each other on the material between them; any other gripper presses in the direction in
+which the part moves. Gaps are known only up to the error of reconstructed surfaces, so a patch is the mean
+over the positions that may be nearest.
 """
 
 from dataclasses import dataclass, replace
@@ -20,24 +21,24 @@ from aomgen.motion.inputs import EMPTY_GRIP, MotionInput
 from aomgen.robots.gripper_surface import hand_surface
 from aomgen.robots.robot import FingerPad, RobotModel
 
-# Distance of the points that stand for the part's surface, and error of reconstructed surfaces of thin things, [m].
+# Spacing of the points that represent the part's surface, and error of reconstructed thin surfaces, [m].
 SURFACE_SD_M = 0.002
-# What is held seems to reach so far into the pads by that error, [m].
+# Because of that error, the held strip may appear to reach this far into the pads, [m].
 _BEHIND_M = 2 * SURFACE_SD_M
-# Points along either side of a pad's face: pads are some 2 cm long, so corners are met to a quarter of a millimeter.
+# Points along either side of a pad's face: pads are about 2 cm long, so corners are met to 0.25 mm.
 _PAD_GRID = 81
-# What is held may be turned against a pad by this much more than known, [rad]: about its length by the fit of the
-# object's box, along it by what the pads give way until they lie on it, and on the face by the few points seen of it.
+# Standard deviations of the unknown rotation of the held strip against a pad, [rad]: about its length by the
+# fit of the object's box, along it by the compliance of the pads, and on the face by the few visible points.
 _TURN_SDS = tuple(np.radians([1.0, 0.3, 5.0]))
-# Turns over which a contact is averaged; each costs one search over the points of a pad.
+# Number of rotations over which a contact is averaged; each costs one search over the points of a pad.
 _TURNS = 100
-# What is touched may seem to stand inside the hand by as much as finger and alignment are off, [m].
+# The touched surface may appear to be inside the finger by the error of finger and alignment, [m].
 _INSIDE_M = 0.01
-# Points beyond these percentiles are strays.
+# Points beyond these percentiles are outliers.
 _STRAYS = (5, 95)
-# Less travel than this has no direction, [m].
+# A shorter travel does not define a direction, [m].
 _MIN_TRAVEL_M = 5e-4
-# A surface whose normal is further from the pushing direction than this hardly pushes, cosine.
+# A surface whose normal deviates further from the pushing direction than this cosine hardly pushes.
 _MIN_FACING = 0.2
 # A finger whose share of the push is smaller than this does not touch.
 _MIN_SHARE = 0.15
@@ -45,7 +46,7 @@ _MIN_SHARE = 0.15
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Contacts:
-    """One patch a finger ("hand" for a robot without known pads), and their middle, end-effector frame, [m]."""
+    """One patch per finger ("hand" if the pads are unknown), and their mean, end-effector frame, [m]."""
 
     patches: tuple[ContactPatch, ...]
     grasp_ee: Vector3
@@ -54,7 +55,7 @@ class Contacts:
 
 
 def carry_part(demo: MotionInput, resting_s: float, times_s: Array) -> Array:
-    """Transforms (K, 4, 4) of the part since a time at which it rested, if the hand held it firmly at times (K,)."""
+    """Compute transforms (K, 4, 4) of the part since a time of rest if the gripper holds it at times (K,)."""
     Ts_world_ee = demo.ee_poses_at(np.append(resting_s, times_s))
     return Ts_world_ee[1:] @ invert(Ts_world_ee[0])
 
@@ -62,18 +63,19 @@ def carry_part(demo: MotionInput, resting_s: float, times_s: Array) -> Array:
 def find_contacts(
     demo: MotionInput, part: tuple[Array, Array], times_s: Array, Ts_world_part: Array
 ) -> Contacts:
-    """Patches of all fingers that touch, over the first moments of the motion.
+    """Find the patches of all fingers that touch, over the first moments of the motion.
 
-    The part is put where the hand has it: averaged over the moments, its place is known better than at any one of
-    them, and no patch is sought where the part was a moment ago.
+    The part is posed as the gripper carries it: averaged over the moments, its position is known better than
+    at a single one, and no patch is sought at an earlier position of the part.
 
     Args:
-        demo: Of which the hand matters.
-        part: Dense points of the part as scanned (N, 3), and the unit axes (3, 3) in rows of its box; world frame, [m].
-        times_s, Ts_world_part: Moments (K,), and where the part has gone since the scan at these (K, 4, 4).
+        demo: Demonstration, of which the robot and its log are used.
+        part: Dense points of the part as scanned (N, 3), and the unit axes (3, 3) in rows of
+            its box; world frame, [m].
+        times_s, Ts_world_part: Moments (K,), and the part's transforms since the scan there (K, 4, 4).
 
     Source: AOMGen, sec. 4.2, "Contact Point Detection", with patches in place of one nearest pair.
-    Not checked: that anything touches at all; `gap_m` tells.
+    Not checked: that anything touches at all; `gap_m` reports the remaining distance.
     """
     Ts_world_ee = demo.ee_poses_at(times_s)
     T_ee_part = average_poses(invert(Ts_world_ee) @ Ts_world_part)
@@ -86,7 +88,7 @@ def find_contacts(
         way = _find_direction(Ts_world_ee, Ts_world_part, points_ee)
         patches = _find_pushed(demo.robot, Ts_ee_body, points_ee, way)
     if not patches:
-        # Fingers that closed on something that the scan hardly saw hold it anywhere on their pads.
+        # Fingers that closed on a part that the scan hardly shows may hold it anywhere on their pads.
         patches = [face.patch(points_ee, face.grid, np.zeros(2)) for face in faces] or [_nearest(points_ee)]
     return Contacts(
         patches=tuple(_carry(patch, Ts_world_ee) for patch in patches),
@@ -95,7 +97,7 @@ def find_contacts(
 
 
 def find_between_pads(demo: MotionInput, time_s: float, points: Array) -> NDArray[np.bool_]:
-    """Which points (N, 3), world frame, lie between the pads of a hand that may hold them."""
+    """Find which points (N, 3), world frame, lie between the pads of a gripper that may hold them."""
     faces = _holding_faces(demo, np.array([time_s]), demo.body_poses_at([time_s])[0])
     between = [
         face.between(other, points, face.grid.max(0)) for face, other in zip(faces, faces[::-1], strict=True)
@@ -105,9 +107,9 @@ def find_between_pads(demo: MotionInput, time_s: float, points: Array) -> NDArra
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Face:
-    """The inner face of a finger's pad: its middle, z towards the other pad (4, 4), and even points on it (G, 2), [m].
+    """The inner face of a finger's pad: pose, z towards the other pad (4, 4), and a grid on it (G, 2), [m].
 
-    In the frame of the points that it is compared with.
+    The pose is given in the frame of the points that the face is compared with.
     """
 
     finger: str
@@ -123,24 +125,24 @@ class _Face:
         return _Face(finger=pad.finger, T_frame_face=T_frame_face, grid=grid)
 
     def between(self, other: "_Face", points: Array, half_m: ArrayLike) -> NDArray[np.bool_]:
-        """Which points (N, 3) lie within half extents of this face, from it to the other one, by surfaces' error."""
+        """Find which points (N, 3) lie within half extents of this face, up to the other one."""
         local = apply(invert(self.T_frame_face), points)
         inside = (local[:, 2] > -_BEHIND_M) & (local[:, 2] < self.openings(local[:, :2], other) + _BEHIND_M)
         return inside & np.all(np.abs(local[:, :2]) < half_m, axis=1)
 
     def slope(self, normal: Array) -> Array:
-        """How fast (2,) a plane of some normal (3,) comes nearer along this face, [m/m]."""
+        """Compute how fast (2,) a plane with a normal (3,) approaches along this face, [m/m]."""
         local = normal @ self.T_frame_face[:3, :3]
         return local[:2] / local[2]
 
     def openings(self, flat: Array, other: "_Face") -> Array:
-        """Distances (...) to the other face from points (..., 2) of this one, [m]."""
+        """Compute the distances (...) to the other face from points (..., 2) of this one, [m]."""
         T_face_other = invert(self.T_frame_face) @ other.T_frame_face
         normal = T_face_other[:3, 2]
         return np.asarray((normal @ T_face_other[:3, 3] - flat @ normal[:2]) / normal[2])
 
     def patch(self, points_ee: Array, flat: Array, touched: Array) -> ContactPatch:
-        """A patch at a point (2,) of this face that may be any of (N, 2), on a part of points (M, 3)."""
+        """Make a patch at a point (2,) of this face, one of (N, 2) candidates, on a part of points (M, 3)."""
         placed = apply(self.T_frame_face, np.pad(np.vstack([touched, flat]), ((0, 0), (0, 1))))
         return ContactPatch(
             finger=self.finger,
@@ -152,7 +154,7 @@ class _Face:
 
 
 def _holding_faces(demo: MotionInput, times_s: Array, Ts_frame_body: Array) -> list[_Face]:
-    """The faces of both pads, none if the hand has none or is closed upon itself at most of the times (K,)."""
+    """Return the faces of both pads; none without pads, or if they are closed at most times (K,)."""
     pads = demo.robot.pads[:2]
     if len(pads) < 2 or not float(np.median(demo.log.at(times_s)[1])) < EMPTY_GRIP:
         return []
@@ -160,18 +162,19 @@ def _holding_faces(demo: MotionInput, times_s: Array, Ts_frame_body: Array) -> l
 
 
 def _find_held(faces: list[_Face], points_ee: Array, axes_ee: Array) -> list[ContactPatch]:
-    """One patch on each face of a gripper that holds the part; none if the part is not between them.
+    """Find one patch on each face of a gripper that holds the part; none if it is not between them.
 
-    What is held is a piece with straight sides: a bar, a rim, a knob. Its faces are turned as the object's box is,
-    and of a plane that is turned against a pad, a corner is nearest.
+    The held piece (bar, rim, knob) has straight sides. Its faces are parallel to the object's box, and of a
+    plane that is rotated against a pad, a corner is nearest.
     """
     closing = faces[0].T_frame_face[:3, 2] - faces[1].T_frame_face[:3, 2]
     axis = axes_ee[np.argmax(np.abs(axes_ee @ closing))]
-    # The first one is the strip as it was seen.
+    # The first rotation is that of the strip as it was seen.
     turns = np.vstack([np.zeros(3), normal_points(_TURNS, 3) * _TURN_SDS])
     patches = []
     for face, other in zip(faces, faces[::-1], strict=True):
-        # As far to the side as along the fingers: what is seen of a bar beside the pads tells its line.
+        # The margin sideways equals the length along the fingers: visible points next to the
+        # pads show the bar's line.
         within = face.between(other, points_ee, face.grid.max() + _BEHIND_M)
         between = apply(invert(face.T_frame_face), points_ee[within])
         if not len(between):
@@ -193,15 +196,15 @@ def _find_held(faces: list[_Face], points_ee: Array, axes_ee: Array) -> list[Con
 def _lay_strip(
     seen: Array, grid: Array, least_m: float, turns: Array
 ) -> tuple[Array, Array, NDArray[np.bool_]]:
-    """Fit a straight strip to points (N, 2) seen before a face with points (G, 2), and turn it on the face.
+    """Fit a straight strip to visible points (N, 2) before a face with points (G, 2), and rotate it there.
 
     Args:
-        seen, grid: See above, [m].
+        seen, grid: Points of the part and of the face, [m].
         least_m: Smallest width of the strip.
-        turns: Angles (K,) by which the strip may be turned, [rad].
+        turns: Angles (K,) by which the strip may be rotated, [rad].
 
     Returns:
-        Units along and across the strip (K, 2), and the points of the face that it covers (K, G).
+        Unit vectors along and across the strip (K, 2), and the points of the face that it covers (K, G).
     """
     center = seen.mean(0)
     way = np.linalg.eigh((seen - center).T @ (seen - center))[1][:, 1]
@@ -215,10 +218,10 @@ def _lay_strip(
 
 
 def _find_pushed(robot: RobotModel, Ts_ee_body: Array, points_ee: Array, way: Array) -> list[ContactPatch]:
-    """One patch on each finger that pushes the part in a direction (3,), by what faces it and is nearest.
+    """Find one patch on each finger that pushes in a direction (3,): its nearest surface that faces the part.
 
-    Not checked: parts that bend within the width of the hand. Where hand and part are parallel, either end
-    of the patch may carry the force.
+    Not checked: parts that bend within the width of the gripper. Where gripper and part are parallel, either
+    end of the patch may carry the force.
     """
     surface = hand_surface(robot)
     points, normals = surface.pose(Ts_ee_body)
@@ -255,7 +258,11 @@ def _find_pushed(robot: RobotModel, Ts_ee_body: Array, points_ee: Array, way: Ar
 
 
 def _find_direction(Ts_world_ee: Array, Ts_world_part: Array, points_ee: Array) -> Array:
-    """Unit direction (3,) in which the part goes at the hand, or the hand, or from it to the part; end-effector frame."""
+    """Find the unit direction (3,) in which the part moves at the gripper, end-effector frame.
+
+    If the part rests, it is the direction in which the gripper moves; if that rests too, from
+    the gripper to the part.
+    """
     T_world_ee = Ts_world_ee[len(Ts_world_ee) // 2]
     touched = apply(invert(Ts_world_part[len(Ts_world_part) // 2]), T_world_ee[:3, 3])
     ways = [
@@ -270,7 +277,7 @@ def _find_direction(Ts_world_ee: Array, Ts_world_part: Array, points_ee: Array) 
 
 
 def _carry(patch: ContactPatch, Ts_world_ee: Array) -> ContactPatch:
-    """A patch of the end-effector frame in the world, averaged over the moments in which the hand carries it."""
+    """Carry a patch from the end-effector frame to the world, averaged over the moments of a firm grasp."""
     normal = (Ts_world_ee[:, :3, :3] @ patch.normal).mean(0)
     return replace(
         patch, point=apply(Ts_world_ee, patch.point).mean(0), normal=normal / np.linalg.norm(normal)
@@ -278,7 +285,7 @@ def _carry(patch: ContactPatch, Ts_world_ee: Array) -> ContactPatch:
 
 
 def _nearest(points_ee: Array) -> ContactPatch:
-    """The part's point nearest to the end effector, for a robot whose hand is not known; end-effector frame."""
+    """Take the part's point nearest to the end effector, for a robot without known fingers."""
     gap, index = cKDTree(points_ee).query(np.zeros(3))
     point = points_ee[index]
     normal = point / gap if gap > 1e-6 else np.array([0.0, 0.0, 1.0])

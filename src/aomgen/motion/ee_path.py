@@ -1,4 +1,4 @@
-"""The hand's path: over dense times, while it holds the part thinned to equal travel, and as seen from the part."""
+"""Path of the end effector: at dense times, averaged over equal travel, and relative to the part."""
 
 from dataclasses import dataclass
 from typing import Annotated
@@ -11,21 +11,21 @@ from aomgen.core.joint import Joint
 from aomgen.core.transforms import apply, invert, rotvec_from_matrix, transform
 from aomgen.core.values import Array, Vector3, freeze_arrays
 
-# Joint logs of a resting hand wander by less than this, smoothed, [m].
+# Joint logs of a resting robot drift by less than this after smoothing, [m].
 _JITTER_M = 0.001
 # Window of the smoother for measuring travel, in samples of 10 ms: short against any motion.
 _TRAVEL_WINDOW = 11
 
 
 def smooth(values: Array, step_s: float, window_s: float) -> Array:
-    """Savitzky-Golay smoothed series (T,), second order, at least five samples wide."""
+    """Smooth a series (T,) by a Savitzky-Golay filter of second order, at least five samples wide."""
     window = max(5, 2 * round(window_s / step_s / 2) + 1)
     return np.asarray(savgol_filter(values, window, 2)) if len(values) > window else np.array(values)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class GripperPath:
-    """Smooth places of the hand, world frame [m], at dense, increasing times [s]."""
+    """Smooth positions of the gripper, world frame [m], at dense, increasing times [s]."""
 
     times_s: Annotated[Array, "D"]
     points: Annotated[Array, "D 3"]
@@ -33,22 +33,22 @@ class GripperPath:
     __post_init__ = freeze_arrays
 
     def between(self, first_s: float, last_s: float) -> "GripperPath":
-        """The part of the way inside an interval."""
+        """Return the part of the path inside an interval."""
         inside = (self.times_s >= first_s - 1e-9) & (self.times_s <= last_s + 1e-9)
         return GripperPath(times_s=self.times_s[inside], points=self.points[inside])
 
     def reverse(self) -> "GripperPath":
-        """The way gone backwards, with negative times."""
+        """Return the path in reverse, with negative times."""
         return GripperPath(times_s=-self.times_s[::-1], points=self.points[::-1])
 
     @property
     def travel(self) -> Array:
-        """Farthest distance (D,) from the first point so far, [m]."""
+        """Largest distance (D,) from the first point up to each point, [m]."""
         return np.maximum.accumulate(np.linalg.norm(self.points - self.points[0], axis=1))
 
     @property
     def length(self) -> Array:
-        """Length (D,) of the way gone so far, [m]; to and fro within `_JITTER_M` is none."""
+        """Length (D,) of the path up to each point, [m]; motion back and forth within `_JITTER_M` is none."""
         gone, anchor = np.zeros(len(self.points)), 0
         for k in range(1, len(gone)):
             step = float(np.linalg.norm(self.points[k] - self.points[anchor]))
@@ -59,12 +59,12 @@ class GripperPath:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class GraspGuess:
-    """Where and how a hand holds a part, end-effector frame.
+    """First estimate of the point at which a gripper holds a part, end-effector frame.
 
     Attributes:
-        point_ee: First guess of the held point, [m].
+        point_ee: First estimate of the held point, [m].
         closing_ee: Unit direction in which fingers press on the part from both sides, or None.
-        sd_m: Standard deviation of the guess in each direction, [m].
+        sd_m: Standard deviation of the estimate in each direction, [m].
     """
 
     point_ee: Vector3
@@ -79,9 +79,9 @@ class EePath:
     """Averaged end-effector poses, equally spaced along the path, in the order of time.
 
     Attributes:
-        hold: How it holds the part.
+        hold: Grasp of the part.
         points_world: The held point, [m].
-        turns_world: Rotation vectors of the hand since the first node, [rad].
+        turns_world: Rotation vectors of the end effector since the first node, [rad].
     """
 
     Ts_world_ee: Annotated[Array, "K 4 4"]
@@ -93,7 +93,7 @@ class EePath:
 
     @staticmethod
     def of(Ts_world_ee: Array, hold: GraspGuess) -> "EePath":
-        """The path of poses (K, 4, 4)."""
+        """Build the path from poses (K, 4, 4)."""
         rotations = Ts_world_ee[:, :3, :3]
         return EePath(
             Ts_world_ee=Ts_world_ee,
@@ -104,23 +104,23 @@ class EePath:
 
     @property
     def closing_world(self) -> Array:
-        """Direction (3,) in which the fingers press at the first node; zeros where they do not."""
+        """Direction (3,) in which the fingers press at the first node; zeros if they do not press."""
         closing = self.hold.closing_ee
         return np.zeros(3) if closing is None else self.Ts_world_ee[0, :3, :3] @ closing
 
 
 def thin_path(Ts_world_ee: Array, hold: GraspGuess, *, nodes: int) -> EePath:
-    """Average a dense pose series (T, 4, 4), in the order of time, into stretches of equal travel.
+    """Average a dense pose series (T, 4, 4), in the order of time, into segments of equal travel.
 
-    Resting counts little this way, and noise of single samples averages out.
+    Rest periods count little this way, and noise of single samples averages out.
 
     Args:
-        Ts_world_ee: See above.
-        hold: Of the point whose travel is measured.
-        nodes: Largest number of stretches; empty ones are left out.
+        Ts_world_ee: Poses of the end effector.
+        hold: Grasp, whose point defines the travel.
+        nodes: Largest number of segments; empty ones are left out.
     """
     points = apply(Ts_world_ee, hold.point_ee)
-    # A polynomial keeps the first and the last samples, in which a quick hand already goes far.
+    # A polynomial keeps the first and the last samples, in which a fast end effector already moves far.
     smoothed = np.stack([smooth(column, 1.0, _TRAVEL_WINDOW) for column in points.T], 1)
     travel = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(smoothed, axis=0), axis=1)))
     bins = np.minimum((travel / max(travel[-1], 1e-12) * nodes).astype(int), nodes - 1)
@@ -128,12 +128,12 @@ def thin_path(Ts_world_ee: Array, hold: GraspGuess, *, nodes: int) -> EePath:
 
 
 def average_poses(Ts: Array) -> Array:
-    """The mean (4, 4) of poses (K, 4, 4) that are close to each other."""
+    """Compute the mean (4, 4) of poses (K, 4, 4) that are close to each other."""
     return transform(Rotation.from_matrix(Ts[:, :3, :3]).mean().as_matrix(), Ts[:, :3, 3].mean(0))
 
 
 def unwrap_rotations(rotations: Array) -> Array:
-    """Rotation vectors (K, 3) of rotations (K, 3, 3) that continue each other past half a turn."""
+    """Convert rotations (K, 3, 3) to rotation vectors (K, 3) that stay continuous past half a turn."""
     turns = rotvec_from_matrix(rotations)
     for k in range(1, len(turns)):
         angle = float(np.linalg.norm(turns[k]))
@@ -146,18 +146,19 @@ def unwrap_rotations(rotations: Array) -> Array:
 def measure_slip(
     joint: Joint, thetas: Array, Ts_world_ee: Array, grasp_ee: Array, reference: int
 ) -> tuple[Array, Array]:
-    """How far the hand has slid along the part (T, 3), [m], and turned against it (T, 3), rotation vectors.
+    """Measure slip of the gripper along the part (T, 3), [m], and its rotation vectors against it (T, 3).
 
-    World axes with the part at its scanned place; zero at the moment of index `reference`.
+    Both are in world axes with the part at its scanned pose, and zero at the moment of index `reference`.
 
     Args:
-        joint: Value 0 is the scanned place, world frame.
+        joint: Value 0 is the scanned state, world frame.
         thetas: Joint values (T,), [rad] or [m].
         Ts_world_ee: End-effector poses (T, 4, 4) at the same times, in the order of time.
         grasp_ee: Held point (3,), end-effector frame, [m].
-        reference: See above.
+        reference: Index of the moment at which slip and rotation are zero.
 
-    Not checked: that the hand touches the part; values are only as independent of the hand's path as `thetas` are.
+    Not checked: that the gripper touches the part. The result depends on the gripper's path as far as
+    `thetas` do.
     """
     Ts_part_ee = invert(joint.motion(thetas)) @ Ts_world_ee
     points, rotations = apply(Ts_part_ee, grasp_ee), Ts_part_ee[:, :3, :3]

@@ -1,4 +1,4 @@
-"""AOMotion: from one demonstration to when, where and how the part moved."""
+"""AOMotion: interval, contact, joint and joint values of the part from one demonstration."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
@@ -34,9 +34,9 @@ class MotionParams:
     """Parameters of AOMotion.
 
     Attributes:
-        joint: Of the joint's estimate.
-        photometric: Of its refinement on the video.
-        contact_steps: Moments at the start of the motion at which patches of contact are looked for.
+        joint: Parameters of the joint estimate.
+        photometric: Parameters of its refinement on the video.
+        contact_steps: Number of moments at the start of the motion at which contact patches are searched.
         width: Image width for keyframes, [px].
     """
 
@@ -64,14 +64,14 @@ def estimate_motion(
 
     Args:
         demonstration: Video, log and scan.
-        params: Of the submodules.
-        progress: Hears how far it is.
-        on_curve: Hears the motion score as soon as it is known, before anything that it shows is refused.
+        params: Parameters of the submodules.
+        progress: Receives the progress.
+        on_curve: Receives the motion score as soon as it is known, before any refusal that depends on it.
 
     Raises:
-        WrongPromptError: The hand moved something else than the prompted part.
+        WrongPromptError: The gripper moved something else than the prompted part.
         NoMotionError: The part does not move in the video.
-        DemonstrationTooShortError, AmbiguousJointError: The motion does not tell the joint.
+        DemonstrationTooShortError, AmbiguousJointError: The motion does not determine the joint.
         InputError: A part has hardly any points.
 
     Source: AOMGen, sec. 4.2, AOMotion.
@@ -114,9 +114,9 @@ def estimate_motion(
 
 
 def first_motion(demo: MotionInput) -> MotionEstimate:
-    """The motion by the hand's path alone, not refined on the video, and nothing of it judged.
+    """Estimate the motion from the gripper's path alone, without refinement on the video or quality checks.
 
-    It tells which Gaussians move, also where labels are too poor for `estimate_motion`.
+    It determines which Gaussians move, also where labels are too poor for `estimate_motion`.
 
     Raises: as `estimate_motion`.
     """
@@ -134,7 +134,7 @@ class _TypeEstimate:
     """Estimate of one joint type.
 
     Attributes:
-        found: From the gripper's path.
+        found: Candidates from the gripper's path.
         seen: Frames of the video around the part's path, None where the video shows too little.
         refined: Joint and values, refined on the video where held-out frames agree.
     """
@@ -145,7 +145,7 @@ class _TypeEstimate:
 
 
 def _take_over(estimate: MotionEstimate, answer: KinematicPrior) -> MotionEstimate:
-    """The estimate with joint, values and their errors of an answer."""
+    """Replace joint, values and their errors in an estimate by those of a refined one."""
     tilt, shift = answer.covariance[:2, :2], answer.covariance[2:, 2:]
     return replace(
         estimate,
@@ -160,7 +160,7 @@ def _take_over(estimate: MotionEstimate, answer: KinematicPrior) -> MotionEstima
 
 
 def find_radius_95(covariance: Array) -> float:
-    """Radius around the mean that holds 95 % of a normal distribution in the plane, covariance (2, 2).
+    """Find the radius that holds 95 % of a centered normal distribution in the plane, covariance (2, 2).
 
     In a direction of variance v, the squared radius is v times a chi-square variable of two degrees of freedom, so the
     probability of a radius r is the mean of `1 - exp(-r^2 / 2 v)` over all directions of the standard normal.
@@ -180,7 +180,7 @@ def find_radius_95(covariance: Array) -> float:
 def assemble(
     demo: MotionInput, curve: MotionCurve, recovered: RecoveredMotion, odds: float
 ) -> MotionEstimate:
-    """The estimate as the rest of the pipeline reads it."""
+    """Assemble the estimate that the rest of the pipeline reads."""
     frames = demo.video.times_s
     estimate, trajectory = recovered.estimate, recovered.trajectory
     start_s, end_s = trajectory.interval
@@ -216,7 +216,7 @@ def assemble(
 
 
 def _theta_sd(demo: MotionInput, recovered: RecoveredMotion, thetas: Array, frames: Array) -> Array:
-    """Standard deviation (F,) of the values, [rad] or [m]: of the joint, the grasp, the clock and the level at rest."""
+    """Compute the standard deviation (F,) of the values by joint, grasp, clock and rest level, [rad], [m]."""
     estimate, trajectory = recovered.estimate, recovered.trajectory
     poses = demo.ee_poses_at(np.append(trajectory.interval[0], np.clip(frames, *trajectory.interval)))
     path_sd = compute_path_value_sd(estimate, poses, np.append(0.0, thetas), recovered.face_normal)[1:]

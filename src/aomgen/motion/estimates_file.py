@@ -1,4 +1,4 @@
-"""`estimates.json`: everything a run estimated about the recording, so that anybody can score it."""
+"""`estimates.json`: all estimates of a run about the recording, for evaluation against ground truth."""
 
 from pathlib import Path
 from typing import Any, Final
@@ -6,7 +6,7 @@ from typing import Any, Final
 from aomgen.core.motion import MotionEstimate
 from aomgen.results import Results
 
-# What a refused motion leaves of it.
+# Entries of a refused motion.
 NO_MOTION: Final[dict[str, Any]] = {
     "clock_offset_s": None,
     "clock_offset_sd_s": None,
@@ -19,12 +19,12 @@ NO_MOTION: Final[dict[str, Any]] = {
 }
 
 ESTIMATES = "estimates.json"
-# What a refused demonstration leaves in the run's folder: its motion score, and the page about it.
+# Files in the run's folder about a refused demonstration: its motion score, and the page about it.
 REFUSED_MOTION, REFUSED_FILE = "refused_motion", "refused.html"
 
 
 def forget_refusal(out: Path) -> None:
-    """Take away what an earlier run of a folder left that was refused."""
+    """Remove the files that an earlier, refused run left in a folder."""
     for name in (f"{REFUSED_MOTION}.json", f"{REFUSED_MOTION}.npz", REFUSED_FILE):
         (out / name).unlink(missing_ok=True)
 
@@ -32,12 +32,12 @@ def forget_refusal(out: Path) -> None:
 def describe_estimates(
     results: Results, motion: MotionEstimate | None, refusals: list[dict[str, str]]
 ) -> dict[str, Any]:
-    """Content of estimates.json, world frame and SI units, as the capture format defines it.
+    """Describe the content of estimates.json, world frame and SI units, as the capture format defines it.
 
     Args:
-        results: Of a run that is finished up to its alignment.
+        results: Results of a run that is finished up to its alignment.
         motion: The recovered motion, or None when it was refused.
-        refusals: {quantity, reason} of what was refused.
+        refusals: {quantity, reason} of every refused estimate.
     """
     capture, cameras = results.pinhole_capture, results.scan_cameras
     scan = {
@@ -57,7 +57,7 @@ def describe_estimates(
 
 
 def motion_estimates(motion: MotionEstimate) -> dict[str, Any]:
-    """What `estimates.json` says of a recovered motion."""
+    """Return the entries of `estimates.json` about a recovered motion."""
     joint = motion.joint
     return {
         "clock_offset_s": motion.clock_offset_s,

@@ -1,8 +1,8 @@
-"""The joint behind a demonstration: type, axis, origin and how well they are known.
+"""Estimate of the joint behind a demonstration: type, axis, origin and their uncertainty.
 
-The part moves on a one-parameter path and the hand moves with it. A handle may turn in the fingers and
-slip through them, so the hand's pose is evidence with flaws of its own (`joint_posterior`), and the parts'
-shape is a weak belief (`part_shape`). Revolute and prismatic explanations compete by their evidence.
+The part moves on a one-parameter path and the gripper moves with it. A handle may rotate in the fingers and
+slip through them, so the gripper's pose is a measurement with noise (`joint_posterior`), and the parts' shape
+is a weak prior (`part_shape`). Revolute and prismatic explanations compete by their evidence.
 """
 
 from dataclasses import dataclass, field, replace
@@ -29,32 +29,32 @@ from aomgen.motion.joint_posterior import (
 from aomgen.motion.part_shape import PartShape
 
 _REMEDY = "record a longer demonstration"
-# Shortest motion that tells a joint: an arc of fewer degrees hardly bends, [rad]; less travel is what a hand may
-# slip, [m].
+# Shortest motion that determines a joint: an arc of fewer degrees hardly bends, [rad]; less travel may be
+# slip of the gripper, [m].
 _MIN_TURN_RAD, _MIN_TRAVEL_M = float(np.radians(15.0)), 0.03
 # Smallest difference of the types' evidence, twice the logarithm as in BIC: "positive" evidence begins at 2.
 _MIN_MARGIN = 3.0
-# A path is called straight only if an arc of a wide door's radius, [m], would stand out by so many standard deviations.
+# A path counts as straight only if an arc with the radius of a wide door, [m], differs by this many sigmas.
 _DOOR_RADIUS_M, _STRAIGHT_SD = 0.6, 3.0
-# Sizes of flaws this many standard deviations above their medians are looked into.
+# Noise scales this many standard deviations above their medians are examined.
 _UNUSUAL = 2.0
 _TURNS = [SCALES.index(name) for name in ("turn", "tilt", "pivot")]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class JointParams:
-    """How a path is read.
+    """Parameters of the joint estimate from a path.
 
     Attributes:
-        noise: Usual flaws of the evidence.
-        nodes: Stretches the path is thinned to.
+        noise: Prior of the noise of a path.
+        nodes: Number of segments that the path is reduced to.
     """
 
     noise: NoisePrior = field(default_factory=NoisePrior)
     nodes: int = 24
 
     def loosen(self) -> "JointParams":
-        """For a path on which the hand only pushes or hooks."""
+        """Return the parameters for a path on which the gripper only pushes or hooks."""
         return replace(self, noise=self.noise.loosen())
 
 
@@ -65,12 +65,12 @@ class JointEstimate:
     Attributes:
         joint: Value 0 at the beginning of the path; `upper` is the observed travel.
         grasp_ee: The held point, end-effector frame, refined, [m].
-        axis_sd_rad: Standard deviation of the direction (root of both ways' variances), [rad].
+        axis_sd_rad: Standard deviation of the direction (root of the sum of both variances), [rad].
         origin_sd_m: The same of the axis line near the contact, [m]; 0 for a prismatic joint.
         axis_ci95_rad, origin_ci95_m: Radii around direction and line that hold the true ones with 95 %.
-        residual_m: Unsteadiness of the hand along the path, [m].
-        give_rate: Slip along the way of the part per travel, standard deviation, [m/m].
-        turn_ratio: Turn of the hand over turn of the part; 0 for a prismatic joint.
+        residual_m: Unsteadiness of the gripper along the path, [m].
+        give_rate: Standard deviation of the slip along the part's path per travel, [m/m].
+        turn_ratio: Rotation of the gripper over rotation of the part; 0 for a prismatic joint.
         margin: Twice the log evidence of this type over the other one.
         axes, origins, grasps: Equally likely axes, points on them [m] and held points [m].
     """
@@ -94,11 +94,11 @@ class JointEstimate:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class JointCandidates:
-    """What either type of joint makes of a path.
+    """The joint estimate of either type for a path.
 
     Attributes:
         margin: Twice the log evidence of revolute over prismatic.
-        extent_m: Farthest that the held point came from its first place, [m].
+        extent_m: Largest distance of the held point from its first position, [m].
         unseen_bulge_m: Arcs that bulge less than this from their chord look straight in this path, [m].
     """
 
@@ -109,25 +109,26 @@ class JointCandidates:
     unseen_bulge_m: float
 
     def of(self, joint_type: JointType) -> JointEstimate:
-        """The best answer of a type."""
+        """Return the best estimate of a type."""
         return self.revolute if joint_type == "revolute" else self.prismatic
 
 
 def fit_candidates(
     Ts_world_ee: Array, hold: GraspGuess, shape: PartShape | None = None, params: JointParams | None = None
 ) -> JointCandidates:
-    """Explain the hand's poses while it holds the part by either type of joint.
+    """Explain the gripper's poses while it holds the part by either type of joint.
 
     Args:
-        Ts_world_ee, hold: End-effector poses (T, 4, 4) from the start to the end of the motion, in order.
+        Ts_world_ee, hold: End-effector poses (T, 4, 4) from the start to the end of the motion,
+            in order, and the grasp.
         shape: The parts' shape, or None to use the path alone.
-        params: How the path is read.
+        params: Parameters of the estimate.
 
     Raises:
-        DemonstrationTooShortError: The hand moved the part less than 3 cm.
+        DemonstrationTooShortError: The gripper moved the part less than 3 cm.
 
     Source: AOMGen, sec. 4.2, "Articulated Object Modeling"; the path fit replaces its edge decision,
-    the edges remain as a belief. Not checked: that the hand holds the same part all the time.
+    the edges remain as a prior. Not checked: that the gripper holds the same part all the time.
     """
     params = params or JointParams()
     path = thin_path(Ts_world_ee, hold, nodes=params.nodes)
@@ -136,7 +137,7 @@ def fit_candidates(
     if not extent >= _MIN_TRAVEL_M:
         raise DemonstrationTooShortError(
             "joint",
-            f"the hand moved the part {extent * 1e3:.0f} mm, need {_MIN_TRAVEL_M * 1e3:.0f} mm",
+            f"the gripper moved the part {extent * 1e3:.0f} mm, need {_MIN_TRAVEL_M * 1e3:.0f} mm",
             _REMEDY,
         )
     doors, drawer = make_models(path, np.inf if shape is None else shape.reach_m(points.mean(0)))
@@ -144,8 +145,8 @@ def fit_candidates(
     hinges, rails = ([], []) if shape is None else (shape.revolute_priors(), shape.prismatic_priors())
     revolute, prismatic = compute_posterior(doors, noise, hinges), compute_posterior([drawer], noise, rails)
     margin = 2 * (revolute.log_evidence - prismatic.log_evidence)
-    # The middle half of the nodes against the outer half tells the bulge. Bars are along hinges, so that arcs
-    # bend in the direction that the fingers hold best.
+    # The bulge is the middle half of the nodes against the outer half. Bars are parallel to hinges, so that
+    # arcs bend in the direction in which the fingers hold best.
     unsteady = prismatic.scales[0] * np.sqrt(4 / params.nodes)
     slip = compute_held_rate(prismatic.scales, prismatic.model.closing_alignment) * extent
     return JointCandidates(
@@ -158,7 +159,7 @@ def fit_candidates(
 
 
 def choose_type(found: JointCandidates, video_margin: float = 0.0) -> JointType:
-    """The type of joint, by the hand's path and the video: twice its log evidence for revolute over prismatic.
+    """Choose the joint type by the path and the video, given as twice its log evidence for revolute.
 
     Raises:
         DemonstrationTooShortError: Less than 15 degrees were shown.
@@ -166,7 +167,7 @@ def choose_type(found: JointCandidates, video_margin: float = 0.0) -> JointType:
     """
     margin = found.margin + video_margin
     turn = found.revolute.joint.upper
-    # Too short is what a door would have turned too little for, unless the evidence speaks for a drawer.
+    # A motion is too short if a door would have rotated too little, unless the evidence favors a drawer.
     if margin > -_MIN_MARGIN and not turn >= _MIN_TURN_RAD:
         limit = np.degrees(_MIN_TURN_RAD)
         raise DemonstrationTooShortError(
@@ -187,13 +188,13 @@ def choose_type(found: JointCandidates, video_margin: float = 0.0) -> JointType:
 
 
 def estimate_joint(Ts_world_ee: Array, hold: GraspGuess, shape: PartShape | None = None) -> JointEstimate:
-    """The joint from the hand's poses alone; arguments as in `fit_candidates`, refused as in `choose_type`."""
+    """Estimate the joint from the path alone; arguments as in `fit_candidates`, errors as `choose_type`."""
     found = fit_candidates(Ts_world_ee, hold, shape)
     return found.of(choose_type(found))
 
 
 def _loosen_ends(noise: PathNoise, types: tuple[list[Revolute], list[Prismatic]]) -> PathNoise:
-    """The noise with nodes at the ends loosened at which the hand did not hold the part, if the path is very unsteady."""
+    """Loosen end nodes at which the gripper did not hold the part, if the path is very unsteady."""
 
     def fit(noise: PathNoise) -> tuple[float, float]:
         fits = [fit_path(models, noise) for models in types]
@@ -213,7 +214,7 @@ def _loosen_ends(noise: PathNoise, types: tuple[list[Revolute], list[Prismatic]]
 
 
 def _refuse_hidden_arc(found: JointCandidates) -> None:
-    """A straight path speaks for a prismatic joint only where a door's arc would be seen."""
+    """Refuse a straight path as evidence for a prismatic joint where a door's arc would not be visible."""
     bulge = found.extent_m**2 / (8 * _DOOR_RADIUS_M)
     if bulge >= found.unseen_bulge_m:
         return
@@ -264,6 +265,6 @@ def _estimate(path: EePath, found: Posterior, joint_type: JointType, margin: flo
 
 
 def _near(model: JointModel, x: Array, point: Array) -> tuple[Array, Array]:
-    """Directions (S, 3) of the axes that unknowns (S, P) mean and their points (S, 3) nearest to a point."""
+    """Compute axis directions (S, 3) of unknowns (S, P) and points on them (S, 3) nearest to a point."""
     axes, points = model.lines(x)
     return axes, points + axes * ((point - points) * axes).sum(1, keepdims=True)

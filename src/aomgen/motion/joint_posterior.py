@@ -1,9 +1,10 @@
-"""The posterior of a joint model, given how a hand errs while it moves a part.
+"""The posterior of a joint model, given the errors of a gripper that moves a part.
 
-It errs by noise of the log, slow slip, a handle that turns in the fingers. Slip grows steadily and bends a little, so
-neither many samples nor small residuals make it small: it is a Gaussian process along the path, whose size each
-demonstration shows by its bends. Every hint of the shape times every size of these flaws is a Gaussian with an
-evidence; together they are the answer, and the evidence of a joint type is their sum.
+The errors are noise of the log, slow slip, and rotation of the handle in the fingers. Slip grows steadily and
+bends a little, so neither many samples nor small residuals reduce it: it is a Gaussian process along the
+path, whose scale each demonstration shows by its bends. Every axis prior of the shape combined with every
+choice of noise scales gives a Gaussian with an evidence; their mixture is the posterior, and the evidence of
+a joint type is their sum.
 """
 
 from collections.abc import Sequence
@@ -20,56 +21,57 @@ from aomgen.core.values import Array, freeze_arrays
 from aomgen.motion.joint_models import Prismatic, Revolute
 from aomgen.motion.part_shape import UNIFORM_PRIOR, AxisPrior
 
-# A slow course bends at its middle by 0.15 to 0.3 of its end value, finer waves are smaller as their
-# number squared (doors opened by contact).
+# A slow slip curve bends at its middle by 0.15 to 0.3 of its end value; finer waves decrease with the square
+# of their number (doors opened by contact).
 BEND_SHARE = 0.22
 # Waves along a path; the next one would have 1/36 of the first one's amplitude.
 _WAVES = 5
-# Grasps give way along the motion by this per travel, more where a handle rolls between the fingers (simulated
+# Grasps yield along the motion by this per travel, more where a handle rolls between the fingers (simulated
 # contact with 27 doors and lids, 18 drawers and sliding panels), [m/m].
 _GIVE_RATES = {"prismatic": 0.002, "revolute": 0.004}
-# Hands that slide along the bar of a drawer lose 0.05 to 0.23 of that along the pull (10 drawers).
+# Grippers that slide along the bar of a drawer lose 0.05 to 0.23 of that along the pull (10 drawers).
 _LOST_SHARE = 0.16
-# Unsteadiness of a node at which the hand may not have held the part, over that of the others.
+# Unsteadiness of a node at which the gripper may not have held the part, relative to the others.
 _INFLATION = 100.0
-# A hand that grips nothing slides along the part as it likes, by a centimeter or two in a motion of 5 to
-# 30 cm, [m/m]. It may slide evenly, so that its path's bends do not tell how much: hardly any spread.
+# A gripper that grips nothing slides freely along the part, by a centimeter or two in a motion of 5 to
+# 30 cm, [m/m]. It may slide evenly, so that the bends of its path do not show the slip: hardly any spread.
 _LOOSE_RATE, _LOOSE_SPREAD = 0.06, 0.1
-# Sizes are looked for between so many standard deviations from their medians.
+# Noise scales are searched within this many standard deviations of their medians.
 STEP_LIMITS = (-3.0, 5.0)
-# What errs: place [m] and turn [rad] of the hand from stretch to stretch; slip along the part's face, and along the
-# handle's bar or the fingers' pads, per travel [m/m]; turn of the hand across the joint's axis, and uneven turn of the
-# handle in the fingers, per travel [rad/m]; slip in the direction in which the fingers close, per travel [m/m].
+# Noise scales: position [m] and rotation [rad] of the gripper from segment to segment; slip along the part's
+# face, and along the handle's bar or the fingers' pads, per travel [m/m]; rotation of the gripper across the
+# joint's axis, and uneven rotation of the handle in the fingers, per travel [rad/m]; slip in the closing
+# direction of the fingers, per travel [m/m].
 SCALES = ("place", "turn", "face", "bar", "tilt", "pivot", "straight")
-# Possibilities this many nats below the best are left out.
+# Hypotheses this many nats below the best are left out.
 _NEGLIGIBLE = 7.0
-# Points of the quadrature over the noise scales, in seven dimensions; each costs one linear solution a hint.
+# Points of the quadrature over the noise scales, in seven dimensions; each costs one linear solution.
 _SCALE_POINTS = 24
-# A hint that pulls the axis farther than this from where the path puts it does not fit, [rad].
+# A prior that pulls the axis farther than this from the axis of the path does not fit, [rad].
 _MAX_TILT = 1.0
-# Samples of the joint that are handed on; a 95 % interval read from them is good to some percent of itself.
+# Number of samples of the joint in the result; a 95 % interval from them is accurate to a few percent.
 _DRAWS = 512
-# Relative gain of the cost below which a fit is done, some 1e-3 nats, and steps at most.
+# Relative decrease of the cost below which a fit has converged, about 1e-3 nats, and largest number of steps.
 _TOLERANCE, _MAX_STEPS = 1e-5, 30
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class NoisePrior:
-    """Usual sizes of the flaws in the order of `SCALES`, and standard deviations of their natural logarithms.
+    """Medians of the noise scales in the order of `SCALES`, and standard deviations of their logarithms.
 
-    From simulated contact with doors and drawers and from joint logs with 0.5 mrad of noise, averaged over a stretch
-    of the path.
+    They come from simulated contact with doors and drawers and from joint logs with 0.5 mrad of noise,
+    averaged over a segment of the path.
     """
 
     medians: tuple[float, ...] = (0.00015, 0.0005, 0.004, 0.006, 0.016, 0.015, 0.0015)
     spreads: tuple[float, ...] = (0.7, 0.7, 1.0, 1.8, 1.4, 1.2, 1.2)
 
     def scales(self, steps: Array) -> Array:
-        """Sizes (7,) that lie `steps` (7,) standard deviations from their medians."""
+        """Compute the noise scales (7,) that are `steps` (7,) standard deviations from their medians."""
         return np.array(self.medians) * np.exp(np.array(self.spreads) * steps)
 
     def loosen(self) -> "NoisePrior":
-        """Usual flaws of a path on which the hand only pushes or hooks: it slides across the motion."""
+        """Return the prior for a gripper that only pushes or hooks: it slides across the motion."""
         medians, spreads = (dict(zip(SCALES, row, strict=True)) for row in (self.medians, self.spreads))
         medians |= {"face": _LOOSE_RATE / 4, "bar": _LOOSE_RATE, "straight": _LOOSE_RATE}
         spreads |= {"bar": _LOOSE_SPREAD, "straight": _LOOSE_SPREAD}
@@ -78,12 +80,12 @@ class NoisePrior:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PathNoise:
-    """Covariances of what a path's nodes may err by.
+    """Covariances of the errors of a path's nodes.
 
     Attributes:
         travel_m: Travel since the first node, [m].
-        inflation: Factor on the unsteadiness of each node, 1 where nothing is wrong.
-        waves: Covariance of an uneven course of length one.
+        inflation: Factor on the unsteadiness of each node, 1 for a normal node.
+        waves: Covariance of an uneven slip curve of length one.
     """
 
     prior: NoisePrior
@@ -95,23 +97,24 @@ class PathNoise:
 
     @staticmethod
     def of(points: Array, prior: NoisePrior) -> "PathNoise":
-        """Along a path of points (K, 3), none of them loosened."""
+        """Build the noise along a path of points (K, 3), with no node loosened."""
         travel = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1)))
         k = np.arange(1, _WAVES + 1)
         waves = np.sin(np.pi * np.outer(travel / travel[-1], k)) / k**2
         return PathNoise(prior=prior, travel_m=travel, inflation=np.ones(len(points)), waves=waves @ waves.T)
 
     def loosen(self, nodes: slice) -> "PathNoise":
-        """The same with some nodes that may lie anywhere near."""
+        """Return the noise with some nodes whose error may be large."""
         inflation = self.inflation.copy()
         inflation[nodes] = _INFLATION
         return replace(self, inflation=inflation)
 
     def covariance(self, kind: str, scales: Array, closing_alignment: float) -> Array:
-        """Covariance (K, K) of a kind of residual: "face", "bar", "straight" [m], "tilt", "pivot" [rad].
+        """Compute the covariance (K, K) of residuals "face", "bar", "straight" [m], "tilt" or "pivot" [rad].
 
-        By sizes of the flaws (7,), and the square of the cosine between the "straight" direction and that in which
-        the fingers close; by the rest they give way as along the bar.
+        `scales` are the noise scales (7,). `closing_alignment` is the squared cosine between the
+        "straight" direction and the closing direction of the fingers; for the remaining share the grasp
+        yields as along the bar.
         """
         sizes = dict(zip(SCALES, scales, strict=True)) | {
             "straight": compute_held_rate(scales, closing_alignment)
@@ -123,7 +126,7 @@ class PathNoise:
         return course + np.diag((white * self.inflation) ** 2)
 
     def whiten(self, kinds: Sequence[str], steps: Array, closing_alignment: float) -> tuple[Array, float]:
-        """Matrices (C, K, K) that make residuals of kinds white, and the sum of their log determinants."""
+        """Compute matrices (C, K, K) that whiten these kinds of residuals, and the sum of their log dets."""
         scales = self.prior.scales(steps)
         factors = np.linalg.cholesky([self.covariance(kind, scales, closing_alignment) for kind in kinds])
         logs = np.log(np.diagonal(factors, axis1=1, axis2=2))
@@ -131,17 +134,17 @@ class PathNoise:
 
 
 def compute_held_rate(scales: Array, closing_alignment: float) -> float:
-    """Slip per travel [m/m] of a straight path in the direction across it that is held best, see `PathNoise.covariance`."""
+    """Compute the slip per travel [m/m] of a straight path in the lateral direction that is held best."""
     straight, bar = scales[SCALES.index("straight")], scales[SCALES.index("bar")]
     return float(np.sqrt(closing_alignment * straight**2 + (1 - closing_alignment) * bar**2))
 
 
 def compute_give_rate(joint_type: JointType, scales: Array, closing: float) -> float:
-    """Slip per travel [m/m] along the way of the part, which no path of a hand shows.
+    """Compute the slip per travel [m/m] along the part's path, which the gripper's path does not show.
 
-    `closing`: Cosine between the way and the direction in which the fingers close.
+    `closing`: Cosine between the path and the direction in which the fingers close.
 
-    Source: a sliding contact gives way against the whole of the force on it (Coulomb), so that a hand
+    Source: a sliding contact yields against the total force on it (Coulomb), so that a gripper
     that slides along the bar also loses a share of that along its pull.
     """
     along_pads = np.sqrt(max(1 - closing**2, 0.0))
@@ -150,12 +153,12 @@ def compute_give_rate(joint_type: JointType, scales: Array, closing: float) -> f
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Posterior:
-    """What is known of one joint type's unknowns.
+    """Posterior of the unknowns of one joint type.
 
     Attributes:
         draws: Samples of the unknowns, equally likely.
-        log_evidence: Of the type, up to a constant that all types share.
-        scales: Sizes of the flaws at their likeliest.
+        log_evidence: Log evidence of the type, up to a constant that all types share.
+        scales: Most likely noise scales.
     """
 
     model: Revolute | Prismatic
@@ -169,7 +172,7 @@ class Posterior:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LinearizedModel:
-    """A joint model under a hint, linear about unknowns `x` (P,).
+    """A joint model under an axis prior, linearized at unknowns `x` (P,).
 
     Attributes:
         data: Residuals (C, K) and their Jacobian (C, K, P).
@@ -185,7 +188,7 @@ class LinearizedModel:
 
     @staticmethod
     def of(model: Revolute | Prismatic, noise: PathNoise, hint: AxisPrior, x: Array) -> "LinearizedModel":
-        """By central differences."""
+        """Linearize by central differences."""
         steps = model.steps * 1e-3
         around = np.concatenate([x[None], x + np.diag(steps), x - np.diag(steps)])
 
@@ -204,7 +207,7 @@ class LinearizedModel:
         )
 
     def gaussian(self, steps: Array) -> tuple[float, Array, Array]:
-        """Log evidence, mean (P,) and information (P, P) of the unknowns at given sizes of the flaws."""
+        """Compute log evidence, mean (P,) and information (P, P) of the unknowns for given noise scales."""
         whiten, log_det = self.noise.whiten(self.model.kinds, steps, self.model.closing_alignment)
         r = np.append(whiten @ self.data[0][..., None], self.prior[0])
         J = np.concatenate([(whiten @ self.data[1]).reshape(-1, len(self.x)), self.prior[1]])
@@ -215,17 +218,17 @@ class LinearizedModel:
         return float(self.log_prior - 0.5 * (cost - free)), self.x + step, information
 
     def log_posterior(self, steps: Array) -> float:
-        """Of the sizes of the flaws, the unknowns integrated out."""
+        """Compute the log posterior of the noise scales, with the unknowns integrated out."""
         return self.gaussian(steps)[0] - 0.5 * float(steps @ steps)
 
     def likeliest(self, first: Array) -> Array:
-        """Sizes of the flaws (7,), looked for from given ones."""
+        """Find the most likely noise scales (7,), starting from given ones."""
         limits = {"bounds": [STEP_LIMITS] * len(first), "options": {"maxiter": 15, "ftol": 1e-5}}
         result = minimize(lambda steps: -self.log_posterior(steps), first, method="L-BFGS-B", **limits)
         return np.asarray(result.x, np.float64)
 
     def scale_points(self, center: Array) -> tuple[Array, Array]:
-        """Even points (N, 7) over the sizes' posterior, with log weights (N,) that make them its integral."""
+        """Sample even points (N, 7) of the scales' posterior, with log weights (N,) for its integral."""
         h, size = 0.3, len(center)
         middle, unit = self.log_posterior(center), h * np.eye(size)
         around = [self.log_posterior(center + step) + self.log_posterior(center - step) for step in unit]
@@ -240,7 +243,10 @@ class LinearizedModel:
 def compute_posterior(
     models: Sequence[Revolute | Prismatic], noise: PathNoise, hints: Sequence[AxisPrior]
 ) -> Posterior:
-    """What is known of one joint type, by its models about different first axes; none of the shape's hints may hold."""
+    """Compute the posterior of one joint type from its models about different first axes.
+
+    The axis priors of the shape compete; possibly none of them holds.
+    """
     path, steps = fit_path(models, noise)
     model, x = path.model, path.x
     for _ in range(2):
@@ -270,7 +276,7 @@ def compute_posterior(
 
 
 def fit_path(models: Sequence[Revolute | Prismatic], noise: PathNoise) -> tuple[LinearizedModel, Array]:
-    """The path alone, by the model whose first axis fits best, and the likeliest sizes of its flaws (7,)."""
+    """Fit the path alone by the model with the best first axis, and find its likeliest noise scales (7,)."""
     steps = np.zeros(len(SCALES))
     found = []
     for model in models:
@@ -283,7 +289,7 @@ def fit_path(models: Sequence[Revolute | Prismatic], noise: PathNoise) -> tuple[
 
 
 def _fit(model: Revolute | Prismatic, noise: PathNoise, hint: AxisPrior, steps: Array, first: Array) -> Array:
-    """Unknowns (P,) that fit best at given sizes of the flaws."""
+    """Fit the unknowns (P,) for given noise scales."""
     whiten = noise.whiten(model.kinds, steps, model.closing_alignment)[0]
 
     def residuals(x: Array) -> Array:
@@ -294,7 +300,7 @@ def _fit(model: Revolute | Prismatic, noise: PathNoise, hint: AxisPrior, steps: 
         return np.concatenate([(whiten @ here.data[1]).reshape(-1, len(x)), here.prior[1]])
 
     limits = {"ftol": _TOLERANCE, "max_nfev": _MAX_STEPS}
-    # Its type stubs know no function for a Jacobian.
+    # The type stubs of scipy do not accept a function as Jacobian.
     result = least_squares(residuals, first, cast(Any, slopes), method="lm", x_scale=model.steps, **limits)
     return np.asarray(result.x, np.float64)
 
@@ -304,7 +310,7 @@ def _prior(model: Revolute | Prismatic, hint: AxisPrior, x: Array) -> Array:
 
 
 def _draw(weights: Array, parts: Sequence[tuple[float, Array, Array]]) -> Array:
-    """Samples (S, P) of the mixture of Gaussians (log evidence, mean, information), evenly taken."""
+    """Sample (S, P) from the mixture of Gaussians (log evidence, mean, information) with low discrepancy."""
     places = (np.arange(_DRAWS) + 0.5) / _DRAWS
     chosen = np.minimum(np.searchsorted(np.cumsum(weights), places), len(parts) - 1)
     draws = normal_points(_DRAWS, len(parts[0][1]))

@@ -1,4 +1,4 @@
-"""Contact, joint and joint values from the hand's path during the touch."""
+"""Contact, joint and joint values from the gripper's path during the touch."""
 
 from dataclasses import dataclass
 
@@ -25,11 +25,11 @@ from aomgen.motion.keyframes import ChangeFractions
 from aomgen.motion.observations import DENSE_STEP_S, VideoObservations
 from aomgen.motion.part_shape import PartShape, measure_shape
 
-# Patches of contact are followed this long after the start of the motion, [s].
+# Contact patches are followed for this time after the start of the motion, [s].
 WINDOW_S = 0.3
-# Width of the smoother of joint values, [s]; short against any commanded motion.
+# Width of the smoother of joint values, [s]; short compared with any commanded motion.
 _SMOOTH_S = 0.2
-# Largest difference between a moment seen in the video and the one that the hand tells, [s].
+# Largest difference between the times of an event in the video and in the gripper's path, [s].
 _AGREE_S = 0.8
 
 # Start and end of a motion, [s].
@@ -41,10 +41,10 @@ class RecoveredMotion:
     """Joint and values along the touch, with the refined interval.
 
     Attributes:
-        contacts: By the refined interval.
-        found, estimate: What the hand's path says, and of the type that is recovered.
+        contacts: Contacts for the refined interval.
+        found, estimate: Candidates from the gripper's path, and the estimate of the recovered type.
         trajectory: Values along the touch.
-        level_sd: Standard deviation of its first level beyond that of the hand's path, [rad] or [m].
+        level_sd: Standard deviation of its first level beyond that of the gripper's path, [rad] or [m].
         face_normal: Outward normal of the part's face (3,) at value 0.
     """
 
@@ -58,14 +58,14 @@ class RecoveredMotion:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TouchRecovery:
-    """What a recovery starts from, whichever type the joint is of.
+    """Inputs of a recovery that are the same for both joint types.
 
     Attributes:
         demo: Video, log and scan.
-        view: The touch, and the interval seen in the picture.
-        params: How the hand's way is read.
-        contact_steps: Moments at which contact is looked for.
-        shape: Of the parts.
+        view: The touch, and the interval seen in the video.
+        params: Parameters of the joint estimate.
+        contact_steps: Number of moments at which contact is searched.
+        shape: Shape of the parts.
         surface: Points of the moving part (N, 3), world frame, [m].
     """
 
@@ -80,7 +80,7 @@ class TouchRecovery:
     def of(
         demo: MotionInput, view: VideoObservations, params: JointParams, contact_steps: int
     ) -> "TouchRecovery":
-        """With the shape of the parts."""
+        """Prepare a recovery, with the shape of the parts measured."""
         return TouchRecovery(
             demo=demo,
             view=view,
@@ -91,10 +91,10 @@ class TouchRecovery:
         )
 
     def first_candidates(self) -> JointCandidates:
-        """Either type's joint, by the interval seen.
+        """Estimate the joint of either type from the interval seen in the video.
 
         Raises:
-            DemonstrationTooShortError: The hand moved the part less than 3 cm.
+            DemonstrationTooShortError: The gripper moved the part less than 3 cm.
         """
         interval, touch = self.view.interval, self.view.touch
         moments = self._begin(interval.start_s)
@@ -103,12 +103,12 @@ class TouchRecovery:
         return self._fit(self._contacts(moments, Ts_world_part), (interval.start_s, interval.end_s))
 
     def recover(self, found: JointCandidates, joint_type: JointType) -> RecoveredMotion:
-        """Contact, joint and values, if the joint is of a type; `found` is from `first_candidates`.
+        """Recover contact, joint and values for a joint type; `found` is the result of `first_candidates`.
 
-        Twice: the second round uses the interval that the first one felt.
+        Two rounds are run: the second one uses the interval that the first one found in the gripper's path.
 
         Raises:
-            DemonstrationTooShortError: The hand moved the part less than 3 cm.
+            DemonstrationTooShortError: The gripper moved the part less than 3 cm.
         """
         seen = (self.view.interval.start_s, self.view.interval.end_s)
         trajectory = self._follow(found.of(joint_type), seen)
@@ -129,7 +129,7 @@ class TouchRecovery:
         )
 
     def _follow(self, estimate: JointEstimate, interval: Times) -> ValueTrajectory:
-        """Values along the touch, if the joint is so and moves in about this interval."""
+        """Compute values along the touch for a joint that moves in about this interval."""
         view, touch = self.view, self.view.touch
         frames_s = view.signals.times_s[touch.frames]
         times = _dense((float(frames_s[0]), float(frames_s[-1])))
@@ -151,12 +151,12 @@ class TouchRecovery:
             return follow_pushed_part(times, values, hand, interval, leave, picture)
         seen = (view.interval.start_s, view.interval.end_s)
         felt, levels = refine_interval(times, values, seen, leave)
-        # The moment felt by the hand, unless the picture contradicts it.
+        # The gripper's path determines the moment, unless the video contradicts it.
         start, end = (f if abs(f - s) <= _AGREE_S else s for f, s in zip(felt, seen, strict=True))
         return ValueTrajectory(times_s=times, values=values, interval=(start, end), levels=levels)
 
     def _beginning(self, estimate: JointEstimate, trajectory: ValueTrajectory) -> tuple[Array, Array]:
-        """First moments (K,) of a motion, and how far the part has gone by then (K, 4, 4)."""
+        """Return the first moments (K,) of a motion, and the transforms of the part by then (K, 4, 4)."""
         moments = self._begin(trajectory.interval[0])
         thetas = np.interp(moments, trajectory.times_s, trajectory.values) - trajectory.levels[0]
         return moments, estimate.joint.motion(thetas)
@@ -170,8 +170,8 @@ class TouchRecovery:
         return find_contacts(self.demo, part, moments, Ts_world_part)
 
     def _fit(self, contacts: Contacts, interval: Times) -> JointCandidates:
-        """Either type's joint by the hand's way over an interval."""
-        # Fingers that do not stand against each other push, and hold in no direction.
+        """Fit the joint of either type to the gripper's path over an interval."""
+        # Fingers that do not oppose each other push, and hold the part in no direction.
         normals = [patch.normal for patch in contacts.patches]
         pinched = len(normals) == 2 and float(normals[0] @ normals[1]) < 0
         closing_ee = self.demo.robot.closing_ee if pinched else None
@@ -180,7 +180,7 @@ class TouchRecovery:
 
 
 def find_first_frame(frames: Array, moment_s: float) -> float:
-    """Time of the first of the frames (F,) at a moment or after it; the last one's where none is."""
+    """Find the time of the first frame (F,) at or after a moment; the last frame's if there is none."""
     later = frames[frames >= moment_s - 1e-6]
     return float(later[0]) if len(later) else float(frames[-1])
 

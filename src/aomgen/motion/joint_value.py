@@ -1,8 +1,8 @@
-"""The joint value over time, in closed form from the hand's path.
+"""The joint value over time, in closed form from the gripper's path.
 
-A hand that holds the part shows its value from rest to rest. One that pushes or hooks takes it forward only: before the
-hand meets the part and after it lets go it moves freely, in between the part is as far as the hand ever pushed it; the
-picture tells where on the hand's way that begins and ends.
+A gripper that holds the part shows its value from rest to rest. One that pushes or hooks only moves the part
+forward: before contact and after release the gripper moves freely, and in between the part is as far as the
+gripper has ever pushed it. The video shows where on the gripper's path contact begins and ends.
 """
 
 from dataclasses import dataclass, replace
@@ -19,21 +19,22 @@ from aomgen.motion.ee_path import GripperPath, smooth
 from aomgen.motion.joint_estimation import JointEstimate
 from aomgen.motion.keyframes import STILL_M, ChangeFractions, detect_offset, detect_onset
 
-# Beyond this share of the radius the face passes too close to the axis to correct for sliding.
+# Beyond this share of the radius the face is too close to the axis to correct for sliding.
 _MAX_FACE_SHARE = 0.7
-# Smoothing moves a value by so many standard deviations of its noise at most.
+# Smoothing changes a value by at most this many standard deviations of its noise.
 _NOISE_SDS = 3.0
-# While it is held, a part that rests is looked at from so long to so long before it moves, [s].
+# While a part is held, its rest is observed from the first to the second of these times before it moves, [s].
 _REST_S = (0.5, 0.1)
 # Shortest rest of a held part from which the value at rest is measured, [s].
 _LEAST_REST_S = 0.1
-# A hand leaves for good when it goes aside, farther than along the part's way, by this much within this time.
+# A gripper has left the part when it moves sideways, farther than along the part's path, by
+# this much in this time.
 _ASIDE_M, _ASIDE_S = 0.004, 0.1
-# The part has left its first state when its value differs by this much, [rad], [m]: half a degree, and half a degree
-# of a door whose handle is 0.23 m from its hinge.
+# A part has left its first state when its value differs by this much, [rad], [m]: half a degree, and half a
+# degree of a door whose handle is 0.23 m from its hinge.
 LEAVE_RAD, LEAVE_M = float(np.radians(0.5)), 0.002
-# Fingers and handle yield by 1 to 3 mm from rest to a steady pull, before the part follows the gripper, [m]; of a hinge,
-# the rate at which grasps slip along the motion covers half of that.
+# Fingers and handle yield by 1 to 3 mm from rest to a steady pull, before the part follows the gripper, [m];
+# for a hinge, the rate at which grasps slip along the motion covers half of that.
 YIELD_M: Final[dict[JointType, float]] = {"prismatic": 0.002, "revolute": 0.001}
 
 
@@ -43,7 +44,7 @@ class ValueTrajectory:
 
     Attributes:
         times_s: Dense times, [s].
-        values: Smooth, growing in the demonstrated direction, [rad] or [m].
+        values: Smooth values, growing in the demonstrated direction, [rad] or [m].
         interval: Start and end of the motion, [s].
         levels: Values of the part at rest before and after.
     """
@@ -57,23 +58,24 @@ class ValueTrajectory:
 
 
 def find_motion_tolerance(joint_type: JointType) -> float:
-    """Value by which a part has left its first state or not reached its last one, [rad] or [m]."""
+    """Return the value by which a part has left its first state or not reached its last one, [rad] or [m]."""
     return LEAVE_RAD if joint_type == "revolute" else LEAVE_M
 
 
 def compute_path_values(
     joint: Joint, Ts_world_ee: Array, grasp_ee: Array, reference: int, face_normal: Array | None = None
 ) -> Array:
-    """Joint values (T,), [rad] or [m], of hand poses that hold the part.
+    """Compute joint values (T,), [rad] or [m], from gripper poses that hold the part.
 
     Prismatic: `a . (p_t - p_ref)`. Revolute: `atan2(y_t, x_t) - asin(h / rho_t)` with x along the
     part's face, y across it and h the held point's height over the face's plane through the axis;
-    it does not change when the hand slides along the face.
+    the value does not change when the gripper slides along the face.
 
     Args:
-        joint, face_normal: Axis, origin and the outward normal of the part's face (3,) at value 0, world frame; without
-            a normal the point is fixed to the part.
-        Ts_world_ee, grasp_ee: Poses (T, 4, 4) in the order of time, and the held point (3,), end-effector frame, [m].
+        joint, face_normal: Axis, origin and the outward normal of the part's face (3,) at value 0, world
+            frame; without a normal the point is fixed to the part.
+        Ts_world_ee, grasp_ee: Poses (T, 4, 4) in the order of time, and the held point (3,),
+            end-effector frame, [m].
         reference: Index of the pose that has value 0.
 
     Source: AOMGen, sec. 4.2, "Movable Part Motion Recovery"; its plane-trajectory intersection in
@@ -94,7 +96,7 @@ def compute_path_values(
         height = 0.0
     first = flat[reference]
     turn = np.unwrap(np.arctan2(np.cross(first, flat) @ joint.axis, flat @ first))
-    # The face's side seen along the axis decides the sign of the correction.
+    # The side of the face, seen along the axis, determines the sign of the correction.
     side = 1.0 if face_normal is None else float(np.sign(np.cross(joint.axis, first) @ face_normal)) or 1.0
     lean = side * np.arcsin(height / radii)
     values = turn - (lean - lean[reference])
@@ -111,8 +113,8 @@ def compute_path_value_sd(
 ) -> Array:
     """Compute the standard deviation (T,) of joint values that follow from a path, [rad] or [m].
 
-    It combines the errors of axis, origin and held point, the unsteadiness and the yield of the grasp, and slip that
-    grows with the travel.
+    It combines the errors of axis, origin and held point, the unsteadiness and the yield of the grasp, and
+    the slip, which grows with the travel.
 
     Args:
         estimate: Joint with equally likely axes, origins and held points.
@@ -133,20 +135,20 @@ def compute_path_value_sd(
 
 
 def smooth_within(values: Array, step_s: float, window_s: float, tolerance: float) -> Array:
-    """Smoothed joint values (T,) that never leave the range of the values around them.
+    """Smooth joint values (T,) without leaving the range of the values around them.
 
     A polynomial smoother rings where the part starts, pauses and stops; here a pause stays level and
-    no end is overshot. Where the values go one way but for less than `tolerance`, so does the result.
+    no end is overshot. Where the values are monotonic up to `tolerance`, so is the result.
 
     Args:
         values: Dense joint values (T,), [rad] or [m].
-        step_s, window_s: Between samples, and of the smoother, [s].
-        tolerance: Backward motion that is noise, see `find_motion_tolerance`.
+        step_s, window_s: Time between samples, and width of the smoother, [s].
+        tolerance: Backward motion that counts as noise, see `find_motion_tolerance`.
     """
     window = max(3, 2 * round(window_s / step_s / 2) + 1)
     low, high = minimum_filter1d(values, window), maximum_filter1d(values, window)
     smoothed = np.clip(smooth(values, step_s, window_s), low, high)
-    # A quick motion bends within the window: what noise does not explain was no noise.
+    # A fast motion bends within the window: a difference beyond the noise is kept.
     noise = _NOISE_SDS * robust_sd(values - smoothed)
     smoothed = np.clip(smoothed, values - noise, values + noise)
     way = 1.0 if values[-1] >= values[0] else -1.0
@@ -160,11 +162,12 @@ def smooth_within(values: Array, step_s: float, window_s: float, tolerance: floa
 def refine_interval(
     times_s: Array, values: Array, seen: tuple[float, float], tolerance: float
 ) -> tuple[tuple[float, float], tuple[float, float]]:
-    """First time at which the value differs from its first level, last time at which it differs from its last one.
+    """Find when the value first differs from its first level, and when it last differs from its last level.
 
     Args:
-        times_s, values: Dense times [s] from touch to release of a hand that holds the part, and smooth joint values (T,).
-        seen: Start and end as seen in the picture, [s].
+        times_s, values: Dense times [s] from touch to release of a holding gripper, and
+            smooth joint values (T,).
+        seen: Start and end as seen in the video, [s].
         tolerance: Difference that counts as motion, see `find_motion_tolerance`.
 
     Returns:
@@ -172,7 +175,7 @@ def refine_interval(
     """
     start_s, end_s = seen
     first_level, last_level = np.interp(seen, times_s, values)
-    # A video that begins gripped leaves no time to rest in: its first value is the level then.
+    # A video that begins with a closed grasp shows no rest: the level is then its first value.
     first_level = values[0] if times_s[0] <= start_s else first_level
     first_level = _level(select_resting(times_s, values, start_s), first_level)
     last_level = _level(values[(times_s >= times_s[-1] - 0.2) & (times_s >= end_s)], last_level)
@@ -188,15 +191,15 @@ def refine_interval(
 
 
 def select_resting(times_s: Array, values: Array, start_s: float) -> Array:
-    """Those of the values (T,) at which a held part rests before a motion that starts then."""
+    """Select the values (T,) at which a held part rests before a motion that starts at `start_s`."""
     since, until = _REST_S
     return values[(times_s >= start_s - since) & (times_s <= start_s - until)]
 
 
 def estimate_level_sd(times_s: Array, values: Array, start_s: float, tolerance: float) -> float:
-    """Standard deviation of the value (T,) at which a held part rests before a motion that starts then.
+    """Estimate the standard deviation of the value (T,) at which a held part rests before a motion.
 
-    It is that of the values at rest; `tolerance` where the gripper holds the part for too short a time to measure it.
+    It is that of the values at rest, or `tolerance` where the part is held too briefly.
     """
     rest = select_resting(times_s, values, start_s)
     enough = len(rest) > 1 and (len(rest) - 1) * (times_s[1] - times_s[0]) >= _LEAST_REST_S
@@ -209,12 +212,12 @@ def _level(values: Array, otherwise: float) -> float:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TouchObservation:
-    """What the video shows of the two ends.
+    """Changes that the video shows at both ends of a touch.
 
     Attributes:
         times_s: Times of the frames of the touch, [s].
-        seen: The part's departures in them.
-        noise: Standard deviation of a still part's departure.
+        seen: The part's change fractions in them.
+        noise: Standard deviation of a resting part's change fraction.
     """
 
     times_s: Annotated[Array, "T"]
@@ -232,15 +235,15 @@ def follow_pushed_part(
     leave: float,
     picture: TouchObservation,
 ) -> ValueTrajectory:
-    """Follow a part by the value that the hand's way would give it.
+    """Compute the values of a pushed part from those that a holding gripper would give.
 
     Args:
-        times_s, values: Dense times of the touch [s], and the joint value if the hand held the part all the time (T,),
-            smooth, growing in the demonstrated direction.
-        hand: The touching point (T, 3) in the world, and as it would be seen from the part if it held it, [m].
-        seen_s: A first guess of start and end, [s]; the hand pushes at their middle.
+        times_s, values: Dense times of the touch [s], and the joint value if the gripper held the part all
+            the time (T,), smooth, growing in the demonstrated direction.
+        hand: The touching point (T, 3) in the world, and relative to the part if the gripper held it, [m].
+        seen_s: First estimate of start and end, [s]; the gripper pushes at their middle.
         leave: Change of the value at which a motion has begun, see `find_motion_tolerance`.
-        picture: Of the touch.
+        picture: Changes in the video during the touch.
     """
     middle = int(np.argmin(np.abs(times_s - sum(seen_s) / 2)))
     gone = middle + _left(times_s[middle:], *(points[middle:] for points in hand))
@@ -258,27 +261,27 @@ def follow_pushed_part(
 
 
 def _left(times_s: Array, points_world: Array, points_part: Array) -> int:
-    """Index in (T,), at least 1, from which on the hand has left its part sideways; T when it never does."""
+    """Find the index (at least 1) from which the gripper has left the part sideways; T if it never does."""
     later = np.searchsorted(times_s, times_s + _ASIDE_S).clip(max=len(times_s) - 1)
     aside = np.linalg.norm(points_part[later] - points_part, axis=1)
     moved = np.linalg.norm(points_world[later] - points_world, axis=1)
-    # Of a way and what of it goes aside: more than half of its square.
+    # The sideways component must be more than half of the squared displacement.
     off = (aside > _ASIDE_M) & (2 * aside**2 > moved**2)
     return max(1, int(np.argmax(off))) if off.any() else len(times_s)
 
 
 def _farthest(values: Array, middle: int) -> Array:
-    """Values (T,) without what the hand moves backwards: before it comes to the part, and when it leaves it."""
+    """Remove backward motion of the gripper, before and after contact, from values (T,)."""
     return np.concatenate(
         [np.minimum.accumulate(values[: middle + 1][::-1])[::-1], np.maximum.accumulate(values[middle:])[1:]]
     )
 
 
 def sample_at_frames(frame_times_s: Array, trajectory: ValueTrajectory, tolerance: float) -> Array:
-    """Values (F,) at frame times, never below 0; the part rests before and after.
+    """Sample values (F,) at frame times, never below 0; the part rests before and after the motion.
 
-    The interval begins when the value has left its first level by a tolerance. On the way there, from the
-    last moment at that level on, the value is what the hand shows; so it is up to the last level.
+    The interval begins when the value has left its first level by a tolerance. Between the last moment at
+    that level and the interval, the value follows the gripper; the same holds at the last level.
 
     `tolerance`: see `find_motion_tolerance`.
     """

@@ -1,4 +1,4 @@
-"""What the gripper's path says about the motion, as a prior for the video."""
+"""Estimate of the motion from the gripper's path, as a prior for the video."""
 
 from dataclasses import dataclass, replace
 from typing import Annotated
@@ -12,7 +12,7 @@ from aomgen.core.values import Array, Vector3, freeze_arrays
 from aomgen.motion.inputs import MotionInput
 from aomgen.motion.joint_models import make_tangent_basis
 
-# Far below any error of a joint, so that a covariance can be inverted, [rad^2], [m^2].
+# Regularization far below any error of a joint, so that a covariance can be inverted, [rad^2], [m^2].
 _LEAST_VARIANCE = 1e-10
 
 
@@ -23,11 +23,11 @@ class KinematicPrior:
     Attributes:
         joint: World frame; value 0 is the scanned state.
         held_world: Held point when the motion begins, [m].
-        covariance: Of `shift_joint`'s numbers: tilt [rad] and, if revolute, shift [m].
+        covariance: Covariance of the parameters of `shift_joint`: tilt [rad] and, if revolute, shift [m].
         interval: First and last moment of the motion, [s].
-        times_s: Of the video's frames.
+        times_s: Times of the video's frames.
         thetas: Values, [rad] or [m].
-        theta_sd: Their standard deviation if the joint is exact.
+        theta_sd: Standard deviation of the values if the joint is exact.
     """
 
     joint: Joint
@@ -42,7 +42,7 @@ class KinematicPrior:
 
     @staticmethod
     def of(demo: MotionInput, estimate: MotionEstimate, lines: tuple[Array, Array]) -> "KinematicPrior":
-        """An estimate of a demonstration; `lines`: equally likely axes (S, 3) and points on them (S, 3) [m]."""
+        """Build the prior from an estimate and likely `lines`: axes (S, 3) and points on them (S, 3) [m]."""
         joint, held = estimate.joint, apply(demo.ee_poses_at([estimate.start_s]), estimate.grasp_ee)[0]
         prior = KinematicPrior(
             joint=joint,
@@ -55,7 +55,7 @@ class KinematicPrior:
         )
         lever = prior.value_lever()
         by_joint = np.einsum("ti,ij,tj->t", lever, prior.covariance, lever)
-        # What is left without the joint's error, and never nothing.
+        # The variance without the joint's error, which must stay positive.
         own = np.maximum(estimate.theta_sd**2 - by_joint, estimate.theta_sd**2 / 9)
         return replace(prior, theta_sd=np.sqrt(own))
 
@@ -65,9 +65,9 @@ class KinematicPrior:
         return _find_pivot(self.joint, self.held_world)
 
     def value_lever(self) -> Array:
-        """Derivatives (T, n) of the values by `shift_joint`'s numbers, the held point's path being fixed.
+        """Compute derivatives (T, n) of the values by `shift_joint`'s parameters, for a fixed held path.
 
-        The held point goes round the pivot in the plane across the axis, so that a tilt changes nothing.
+        The held point moves around the pivot in the plane across the axis, so that a tilt changes nothing.
         """
         lever = np.zeros((len(self.thetas), len(self.covariance)))
         if self.joint.type == "revolute":
@@ -83,7 +83,7 @@ def _find_pivot(joint: Joint, held_world: Array) -> Array:
 
 
 def shift_joint(joint: Joint, pivot: Array, x: Array) -> Joint:
-    """A joint tilted by x[:2] [rad] and, if revolute, moved by x[2:4] [m] across its axis at `pivot` (3,)."""
+    """Tilt a joint by x[:2] [rad] and, if revolute, move it by x[2:4] [m] across its axis at `pivot` (3,)."""
     tangents = make_tangent_basis(joint.axis)
     axis = joint.axis + x[:2] @ tangents
     offset = x[2:4] @ tangents if joint.type == "revolute" else np.zeros(3)
@@ -91,12 +91,12 @@ def shift_joint(joint: Joint, pivot: Array, x: Array) -> Joint:
 
 
 def compute_line_covariance(joint: Joint, pivot: Array, lines: tuple[Array, Array]) -> Array:
-    """Covariance (n, n) of `shift_joint`'s numbers of equally likely axes (S, 3) through points (S, 3)."""
+    """Compute the covariance (n, n) of `shift_joint`'s parameters from axes (S, 3) at points (S, 3)."""
     axes, points = lines
     tangents = make_tangent_basis(joint.axis)
     along = (axes @ joint.axis)[:, None]
     crossings = points + axes * ((pivot - points) @ joint.axis)[:, None] / along
     numbers = np.hstack([axes @ tangents.T / along, (crossings - pivot) @ tangents.T])
     numbers = numbers if joint.type == "revolute" else numbers[:, :2]
-    # About the answer itself, which need not be the samples' middle.
+    # The covariance is about the estimate itself, which may differ from the mean of the samples.
     return numbers.T @ numbers / len(numbers) + _LEAST_VARIANCE * np.eye(numbers.shape[1])

@@ -1,11 +1,12 @@
-"""Whether a part moved at all, and whether it was the prompted one.
+"""Detection of whether a part moved at all, and whether it was the prompted one.
 
-The scene is drawn with the part where the gripper would have taken it, and what changes in these drawings is
-compared with what changes in the video. A part that follows changes the video just so, one that stands does
-not, whatever shadows or the exposure do; changes of less than a pixel count.
+The scene is rendered with the part carried by the gripper, and the changes in these renderings are compared
+with those in the video. A part that follows the gripper changes the video in the same manner; a resting one
+does not, whatever shadows or the exposure do. Changes of less than a pixel count.
 
-Prompts say which part moves. People swap parts, or draw boxes around the body or another object; the
-demonstration then contradicts them twice, by where the fingers closed and by what changed in the video.
+Prompts name the part that moves. They may be swapped, or boxes may be drawn around the body or
+another object; the demonstration then contradicts them twice, by where the fingers closed and by
+what changed in the video.
 """
 
 from dataclasses import dataclass, replace
@@ -23,35 +24,36 @@ from aomgen.motion.keyframes import STILL_M, count_reference_frames, measure_cha
 from aomgen.splatting.rasterizer import RigidParts, render
 from aomgen.splatting.session import RenderSession
 
-# A standing part's picture changes all the same, by shadows of the arm and of the part: mean share.
+# The image of a resting part changes too, by shadows of the arm and of the part: mean share.
 _SHADOWS = 0.05
-# Change alone never convinces beyond these log odds, 20 to 1: shadows come in all sizes.
+# Largest log-likelihood ratio of change alone, 20 to 1: shadows come in all sizes.
 _MOST = 3.0
-# A part that moves follows the gripper's drawing by this share, and so widely; a standing one seems to
-# follow by chance, as shadows fall: standard deviation.
+# A moving part follows the rendering with the gripper by this mean share and standard deviation; a resting
+# one seems to follow by chance, because of shadows: standard deviation.
 _FOLLOWS, _FOLLOWS_SD, _CHANCE_SD = 0.7, 0.35, 0.12
-# Drawings that are made; they are spread over the touch.
+# Number of renderings, spread over the touch.
 _DRAWINGS = 12
-# Differences are cut here, so that few bright pixels do not speak for all, 8 bit.
+# Differences are clipped here, so that few bright pixels do not dominate, 8 bit.
 _CUT = 60.0
-# Noise of one pixel's difference, 8 bit; neighbors share it over about as many pixels.
+# Noise of one pixel's difference, 8 bit, and number of neighboring pixels that share it.
 _NOISE, _SHARED = 3.0, 9.0
-# Reconstructed surfaces are off by this much where they are thin, as handles are, [m].
+# Error of reconstructed thin surfaces such as handles, [m].
 _SURFACE_M = 0.01
-# A part that shows fewer pixels than this tells nothing about change.
+# A part that shows fewer pixels than this gives no evidence of change.
 _MIN_PIXELS = 30
-# Odds below which prompts are doubted, and below whose inverse they are refused. On captures with right
-# prompts the odds are 5 and more; swapped ones reach 0.15, boxes around the whole object 0.5.
+# Likelihood ratio below which prompts are doubted, and below whose inverse they are refused. On
+# captures with correct prompts the ratio is 5 or more; for swapped ones it reaches 0.15, for boxes
+# around the whole object 0.5.
 MIN_ODDS = 2.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FollowingEstimate:
-    """What the video shows of the change that the gripper would make.
+    """Agreement of the video with the change that the gripper would make.
 
     Attributes:
-        share: About 1 when the part follows the gripper, 0 when it stands.
-        sd: Standard deviation from the noise of the pictures; infinite when there is nothing to see.
+        share: About 1 when the part follows the gripper, 0 when it rests.
+        sd: Standard deviation from the noise of the images; infinite when nothing is visible.
     """
 
     share: float
@@ -60,13 +62,13 @@ class FollowingEstimate:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MotionEvidence:
-    """What speaks for and against a motion.
+    """Evidence for and against a motion.
 
     Attributes:
-        changed: Largest share of the part's picture that shows neither its first nor its last place.
-        following: How far the part follows the gripper.
+        changed: Largest share of the part's pixels that show neither its first nor its last appearance.
+        following: Agreement with a part that follows the gripper.
         nearest_m: Smallest distance of the fingers to the part, [m].
-        travel_m: Way of the gripper during the touch, [m].
+        travel_m: Path length of the gripper during the touch, [m].
     """
 
     changed: float
@@ -76,7 +78,7 @@ class MotionEvidence:
 
     @property
     def log_likelihood_ratio(self) -> float:
-        """Natural logarithm of how many times more likely a motion is than none."""
+        """Natural logarithm of the likelihood ratio of a motion over none."""
         # Densities: 1 over 0..1 if it moved, exponential with mean _SHADOWS if not.
         change = float(np.clip(self.changed / _SHADOWS + np.log(_SHADOWS), -_MOST, _MOST))
         share, noise = self.following.share, self.following.sd
@@ -87,7 +89,7 @@ class MotionEvidence:
         return change + float(np.clip(pull, -2 * _MOST, 2 * _MOST))
 
     def check(self) -> None:
-        """Refuse a demonstration in which the part stays where it is.
+        """Refuse a demonstration in which the part rests.
 
         Raises:
             NoMotionError: The gripper never comes near, or the part does not move.
@@ -107,7 +109,7 @@ class MotionEvidence:
         raise NoMotionError(
             "demonstration video",
             f"the part does not move: {pulled}, and {100 * self.changed:.0f} % of its picture changes in between "
-            f"(odds of a motion {np.exp(self.log_likelihood_ratio):.2g}, need 1)",
+            f"(likelihood ratio of a motion {np.exp(self.log_likelihood_ratio):.2g}, need 1)",
             "check that the video shows the whole motion, that the part is not locked, and the 'moving' prompts",
         )
 
@@ -120,15 +122,15 @@ def estimate_following(
     hidden: NDArray[np.bool_],
     Ts_world_ee: Array,
 ) -> FollowingEstimate:
-    """Compare the video of a touch with drawings in which the part goes with the gripper.
+    """Compare the video of a touch with renderings in which the part moves with the gripper.
 
     Args:
-        scene, labels: As scanned, with the part at the place that it has in the first frame.
+        scene, labels: Scene as scanned, with the part at its pose in the first frame.
         camera, frames_srgb: Frames (T, H, W, 3) of one exposure, without bad ones.
-        hidden, Ts_world_ee: Where the robot is (T, H, W), and the end effector (T, 4, 4).
+        hidden, Ts_world_ee: Masks of the robot (T, H, W), and end-effector poses (T, 4, 4).
 
-    Not checked: how the gripper turns in its hold. The part is drawn turning with it and not turning
-    at all, and the better drawing counts.
+    Not checked: how the part rotates with the gripper. It is rendered rotating with it and not rotating
+    at all, and the better rendering counts.
     """
     nothing = FollowingEstimate(share=0.0, sd=float(np.inf))
     if len(frames_srgb) < 3:
@@ -154,17 +156,17 @@ def estimate_following(
 
 
 def _draw(session: RenderSession, moving: Gaussians, T: Array) -> NDArray[np.float32]:
-    """The scene (H, W, 3), 0..255, with the part moved by a transform."""
+    """Render the scene (H, W, 3), 0..255, with the part moved by a transform."""
     parts = RigidParts(indices=np.zeros(len(moving), np.int32), Ts_world_part=T[None])
     return 255 * session.draw(moving, parts).rgb
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CandidateEvidence:
-    """What the demonstration shows of one part at its scanned place.
+    """Evidence of the demonstration about one part at its scanned pose.
 
     Attributes:
-        gap_m: Distance of the fingers from it when they took hold, [m].
+        gap_m: Distance of the fingers from it when they closed, [m].
         changed: Share of its visible pixels that look different after the touch.
     """
 
@@ -173,7 +175,7 @@ class CandidateEvidence:
 
     @property
     def weight(self) -> float:
-        """How well the part fits as the one that moved: near the gripper and changed."""
+        """Weight of the part as the one that moved: large near the gripper and where the video changed."""
         return (self.changed + _SHADOWS) / (self.gap_m + _SURFACE_M)
 
 
@@ -181,7 +183,7 @@ class CandidateEvidence:
 class PartIdentification:
     """The three candidates: prompted as moving, prompted as static, everything else.
 
-    Of everything else only the contact speaks; its change is taken to be a standing part's.
+    For everything else only the contact is evidence; its change is assumed to be that of a resting part.
     `gripped`: The gripper closed near one of them.
     """
 
@@ -192,7 +194,7 @@ class PartIdentification:
 
     @property
     def odds(self) -> float:
-        """How many times better "moving" fits than the better of its rivals."""
+        """Likelihood ratio of "moving" over the better of its rivals."""
         return self.moving.weight / max(self.static.weight, self.other.weight, 1e-9)
 
     def check(self) -> None:
@@ -222,7 +224,7 @@ class PartIdentification:
 
 
 def list_warnings(odds: float) -> list[str]:
-    """Sentences about prompts that the demonstration does not clearly confirm."""
+    """List warnings about prompts that the demonstration does not clearly confirm."""
     if odds >= MIN_ODDS:
         return []
     return [
@@ -238,13 +240,14 @@ def identify_part(
     frames_srgb: NDArray[np.uint8],
     robot: NDArray[np.bool_],
 ) -> PartIdentification:
-    """Look at contact and change of the three candidates.
+    """Measure contact and change of the three candidates.
 
     Args:
         regions: Pixels of the moving and of the static part, see `find_visible_regions`.
-        signals, rival_distances_m: The hand at the frames' times, and its distances to the static part and to everything
-            else (T,), [m].
-        frames_srgb, robot: Small frames of the demonstration (T, H, W, 3), and the robot's masks (T, H, W) in them.
+        signals, rival_distances_m: The gripper at the frames' times, and its distances to the static part and
+            to everything else (T,), [m].
+        frames_srgb, robot: Small frames of the demonstration (T, H, W, 3), and the robot's
+            masks (T, H, W) in them.
 
     Source: AOMGen, sec. 4.1: the movable part is the one that the gripper touches.
     Not checked: that the prompted box holds the whole part.
@@ -265,7 +268,7 @@ def identify_part(
 
 
 def _find_touch(signals: GripperSignals, nearest_m: Array) -> TouchInterval:
-    """The grasp near the prompted part, else near anything; the whole video for grippers that do not grasp."""
+    """Find the grasp near the prompted part, else near any; the whole video if nothing is grasped."""
     for candidate in (signals, replace(signals, distances_m=nearest_m)):
         touch = find_touch(candidate)
         if touch.gripped:
@@ -276,7 +279,7 @@ def _find_touch(signals: GripperSignals, nearest_m: Array) -> TouchInterval:
 def find_visible_regions(
     scene: Gaussians, labels: NDArray[np.uint8], camera: Camera
 ) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """Pixels (H, W) that show mostly the moving part, and those that show mostly the static part."""
+    """Find the pixels (H, W) that show mostly the moving part, and those that show mostly the static part."""
     bare = labels != ROBOT
     parts = np.stack([labels == MOVING, labels == STATIC], 1)[bare].astype(np.float32)
     shown = np.asarray(render(scene.select(bare), camera, features=parts).features)

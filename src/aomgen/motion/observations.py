@@ -1,4 +1,4 @@
-"""The demonstration in the size that keyframes are looked for in."""
+"""Demonstration at the resolution at which keyframes are searched."""
 
 from dataclasses import dataclass
 
@@ -39,11 +39,11 @@ from aomgen.motion.motion_detection import (
 )
 from aomgen.robots.silhouette import MasksAt
 
-# Width of the smoother of the dense end-effector path, [s]; short against any commanded motion.
+# Width of the smoother of the dense end-effector path, [s]; short compared with any commanded motion.
 _WAY_SMOOTH_S = 0.1
 # Faster videos are thinned to about this, [1/s]: a motion lasts seconds.
 MAX_FPS = 15.0
-# Fewer frames have no two rest states and a motion between them.
+# Fewer frames cannot show two rest states and a motion between them.
 _LEAST_FRAMES = 5
 # Step of dense times, [s]: that of a 100 Hz joint log.
 DENSE_STEP_S = 0.01
@@ -51,17 +51,17 @@ DENSE_STEP_S = 0.01
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class VideoObservations:
-    """Small frames of one exposure without the bad ones, robot masks, and the hand at the same times.
+    """Small frames of one exposure without the bad ones, robot masks, and the gripper at the same times.
 
     Attributes:
-        camera: Of the small frames.
+        camera: Camera of the small frames.
         frames_srgb: (T, H, W, 3).
-        masks: The robot (T, H, W).
-        signals: The hand at the frames' times.
-        touch: When it can move the part.
-        way: The hand over dense times of the whole video.
-        seen: The part's departures in the frames.
-        interval: Of the motion seen in these, whether they mean a motion or not.
+        masks: Masks of the robot (T, H, W).
+        signals: The gripper at the frames' times.
+        touch: Interval in which it can move the part.
+        way: Path of the gripper over dense times of the whole video.
+        seen: The part's change fractions in the frames.
+        interval: Interval of the motion seen in these, whether or not they are evidence of one.
     """
 
     camera: Camera
@@ -75,10 +75,10 @@ class VideoObservations:
 
     @staticmethod
     def of(demo: MotionInput, masks_at: MasksAt, width: int) -> "VideoObservations":
-        """Thin the video and shrink it to a width, [px].
+        """Reduce the frame rate of the video and resize it to a width, [px].
 
         Raises:
-            NoMotionError: Hardly any frames.
+            NoMotionError: The video has too few frames.
         """
         stride = max(1, int(np.floor(demo.video.fps / MAX_FPS)))
         width = min(width, demo.camera.width)
@@ -115,7 +115,7 @@ class VideoObservations:
         )
 
     def identify_part(self, demo: MotionInput) -> PartIdentification:
-        """Whether the prompted part is the one that moved."""
+        """Compare the prompted part with its rivals as the one that moved."""
         static, other = (
             measure_pad_distances(demo, points, self.signals.times_s)
             for points in (demo.points_static, demo.points_other)
@@ -124,7 +124,7 @@ class VideoObservations:
         return identify_part(regions, self.signals, (static, other), self.frames_srgb, self.masks)
 
     def weigh_motion(self, demo: MotionInput) -> MotionEvidence:
-        """What speaks for and against a motion."""
+        """Weigh the evidence for and against a motion."""
         times, touch = self.signals.times_s, self.touch
         last = int(np.searchsorted(times, self.interval.end_s, side="right"))
         during = slice(touch.first, min(max(last, touch.first + 3), touch.last) + 1)

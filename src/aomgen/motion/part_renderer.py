@@ -1,9 +1,9 @@
-"""The video around the moving part, compared with the part painted with what the video shows of it at rest.
+"""Renderer of the moving part, textured with its own pixels in the frames at rest, to compare with the video.
 
-The scan knows the part's shape; its colors under the video's light and exposure are read from the video
+The scan provides the part's shape; its colors under the video's light and exposure are read from the video
 before the motion. So neither the scan's exposure nor a constant error of the camera's pose counts as motion.
-A frame's picture depends on at most five numbers (axis 2, origin 2, value 1), so its derivatives are
-five more drawings: as cheap as one backward pass of the engine, and every pixel's derivative by every unknown.
+A rendered frame depends on at most five numbers (axis 2, origin 2, value 1), so its derivatives are
+five more renderings: as cheap as one backward pass of the engine, and dense in pixels and unknowns.
 """
 
 from collections.abc import Sequence
@@ -28,15 +28,15 @@ from aomgen.splatting.rasterizer import RigidParts, contribution_weights, render
 
 FloatImage = NDArray[np.float32]
 
-# Rim of the part that is left out, pixels of the crop.
+# Rim of the part that is excluded, pixels of the crop.
 _RIM_PX = 2
-# Rounds of back-projected residuals; each takes most of what is left.
+# Rounds of back-projected residuals; each removes most of the remainder.
 _PAINT_ROUNDS = 10
-# A Gaussian whose weights sum to less than this share of a pixel is not seen.
+# A Gaussian whose weights sum to less than this share of a pixel is invisible.
 _SEEN_WEIGHT = 0.02
-# Frames at rest whose median is the picture that is painted: noise falls to a third.
+# Number of frames at rest whose median is the texture: noise decreases to a third.
 _REST_FRAMES = 9
-# A grey level: no residual is trusted to be smaller, 0..1.
+# A gray level: smallest assumed standard deviation of a residual, 0..1.
 _NOISE_FLOOR = 1 / 255
 # A joint and a value of it.
 JointState = tuple[Joint, float]
@@ -44,10 +44,10 @@ JointState = tuple[Joint, float]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PartRendering:
-    """The part as drawn at one joint value, images (H, W), 0..1.
+    """The part as rendered at one joint value, images (H, W), 0..1.
 
-    Blended luma, not divided by alpha; coverage by the part, what stands before it left out; and coverage by those
-    of its Gaussians that the video shows at rest.
+    Blended luma, not divided by alpha; coverage by the part except where occluded; and coverage
+    by its textured Gaussians.
     """
 
     luma: FloatImage
@@ -57,17 +57,17 @@ class PartRendering:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PartRenderer:
-    """A crop of the video around the part's way, and the scene that can be drawn into it.
+    """A crop of the video around the part's path, and the scene that can be rendered into it.
 
     Attributes:
-        camera: Of the crop, world frame.
+        camera: Camera of the crop, world frame.
         frames: Frame indices that were read (N,).
-        luma: Their luma (N, H, W), 0..1.
-        hidden: Robot with a margin (N, H, W).
+        luma: Luma of the frames (N, H, W), 0..1.
+        hidden: Masks of the robot with a margin (N, H, W).
         scene: Gaussians in the crop without the robot, degree 0.
-        parts: 0 for what stands, 1 for the moving part (G,).
-        features: Luma, part and painted part (G, 3), zero for what stands.
-        focus: Middle of the part (3,), world frame, [m].
+        parts: 0 for static Gaussians, 1 for the moving part (G,).
+        features: Luma, part and textured part (G, 3), zero for static Gaussians.
+        focus: Mean of the part (3,), world frame, [m].
         reach_m: RMS distance of the part's Gaussians from it, [m].
     """
 
@@ -82,14 +82,14 @@ class PartRenderer:
     reach_m: float
 
     def draw(self, joint: Joint, theta: float) -> PartRendering:
-        """The part at a joint value."""
+        """Render the part at a joint value."""
         Ts = np.stack([np.eye(4), joint.motion(theta)])
         images = _draw_features(self, self.features, RigidParts(indices=self.parts, Ts_world_part=Ts))
         luma, alpha, painted = np.moveaxis(images, -1, 0)
         return PartRendering(luma=luma, alpha=alpha, painted=painted)
 
     def at(self, frame: int) -> tuple[FloatImage, NDArray[np.bool_]]:
-        """Luma and hidden pixels (H, W) of a video frame that was read."""
+        """Return luma and hidden pixels (H, W) of a video frame that was read."""
         index = int(np.flatnonzero(self.frames == frame)[0])
         return self.luma[index], self.hidden[index]
 
@@ -101,11 +101,11 @@ def make_part_renderer(
     moments: tuple[NDArray[np.intp], NDArray[np.intp], float],
     max_pixels: int,
 ) -> PartRenderer:
-    """Cut the video to the part's way and paint the part.
+    """Crop the video to the part's path and texture the part.
 
     Args:
-        demo, masks_at: Video, camera and scene; draws the robot.
-        joint: Where the part goes, roughly.
+        demo, masks_at: Video, camera and scene; function that renders the robot's masks.
+        joint: Approximate joint.
         moments: Frames at rest before the motion, frames of the motion, and the largest joint value.
         max_pixels: The crop is scaled to this many pixels at most.
     """
@@ -142,12 +142,12 @@ def make_part_renderer(
 
 
 def sample_resting(frames: NDArray[np.intp]) -> NDArray[np.intp]:
-    """A few of the frames (N,) at rest, evenly."""
+    """Sample a few of the frames (N,) at rest, evenly."""
     return frames[np.unique(np.linspace(0, len(frames) - 1, _REST_FRAMES).round().astype(int))]
 
 
 def _choose_crop(camera: Camera, places: list[Array], max_pixels: int) -> tuple[Camera, tuple[slice, slice]]:
-    """The camera at a fitting resolution, and rows and columns around the part's points (N, 3) on its way."""
+    """Choose a camera resolution, and rows and columns around the part's points (N, 3) on its path."""
     bounds = np.array([np.percentile(camera.project(place)[0], [1, 99], axis=0) for place in places])
     low, high = bounds.min((0, 1)), bounds.max((0, 1))
     margin = 0.05 * (high - low) + 4
@@ -161,7 +161,7 @@ def _choose_crop(camera: Camera, places: list[Array], max_pixels: int) -> tuple[
 
 
 def _find_near(scene: Gaussians, camera: Camera) -> NDArray[np.bool_]:
-    """Gaussians (G,) in the picture or near it."""
+    """Find Gaussians (G,) in the image or near it."""
     pixels, depths = camera.project(scene.means)
     margin = 0.25 * max(camera.width, camera.height)
     size = np.array([camera.width, camera.height])
@@ -169,7 +169,7 @@ def _find_near(scene: Gaussians, camera: Camera) -> NDArray[np.bool_]:
 
 
 def _paint(renderer: PartRenderer, resting: NDArray[np.bool_]) -> NDArray[np.float32]:
-    """Features (G, 3) with each Gaussian's luma fitted to the video at rest, by back-projected residuals."""
+    """Fit each Gaussian's luma to the video at rest by back-projected residuals; returns features (G, 3)."""
     target, known = compute_masked_median(renderer.luma[resting], ~renderer.hidden[resting])
     weight = _gather(renderer, known)
     luma = luma_from_srgb(255 * np.clip(0.5 + SH_C0 * renderer.scene.sh[:, 0], 0, 1))
@@ -182,7 +182,7 @@ def _paint(renderer: PartRenderer, resting: NDArray[np.bool_]) -> NDArray[np.flo
 
 
 def _gather(renderer: PartRenderer, image: NDArray) -> FloatImage:
-    """Sum of an image (H, W) over each Gaussian's pixels (G,), by its share of them."""
+    """Sum an image (H, W) over each Gaussian's pixels (G,), weighted by its share of them."""
     return contribution_weights(renderer.scene, renderer.camera, image[None].astype(np.float32))[:, 0]
 
 
@@ -192,9 +192,10 @@ def _draw_features(renderer: PartRenderer, features: NDArray, parts: RigidParts 
 
 
 def find_interior(view: PartRendering, hidden: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Pixels (H, W) surely inside the painted part and not hidden by the robot.
+    """Find pixels (H, W) that are certainly inside the textured part and not hidden by the robot.
 
-    The part's outline in the scan is a label's edge, a pixel or two off; what lies inside is not.
+    The part's outline in the scan is the edge of a label, with an error of a pixel or two; its interior is
+    exact.
     """
     sure = ndimage.binary_opening((view.alpha > 0.9) & (view.painted > 0.8 * view.alpha))
     return np.asarray(ndimage.binary_erosion(sure, iterations=_RIM_PX) & ~hidden, bool)
@@ -202,19 +203,19 @@ def find_interior(view: PartRendering, hidden: NDArray[np.bool_]) -> NDArray[np.
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Band:
-    """Which image detail is compared: none finer than `blur_px`, no shading coarser than `wide_px`."""
+    """Image detail that is compared: none finer than `blur_px`, no shading coarser than `wide_px`."""
 
     blur_px: float
     wide_px: float
 
     @property
     def noise_px(self) -> float:
-        """Pixels that share their noise: a Gaussian blur's area, [px^2]."""
+        """Number of pixels that share their noise: a Gaussian blur's area, [px^2]."""
         return max(1.0, 4 * np.pi * self.blur_px**2)
 
     @property
     def shading_px(self) -> float:
-        """Pixels that may share what the drawing has wrong, [px^2]."""
+        """Number of pixels that may share an error of the rendering, [px^2]."""
         return (2 * self.wide_px) ** 2
 
 
@@ -226,16 +227,16 @@ def linearize_frame(
     band: Band,
     shift_sd_px: float,
 ) -> tuple[Array, Array, Array] | None:
-    """Residuals (P,) of a video frame, their derivatives (P, m) and weights (P,), 1 / variance, light fitted.
+    """Compute a frame's residuals (P,), derivatives (P, m) and weights (P,), 1 / variance, with light fitted.
 
-    None where the frame shows too little of the part.
+    The result is None where the frame shows too little of the part.
 
     Args:
-        renderer, frame: The video and the painted part.
+        renderer, frame: The video and the textured part.
         places: State to compare at, then those with one unknown each changed by its step.
         steps: The changes (m,).
         band: Detail that is compared.
-        shift_sd_px: Smooth displacements of the picture by this much are no evidence.
+        shift_sd_px: Standard deviation of smooth image displacements, which are no evidence.
     """
     picture, hidden = renderer.at(frame)
     first, *others = (renderer.draw(*place) for place in places)
@@ -257,9 +258,10 @@ def linearize_frame(
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class GainFit:
-    """The detail (P,) of a picture, and what a drawing at its best gain and offset leaves of it (P,), 0..1.
+    """The detail (P,) of an image, and its residuals (P,) to a rendering at its best gain and offset, 0..1.
 
-    `sd`: Of the residuals, robust. `others`: other images' detail (P, M), gain and offset projected out.
+    `sd`: Robust standard deviation of the residuals. `others`: Other images' detail (P, M), gain
+    and offset projected out.
     """
 
     detail: Array
@@ -275,7 +277,7 @@ def fit_gain(
     band: Band,
     others: Sequence[NDArray[np.floating]] = (),
 ) -> GainFit:
-    """Compare a picture (H, W) with a drawing inside a mask, by a robust fit of gain and offset."""
+    """Compare an image (H, W) with a rendering inside a mask, by a robust fit of gain and offset."""
     images = [picture * view.alpha - view.luma, view.luma, view.alpha, *others]
     bands = _extract_band(np.stack(images, -1).astype(np.float32), mask, band)
     light, targets = bands[:, 1:3], np.delete(bands, (1, 2), axis=1)
@@ -285,9 +287,9 @@ def fit_gain(
 
 
 def _extract_band(images: FloatImage, mask: NDArray[np.bool_], band: Band) -> Array:
-    """Images (H, W, C) without the finest detail and without shading, inside the mask: (P, C).
+    """Extract detail (P, C) of images (H, W, C) in the mask, without the finest scales and shading.
 
-    Linear in the images, so that residuals and derivatives stay each other's.
+    The result is linear in the images, so that derivatives stay those of the residuals.
     """
     inside = mask[..., None].astype(np.float32)
     fine, coarse = (

@@ -1,8 +1,8 @@
-"""What the parts' shape says: where the joint may be, and whether its motion opened or closed the object.
+"""Shape of the parts: priors of the joint, and whether its motion opened or closed the object.
 
-Of the joint it is a weak belief, never a decision. Joints run along edges of things: a hinge lies along one side of
-the part it carries, somewhere in its thickness; a drawer runs along an edge. Which side, and whether the rule holds
-at all, the hand's path decides: every possibility is offered with its odds.
+The shape is a weak prior of the joint, never a decision. Joints run along edges: a hinge lies along one side
+of the part that it carries, somewhere in its thickness; a drawer runs along an edge. The gripper's path
+decides which side it is, and whether the rule holds at all: every hypothesis has its prior probability.
 """
 
 from dataclasses import dataclass, replace
@@ -21,33 +21,37 @@ from aomgen.core.transforms import apply, matrix_from_rotvec
 from aomgen.core.values import Array, Vector3, freeze_arrays
 from aomgen.motion.joint_models import make_tangent_basis
 
-# How often a joint keeps to the rule: along a side of the part; along its edges, but elsewhere; neither.
+# Prior probability that a joint lies along a side of the part; is parallel to its edges, but elsewhere;
+# neither.
 P_ON_EDGE, P_ALONG_EDGE, P_FREE = 0.75, 0.15, 0.1
-# Direction of a reconstructed box against the object: alignment tilts by 0.3 deg, yaw of a partly seen
-# footprint is off by 0.2 to 1.5 deg.
+# Direction of a reconstructed box relative to the object: alignment tilts by 0.3 deg, yaw of a partly seen
+# footprint has an error of 0.2 to 1.5 deg.
 DIRECTION_SD_RAD = float(np.radians(0.8))
-# Hinges lie up to a centimeter inside the side; its reconstruction is off by about as much, [m].
+# Hinges lie up to a centimeter inside the side; the error of its reconstruction is about as large, [m].
 SIDE_SD_M = 0.01
-# Another box has to be this much smaller than the upright one around the whole object to be preferred.
+# Another box is preferred only if its volume is smaller than this share of the upright one's.
 _CLEARLY = 0.75
-# A body's walls stand this far outside of its door's or drawer's sides at most, [m].
+# The walls of a body are at most this far outside the sides of its door or drawer, [m].
 _BESIDE_M = 0.02
-# A part that leaves the body takes along at least this share of its travel; one that slides within it none.
+# A part that leaves the body protrudes by at least this share of its travel; one that slides within it does
+# not.
 _LEAVING_SHARE = 0.2
-# Cells of a sliding panel along its longer side.
+# Number of cells of a sliding panel along its longer side.
 _CELLS = 12
-# Points beyond this percentile on either side are strays, [%].
+# Points beyond this percentile on either side are outliers, [%].
 _TAIL_PERCENT = 2.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AxisPrior:
-    """One possibility for the joint's axis, world frame.
+    """One hypothesis of the joint's axis, world frame.
 
     Attributes:
-        axis, axis_sd_rad: Unit direction, either sign, and its standard deviation each way, infinite for any direction.
+        axis, axis_sd_rad: Unit direction, either sign, and its standard deviation in each
+            direction, infinite if unknown.
         at: A point near the line, [m].
-        across, across_sds_m: Directions in which the line's place is known, none or two, and standard deviations.
+        across, across_sds_m: Directions in which the line's position is known, none or two,
+            and standard deviations.
         probability: Prior probability.
     """
 
@@ -61,7 +65,7 @@ class AxisPrior:
     __post_init__ = freeze_arrays
 
     def residuals(self, axes: Array, points: Array) -> Array:
-        """Distances (..., 2 + M) of lines from this possibility, in standard deviations.
+        """Compute deviations (..., 2 + M) of lines from this hypothesis, in standard deviations.
 
         Args:
             axes: Unit directions (..., 3), either sign.
@@ -77,13 +81,13 @@ class AxisPrior:
 
     @property
     def log_density(self) -> float:
-        """Normalization of the residuals, with the odds; a deviation of a radian and more is any direction."""
+        """Log density at zero residuals; a standard deviation of a radian or more is any direction."""
         direction = -np.log(4 * np.pi * min(self.axis_sd_rad, 1.0) ** 2)
         place = -np.log(np.sqrt(2 * np.pi) * self.across_sds_m).sum()
         return float(np.log(self.probability) + direction + place)
 
 
-# The shape says nothing.
+# Uninformative hypothesis.
 UNIFORM_PRIOR = AxisPrior(
     axis=np.array([0.0, 0.0, 1.0]),
     axis_sd_rad=np.inf,
@@ -96,12 +100,12 @@ UNIFORM_PRIOR = AxisPrior(
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PartShape:
-    """The moving part's box and what follows from it, world frame.
+    """The moving part's box and quantities derived from it, world frame.
 
     Attributes:
-        box: Around the part at its scanned place; its axes need not be upright.
-        face_normal: Unit direction in which the part sticks out of the static one.
-        corners: Of the upright box around both parts, [m].
+        box: Box around the part at its scanned pose; its axes need not be upright.
+        face_normal: Unit direction in which the part protrudes from the static one.
+        corners: Corners of the upright box around both parts, [m].
     """
 
     box: OrientedBox
@@ -111,11 +115,11 @@ class PartShape:
     __post_init__ = freeze_arrays
 
     def reach_m(self, point: Array) -> float:
-        """Distance of the object's farthest corner from a point (3,), [m]."""
+        """Compute the distance of the object's farthest corner from a point (3,), [m]."""
         return float(np.linalg.norm(self.corners - point, axis=1).max())
 
     def revolute_priors(self) -> list[AxisPrior]:
-        """Possibilities for a revolute joint: four sides in each of three directions, or the direction alone."""
+        """List hypotheses for a revolute joint: four sides per direction of the box, or a direction alone."""
         hints = [self._direction(k, P_ALONG_EDGE / 3) for k in range(3)]
         for k in range(3):
             for side in (axis for axis in range(3) if axis != k):
@@ -123,7 +127,7 @@ class PartShape:
         return hints
 
     def prismatic_priors(self) -> list[AxisPrior]:
-        """Possibilities for a prismatic joint: along one of the three directions."""
+        """List hypotheses for a prismatic joint: along one of the three directions."""
         return [self._direction(k, (P_ON_EDGE + P_ALONG_EDGE) / 3) for k in range(3)]
 
     def _direction(self, k: int, probability: float) -> AxisPrior:
@@ -138,18 +142,17 @@ class PartShape:
             axis_sd_rad=DIRECTION_SD_RAD,
             at=self.box.T_world_box[:3, 3] + sign * half[side] * R[:, side],
             across=R[:, [side, depth]].T,
-            # Anywhere in the thickness: the deviation of an even spread.
+            # The axis may be anywhere in the thickness: standard deviation of a uniform distribution.
             across_sds_m=np.array([SIDE_SD_M, np.hypot(half[depth] / np.sqrt(3), SIDE_SD_M)]),
             probability=P_ON_EDGE / 12,
         )
 
 
 def measure_shape(points_static: Array, points_moving: Array) -> PartShape:
-    """Box of the moving part and the direction it sticks out.
+    """Measure the box of the moving part and the direction in which it protrudes.
 
-    The box stands upright and shares its yaw with the whole object, unless another one is clearly
-    smaller: a door ajar has its own yaw, a lid or an object on a slope leans.
-
+    The box is upright and shares its yaw with the whole object, unless another one is clearly
+    smaller: a door ajar has its own yaw, a lid or an object on a slope is tilted.
     Args:
         points_static, points_moving: Points of the parts as scanned (N, 3), (M, 3), world frame, [m].
 
@@ -173,7 +176,7 @@ def measure_shape(points_static: Array, points_moving: Array) -> PartShape:
 
 
 def find_face_normal(static: OrientedBox, moving: OrientedBox) -> Array:
-    """Box axis along which the moving part sticks out of the static one most, for its size."""
+    """Find the box axis along which the moving part protrudes most, relative to its size."""
     offset = moving.coordinates(static.T_world_box[:3, 3])
     depth = np.abs(offset) / (static.half_extents + moving.half_extents)
     axis = int(np.argmax(depth))
@@ -181,9 +184,9 @@ def find_face_normal(static: OrientedBox, moving: OrientedBox) -> Array:
 
 
 def _beside(points_static: Array, box: OrientedBox) -> Array:
-    """Those static points (N, 3) that lie before, behind, beside, over or under the part's box.
+    """Select static points (N, 3) that are before, behind, next to, over or under the part's box.
 
-    Another door of the same object that stands ajar says nothing of this one's face.
+    Another door of the same object that is ajar must not affect this one's face.
     """
     inside = np.abs(box.coordinates(points_static)) <= box.half_extents + _BESIDE_M
     near = points_static[inside.sum(1) >= 2]
@@ -191,7 +194,7 @@ def _beside(points_static: Array, box: OrientedBox) -> Array:
 
 
 def _leaning_box(points: Array, upright: OrientedBox) -> OrientedBox:
-    """Small box of any orientation, found from the points' main directions."""
+    """Find a small box of any orientation from the points' principal directions."""
     main = np.linalg.svd(points - points.mean(0), full_matrices=False)[2]
     R_main = main.T * np.array([1.0, 1.0, np.linalg.det(main)])
     found = []
@@ -207,22 +210,25 @@ def _leaning_box(points: Array, upright: OrientedBox) -> OrientedBox:
 
 
 def _volume(box: OrientedBox) -> float:
-    """Of the box with a centimeter more on each side, so that noise of thin parts counts little, [m3]."""
+    """Compute the volume of the box plus 1 cm per side, so that noise of thin parts counts little, [m3]."""
     return float(np.prod(box.half_extents + 0.005))
 
 
 def infer_direction(joint: Joint, theta: float, points_static: Array, points_moving: Array) -> Direction:
-    """Open or close: what a part does that goes from its scanned place to joint value `theta`.
+    """Infer whether a part opens or closes as it moves from its scanned state to joint value `theta`.
 
-    A closed part is flush with the body: a door or lid lies on it, a drawer is inside of it. A panel
-    that slides along the body is flush everywhere; it opens by going before (or behind) the body's own
-    front, and closes by covering what was open.
+    A closed part is flush with the body: a door or lid lies on it, a drawer is inside it. A panel
+    that slides along the body is always flush; it opens by moving before (or behind) the body's own
+    front, and closes by covering an opening.
 
     Args:
-        joint, theta: Value 0 is the scanned place, world frame; value at the end of the motion, [rad] or [m].
-        points_static, points_moving: Of the body (N, 3) and the part at its scanned place (M, 3), world frame, [m].
+        joint, theta: Joint with value 0 at the scan, world frame; value at the end of the motion, [rad] or
+            [m].
+        points_static, points_moving: Points of the body (N, 3) and of the part as scanned
+            (M, 3), world frame, [m].
 
-    Not checked: a door that swings from half a turn open to a quarter is as far from the body as before.
+    Not checked: a door that swings from half a turn open to a quarter stays at the same distance from the
+    body.
     """
     ends = (points_moving, apply(joint.motion(theta), points_moving))
     if joint.type == "revolute":
@@ -236,15 +242,15 @@ def infer_direction(joint: Joint, theta: float, points_static: Array, points_mov
 
 
 def _beyond(places: Array, body: Array) -> float:
-    """How far places (M,) stick out of the range of the body's (N,) on average, [m]."""
+    """Measure how far positions (M,) are outside the range of the body's (N,) on average, [m]."""
     low, high = np.percentile(body, [_TAIL_PERCENT, 100 - _TAIL_PERCENT])
     return float(np.maximum(np.maximum(low - places, places - high), 0).mean())
 
 
 def _lies_before_front(axis: Array, travel_m: float, points_static: Array, points: Array) -> bool:
-    """Whether most of what a panel (M, 3) newly covers after its travel was the body's (N, 3) front already.
+    """Check whether most of the area that a panel (M, 3) newly covers was already the body's (N, 3) front.
 
-    What it uncovers does not count: the scan could not see what was behind it.
+    The area that it uncovers does not count: the scan could not show what was behind the panel.
     """
     across = _thin_direction(points, axis)
     plane = np.stack([axis, np.cross(across, axis)], 1)
@@ -270,10 +276,10 @@ def _lies_before_front(axis: Array, travel_m: float, points_static: Array, point
 
 
 def _thin_direction(points: Array, axis: Array) -> Array:
-    """Unit direction (3,) across `axis` in which points (M, 3) extend least."""
+    """Find the unit direction (3,) across `axis` in which points (M, 3) extend least."""
     offsets = points - points.mean(0)
     flat = offsets - np.outer(offsets @ axis, axis)
-    # The direction along the axis has no extent left and comes last.
+    # The direction along the axis has no extent after projection and comes last.
     direction = np.linalg.svd(flat, full_matrices=False)[2][1]
     direction -= (direction @ axis) * axis
     return np.asarray(direction / np.linalg.norm(direction), np.float64)

@@ -1,7 +1,7 @@
-"""Which Gaussians move with the part: those that the gripper pinches, and those that the video tracks.
+"""Gaussians that move with the part: those that the gripper pinches, and those that the video tracks.
 
-Each Gaussian is asked whether it explains the pixels that it covers better if it went with the part or if it
-stood still. Its color is read from the frames at rest; where robot or part hide it, a frame says nothing.
+Each Gaussian is tested for whether it explains its pixels better if it moved with the part or if it
+rested. Its color is read from the frames at rest; frames in which robot or part hide it are ignored.
 """
 
 from dataclasses import dataclass
@@ -29,36 +29,36 @@ from aomgen.motion.photometric import SETTLED_S
 from aomgen.robots.silhouette import MasksAt, robot_masks
 from aomgen.splatting.rasterizer import RigidParts, render
 
-# Frames wider than this are reduced, [px].
+# Wider frames are reduced to this width, [px].
 _WIDTH = 640
-# Frames that are looked at along the way, and at its end.
+# Number of frames used along the path, and at its end.
 _WAY_FRAMES, _END_FRAMES = 9, 4
 # Margin around the robot's masks, and width of the blur against noise and compression, [px].
 _ROBOT_MARGIN_PX, _BLUR_PX = 5, 1.0
 # Noise of a pixel's color, 0..1, compression and slight shading included.
 _COLOR_SD = 8 / 255
-# Odds of a color that neither answer explains: shadows, mirrors, bad labels before it.
+# Likelihood of a color that neither hypothesis explains, such as shadows, mirrors, wrong labels before it.
 _OUTLIERS = 0.1
-# Less than this between both places of a Gaussian tells nothing, [px].
+# A Gaussian whose two positions differ by less than this gives no evidence, [px].
 _MIN_SHIFT_PX = 3.0
-# A Gaussian this far behind the drawn surface is hidden, [m].
+# A Gaussian this far behind the rendered surface is hidden, [m].
 _DEPTH_M = 0.015
-# A surface seen at less than this share of its first steepness, or flatter than this cosine, has turned away.
+# A surface has turned away below this share of the cosine of its first viewing angle, or below this cosine.
 _TURNED_SHARE, _TURNED_COS = 0.3, 0.15
-# Frames err together, by shading that lasts: their mean counts, in full from this many on.
+# Errors of frames are correlated by lasting shading: their mean counts, in full from this many frames on.
 _ENOUGH_FRAMES = 4
-# Fewer Gaussians do not tell how their light changes.
+# Fewer Gaussians do not determine how their light changes.
 _MIN_POINTS = 50
-# Normals are those of planes through so many neighbors.
+# Number of neighbors whose plane defines a normal.
 _NEIGHBORS = 16
-# Log odds of what lies between the pads of a gripper that holds the part.
+# Log-likelihood ratio of a Gaussian between the pads of a gripper that holds the part.
 _HELD_LOG_ODDS = 4.0
 
 
 def compute_log_likelihood_ratio(demo: MotionInput, motion: MotionEstimate) -> Array:
-    """Natural logarithm (G,) of how much likelier the demonstration is if a Gaussian moves than if it stands.
+    """Compute the log-likelihood ratio (G,), natural logarithm, of a moving over a resting Gaussian.
 
-    `motion`: Found with the present labels.
+    `motion`: Estimate made with the present labels.
 
     Not checked: that the motion is right. A wrong one moves nothing that looks alike elsewhere.
     """
@@ -73,11 +73,11 @@ def compute_log_likelihood_ratio(demo: MotionInput, motion: MotionEstimate) -> A
 def track_log_likelihood_ratio(
     demo: MotionInput, joint: Joint, thetas: Array, start_s: float, masks_at: MasksAt
 ) -> Array:
-    """As `compute_log_likelihood_ratio` (G,), by the video alone; 0 for what it does not show.
+    """Compute `compute_log_likelihood_ratio` (G,) from the video alone; 0 for invisible Gaussians.
 
     Args:
-        demo, masks_at: Video, and the scene with its present labels; draws the robot.
-        joint, thetas: How the part moves, with values at the video's frames (T,).
+        demo, masks_at: Video, and the scene with its present labels; function that renders the robot's masks.
+        joint, thetas: Joint of the part, with values at the video's frames (T,).
         start_s: First moment of the motion, video clock.
     """
     times = demo.video.times_s
@@ -107,7 +107,7 @@ def track_log_likelihood_ratio(
 
 
 def _choose_frames(started: NDArray[np.bool_], thetas: Array) -> NDArray[np.intp]:
-    """Frames evenly over the values of the joint (T,), and some after its motion."""
+    """Choose frames evenly over the values of the joint (T,), and some after its motion."""
     moving = np.flatnonzero(started)
     values = np.abs(thetas[moving])
     wanted = np.linspace(0.2, 0.9, _WAY_FRAMES) * values.max()
@@ -119,7 +119,7 @@ def _choose_frames(started: NDArray[np.bool_], thetas: Array) -> NDArray[np.intp
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Appearance:
-    """Pixels (N, 2) and colors (N, 3), 0..1, of points in a picture, and which of them it shows (N,)."""
+    """Pixels (N, 2) and colors (N, 3), 0..1, of points in an image, and their visibility (N,)."""
 
     pixels: Array
     colors: Array
@@ -128,7 +128,7 @@ class _Appearance:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _RestState:
-    """The scene without the robot as the video shows it at rest; normals (N, 3) look towards the camera."""
+    """The scene without the robot as the video shows it at rest; normals (N, 3) point towards the camera."""
 
     scene: Gaussians
     camera: Camera
@@ -155,7 +155,7 @@ class _RestState:
         return _RestState(scene=scene, camera=camera, moving=moving, normals=normals, seen=seen)
 
     def compare(self, image: NDArray[np.uint8], bare: NDArray[np.bool_], T_world_part: Array) -> Array:
-        """Log likelihood ratio (N,) by a frame; NaN where it does not show both places."""
+        """Compute the log-likelihood ratio (N,) from a frame; NaN where it does not show both positions."""
         points, camera = self.scene.means.astype(np.float64), self.camera
         places = apply(T_world_part, points)
         parts = RigidParts(
@@ -175,7 +175,7 @@ class _RestState:
 def _look(
     image: NDArray, bare: NDArray[np.bool_], depth: NDArray[np.float32], camera: Camera, points: Array
 ) -> _Appearance:
-    """Points (N, 3) in an image (H, W, 3), 8 bit, that shows no robot (H, W) and surfaces at a depth (H, W)."""
+    """Read points (N, 3) in an image (H, W, 3), 8 bit, from its robot-free pixels and depth (H, W)."""
     pixels, depths = camera.project(points)
     size = np.array([camera.width, camera.height])
     columns, rows = np.clip(pixels, 0, size - 1).astype(int).T
@@ -191,7 +191,7 @@ def _look(
 
 
 def _log_likelihood(first: Array, now: Array, which: NDArray[np.bool_]) -> Array:
-    """Of colors (N, 3) that were `first` at rest, at the gain and offset of light that some of them (N,) show."""
+    """Compute log-likelihoods of colors (N, 3), `first` at rest, with light fitted on some of them (N,)."""
     columns = np.stack([first, np.ones_like(first)], -1)
     change = now - first
     if which.sum() >= _MIN_POINTS:
@@ -201,11 +201,11 @@ def _log_likelihood(first: Array, now: Array, which: NDArray[np.bool_]) -> Array
 
 
 def _draw_depth(scene: Gaussians, camera: Camera, parts: RigidParts | None = None) -> NDArray[np.float32]:
-    """Depth (H, W) of the surface that a camera sees, 0 for none, [m]."""
+    """Render the depth (H, W) of the visible surface, 0 for none, [m]."""
     return np.asarray(render(scene, camera, parts=parts, with_ids=True).median_depth, np.float32)
 
 
 def _steepness(normals: Array, points: Array, camera: Camera) -> Array:
-    """Cosines (N,) between normals and the directions from points to the camera."""
+    """Compute the cosines (N,) between normals and the directions from points to the camera."""
     views = camera.center - points
     return np.sum(normals * views, axis=1) / np.linalg.norm(views, axis=1)

@@ -1,7 +1,7 @@
-"""Joint and joint values refined so that the moved part, drawn from its Gaussians, matches the video.
+"""Refinement of joint and joint values so that the rendering of the moved part matches the video.
 
-The gripper's path gives a first answer and a prior; Gauss-Newton on pixels does the rest. An answer counts
-only if frames that were not fitted agree.
+The gripper's path gives a first estimate and a prior, which Gauss-Newton on pixels refines. An estimate is
+accepted only if held-out frames agree.
 """
 
 from collections.abc import Sequence
@@ -26,24 +26,26 @@ from aomgen.motion.part_renderer import (
 )
 from aomgen.robots.silhouette import MasksAt
 
-# Time from the motion after which, and before which, the part surely rests, [s].
+# Time before and after the motion beyond which the part certainly rests, [s].
 SETTLED_S = 0.1
-# Fewer frames that show the part tell nothing; fewer at rest have no median to paint it with.
+# Fewer frames that show the part give no evidence; fewer at rest have no median to texture it with.
 _MIN_FRAMES, _MIN_RESTING = 3, 2
 # Gauss-Newton steps in each band; the second one changes little.
 _ROUNDS = 3
 # Evidence of the held-out frames has to improve by this many of its standard errors.
 _ACCEPT_SD = 2.0
-# Share of the video's detail that the rendered part has to explain: with less, its light has changed more than its pose.
+# Share of the video's detail that the rendered part has to explain: with less, its light has
+# changed more than its pose.
 _MIN_EXPLAINED = 0.5
-# Error of a calibrated camera's pose, which turns and moves the joint with it, each component, [rad] and [m].
+# Error of each component of a calibrated camera's pose, which moves the joint with it, [rad] and [m].
 _CAMERA_SD = 0.001
-# Deviations of the values are alike over this share of the motion's duration, but for this share of their variance.
+# Deviations of the values are correlated over this share of the motion, except for this
+# share of their variance.
 _ALIKE_SHARE, _ROUGHNESS = 0.5, 0.05
-# Smooth displacements of the picture by the errors of shape and cameras, [px]; they persist, so that all
+# Smooth image displacements by the errors of shape and cameras, [px]; they persist, so that all
 # frames have about two of them.
 _DISTORTION_PX, _DISTORTIONS = 0.1, 2
-# Change of the picture by which derivatives are measured, [px].
+# Image displacement by which derivatives are measured, [px].
 _STEP_PX = 0.5
 # A joint, and its values at the video's frames (T,).
 JointMotion = tuple[Joint, Array]
@@ -51,10 +53,10 @@ JointMotion = tuple[Joint, Array]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PhotometricParams:
-    """How the video is compared.
+    """Parameters of the comparison with the video.
 
     Attributes:
-        knots: Frames that are fitted, spread evenly over the joint's values; as many are held out.
+        knots: Number of frames that are fitted, spread evenly over the joint's values; as many are held out.
         max_pixels: Size of the crop around the part, [px^2].
         bands: Image detail, coarse to fine.
     """
@@ -73,7 +75,7 @@ DEFAULTS = PhotometricParams()
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PhotometricFrames:
-    """The video around the painted part: frames that answers are fitted to, and that judge them, in bands of detail."""
+    """The video around the textured part: frames for fitting, frames for validation, and bands of detail."""
 
     renderer: PartRenderer
     fitted: NDArray[np.intp]
@@ -84,7 +86,7 @@ class PhotometricFrames:
 def select_frames(
     demo: MotionInput, masks_at: MasksAt, prior: KinematicPrior, params: PhotometricParams = DEFAULTS
 ) -> PhotometricFrames | None:
-    """Read the video by where and when the part goes, roughly; None where it shows too little before or during that."""
+    """Read the video around the expected motion; None where it shows too little before or during that."""
     fitted, held_out, resting = choose_frames(prior, params.knots)
     if len(fitted) < _MIN_FRAMES or len(resting) < _MIN_RESTING:
         return None
@@ -96,9 +98,9 @@ def select_frames(
 def choose_frames(
     prior: KinematicPrior, knots: int
 ) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.intp]]:
-    """Fitted, held-out and resting frames; the first two alternate and spread over the values.
+    """Choose fitted, held-out and resting frames; the first two alternate and spread over the values.
 
-    A quick motion has few frames; those of the part at its last place make up for them.
+    A fast motion has few frames; those of the part in its last pose make up for them.
     """
     times, (begin, end) = prior.times_s, prior.interval
     moving = np.flatnonzero((times >= begin) & (times <= end))
@@ -117,10 +119,10 @@ def choose_frames(
 
 
 def refine(seen: PhotometricFrames | None, prior: KinematicPrior) -> KinematicPrior | None:
-    """Joint and joint values by the video, starting from the prior; None where held-out frames do not confirm them.
+    """Refine joint and values on the video, from the prior; None where held-out frames do not confirm them.
 
     Source: AOMGen, sec. 4.2, "Movable Part Motion Recovery"; the refinement is ours. Not checked: camera
-    errors that leave the part at rest where it is.
+    errors that do not move the part at rest.
     """
     if seen is None:
         return None
@@ -132,13 +134,13 @@ def refine(seen: PhotometricFrames | None, prior: KinematicPrior) -> KinematicPr
 
 
 def compute_type_margin(seen: PhotometricFrames | None, answers: tuple[JointMotion, JointMotion]) -> float:
-    """Twice the log evidence of the video for one answer over another; 0 where it cannot tell.
+    """Compute twice the log evidence of the video for the first estimate over the second; 0 if inconclusive.
 
-    Frames that no answer was fitted to are compared square by square of the part's painted surface.
+    Frames to which no estimate was fitted are compared in squares of the part's textured surface.
 
     Args:
-        seen: The video as read for the first answer's type.
-        answers: The first and the second one, each refined on the video.
+        seen: The video as read for the first estimate's type.
+        answers: The first and the second estimate, each refined on the video.
 
     Not checked: that the residuals of different frames are independent of each other.
     """
@@ -150,12 +152,12 @@ def compute_type_margin(seen: PhotometricFrames | None, answers: tuple[JointMoti
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Comparison:
-    """How well two answers explain F frames, over the pixels that both see.
+    """Agreement of two estimates with F frames, over the pixels that both show.
 
     Attributes:
-        gains: Mean robust cost of the first answer less that of the second (F,), -1..1.
+        gains: Mean robust cost of the first estimate less that of the second (F,), -1..1.
         explained: Share of the video's detail that is explained (F, 2), 1 at best.
-        squares: Independent squares that were compared (F,).
+        squares: Number of independent squares that were compared (F,).
     """
 
     gains: Array
@@ -164,12 +166,12 @@ class Comparison:
 
     @property
     def margin(self) -> float:
-        """Twice the log evidence of the second answer over the first: each square counts once."""
+        """Twice the log evidence of the second estimate over the first; each square counts once."""
         return OUTLIER_SD**2 * float(self.squares @ self.gains)
 
 
 def compare_frames(seen: PhotometricFrames, answers: tuple[JointMotion, JointMotion]) -> Comparison:
-    """Compare two answers at the frames held out; those that show too little of the part do not count."""
+    """Compare two estimates at the held-out frames; those that show too little of the part do not count."""
     gains, explained, squares = [], [], []
     band = seen.bands[-1]
     for frame in seen.held_out:
@@ -192,14 +194,14 @@ def compare_frames(seen: PhotometricFrames, answers: tuple[JointMotion, JointMot
 
 
 def _explains(compared: Comparison, answer: int) -> bool:
-    """Whether enough frames show the painted surface, and an answer explains most of its detail."""
+    """Check whether enough frames show the textured surface, and an estimate explains most of its detail."""
     if len(compared.squares) < _MIN_FRAMES:
         return False
     return float(np.median(compared.explained[:, answer])) >= _MIN_EXPLAINED
 
 
 def _confirms(compared: Comparison) -> bool:
-    """Whether frames speak for the second answer clearly."""
+    """Check whether frames clearly favor the second estimate."""
     if not _explains(compared, 1):
         return False
     gains = compared.gains
@@ -209,13 +211,13 @@ def _confirms(compared: Comparison) -> bool:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Problem:
-    """Unknowns y (n + K,): n numbers of `shift_joint`, and deviations of the values at K frames.
+    """Unknowns y (n + K,): n parameters of `shift_joint`, and deviations of the values at K frames.
 
     Attributes:
-        prior: First answer, y = 0.
+        prior: First estimate, y = 0.
         frames: (K,) of the video.
         lever: Change of the values with the unknowns (T, n + K).
-        precision: Of the prior (n + K, n + K).
+        precision: Precision of the prior (n + K, n + K).
     """
 
     prior: KinematicPrior
@@ -225,7 +227,7 @@ class _Problem:
 
     @staticmethod
     def of(prior: KinematicPrior, frames: NDArray[np.intp]) -> "_Problem":
-        """The values' deviations are a smooth process while the part moves, and lasting afterwards."""
+        """Model the values' deviations as a smooth process while the part moves, and constant afterwards."""
         begin, end = prior.interval
         moments = np.clip(prior.times_s, begin, end)
         apart = (moments[:, None] - moments[frames]) / (_ALIKE_SHARE * (end - begin))
@@ -245,15 +247,15 @@ class _Problem:
         )
 
     def place(self, z: Array) -> JointState:
-        """Of the joint's numbers and a value (n + 1,)."""
+        """Return the joint state for the joint's parameters and a value (n + 1,)."""
         return shift_joint(self.prior.joint, self.prior.pivot, z[:-1]), float(z[-1])
 
     def thetas(self, y: Array) -> Array:
-        """Values (T,)."""
+        """Compute values (T,)."""
         return self.prior.thetas + self.lever @ y
 
     def answer(self, y: Array, covariance: Array) -> KinematicPrior:
-        """What unknowns and their covariance (n + K, n + K) say, errors of the camera included."""
+        """Convert unknowns and their covariance (n + K, n + K) to an estimate, with errors of the camera."""
         count = len(self.prior.covariance)
         thetas = np.maximum(self.thetas(y), 0.0)
         variance = np.einsum("ti,ij,tj->t", self.lever, covariance, self.lever)
@@ -268,7 +270,7 @@ class _Problem:
 
 
 def _solve(problem: _Problem, renderer: PartRenderer, bands: Sequence[Band]) -> tuple[Array, Array]:
-    """Unknowns (n + K,) and their covariance, by Gauss-Newton."""
+    """Solve for the unknowns (n + K,) and their covariance by Gauss-Newton."""
     count = len(problem.prior.covariance)
     steps = _choose_steps(renderer, problem.prior.joint)
     shift_sd_px = _DISTORTION_PX * float(np.sqrt(len(problem.frames) / _DISTORTIONS))
@@ -290,7 +292,7 @@ def _solve(problem: _Problem, renderer: PartRenderer, bands: Sequence[Band]) -> 
 
 
 def _choose_steps(renderer: PartRenderer, joint: Joint) -> Array:
-    """Changes of tilt (2), shift (2, revolute only) and value that move the picture by a fraction of a pixel."""
+    """Choose steps of tilt (2), shift (2, revolute only) and value that move the image by `_STEP_PX`."""
     camera = renderer.camera
     meters = _STEP_PX * float(np.linalg.norm(renderer.focus - camera.center)) / camera.fx
     turn = meters / renderer.reach_m

@@ -1,4 +1,4 @@
-"""When, where and how the part moved. [paper 4.2]"""
+"""Motion stage: interval, contact, joint and joint values. [paper 4.2]"""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -21,7 +21,7 @@ from aomgen.motion.motion_detection import list_warnings
 from aomgen.motion.part_tracking import compute_log_likelihood_ratio
 from aomgen.results import Results
 
-# Hears the motion score before anything that it shows is refused.
+# Callback that receives the motion score before any refusal that depends on it.
 OnCurve = Callable[[MotionCurve], None]
 
 
@@ -42,9 +42,9 @@ def recover_motion(
     progress: Progress,
     estimate: Callable[[Results, Progress, OnCurve], MotionEstimate],
 ) -> dict[str, Any]:
-    """Write what an estimator recovers, and `estimates.json` beside the run's results.
+    """Write the result of a motion estimator to the run's results, and `estimates.json`.
 
-    A refused motion is written there as refused before the error goes on, and its score stays beside it.
+    A refused motion is recorded as refused before the error is raised again, together with its score.
     """
     curves: list[MotionCurve] = []
     try:
@@ -74,8 +74,10 @@ def recover_motion(
 
 
 def motion_input(results: Results, scene: Gaussians, labels: NDArray[np.uint8]) -> MotionInput:
-    """What AOMotion looks at in a run that is finished up to its alignment: the first fixed camera's video, the log,
-    and the scan, world frame, with a label of every Gaussian.
+    """Read the inputs of AOMotion from a run that is finished up to its alignment.
+
+    These are the first fixed camera's video, the log, and the scan, world frame, with a
+    label of every Gaussian.
 
     Raises:
         SyncError: The clock offset is unknown.
@@ -92,11 +94,11 @@ def motion_input(results: Results, scene: Gaussians, labels: NDArray[np.uint8]) 
 
 
 def motion_evidence(results: Results, scene: Gaussians, labels: NDArray[np.uint8]) -> Array | None:
-    """How much more likely the demonstration is if a Gaussian (N,) moves than if it stands still.
+    """Compute the log-likelihood ratio (N,) of a moving over a resting Gaussian.
 
     Returns:
-        Natural logarithms; None where the demonstration tells no motion with these labels: the motion
-        stage meets the same, and says what is wrong.
+        Natural logarithms; None where the demonstration shows no motion with these labels. The motion
+        stage then raises the same error with its reason.
     """
     demonstration = motion_input(results, scene, labels)
     try:
