@@ -13,6 +13,7 @@ from aomgen.cli.model_commands import assets_app, robot_app
 from aomgen.cli.prompting import prompts
 from aomgen.cli.run import COMMAND_LINE, run_command, run_project, sample_capture
 from aomgen.cli.splat import splat
+from aomgen.cli.view import view
 from aomgen.errors import ConfigError, CorruptArtifactError, MissingFileError
 from aomgen.version import __version__
 
@@ -29,6 +30,7 @@ app.add_typer(import_app, name="import")
 app.add_typer(robot_app, name="robot")
 app.command()(prompts)
 app.command()(splat)
+app.command()(view)
 
 
 def main() -> None:
