@@ -149,7 +149,7 @@ def read_accounts(folder: Path) -> list[Account]:
     """
     if not (folder / REQUEST_FILE).is_file():
         return []
-    request = _read_request(folder / REQUEST_FILE)
+    request = read_request(folder)
     committed, rejected = list_ended_units(folder)
     finished = (folder / DRAWS_FILE).is_file()
     skipped = [draw for draw in read_draws(folder) if draw["outcome"] == "skipped"] if finished else []
@@ -173,7 +173,13 @@ def read_accounts(folder: Path) -> list[Account]:
     return accounts
 
 
-def _read_request(path: Path) -> Request:
+def read_request(folder: Path) -> Request:
+    """Read the request that a stage works on.
+
+    Raises:
+        MissingFileError, MalformedFileError: As their names say.
+    """
+    path = folder / REQUEST_FILE
     content = read_json(path)
     try:
         return Request(

@@ -3,6 +3,7 @@
 from pathlib import Path
 from typing import Final
 
+from aomgen.viewing.review import list_review_routes
 from aomgen.web.server import PageServer, send_file
 
 PACKAGE: Final = "aomgen.viewing"
@@ -21,5 +22,6 @@ class ViewServer(PageServer):
             "GET /": send_file(PACKAGE, "twin.html"),
             "GET /pages.css": send_file(PACKAGE, "pages.css"),
             "GET /pages.js": send_file(PACKAGE, "pages.js"),
+            **list_review_routes(folder),
         }
         super().__init__(routes, port)

@@ -1,0 +1,163 @@
+"""The review of a run: all its draws, one episode, and decisions."""
+
+import hashlib
+import json
+from collections.abc import Mapping
+from functools import lru_cache
+from pathlib import Path
+from typing import Any, Final, Literal
+
+from aomgen.io.episode_folder import episode_folder
+from aomgen.io.images import encode_jpeg, resize
+from aomgen.io.review import Review, ReviewChange, change_review, read_reviews
+from aomgen.io.video import read_frames, read_last_frame
+from aomgen.pipeline.stages import STAGES
+from aomgen.report.episodes import place_words, reasons
+from aomgen.viewing.coverage import CoverageRoutes
+from aomgen.viewing.draws import Draw, DrawList
+from aomgen.viewing.episode import describe_episode, describe_rejected
+from aomgen.web.server import Request, RequestFields, Response, Route, send_file, send_json
+
+PACKAGE: Final = "aomgen.viewing"
+# Width of the images of the wall, [px], and quality of their JPEG: some 5 kB each.
+THUMBNAIL_PX, THUMBNAIL_QUALITY = 160, 80
+# Number of such images that stay in memory, some 20 MB.
+THUMBNAILS: Final = 4000
+
+
+class WallRequest(RequestFields):
+    """Request of all draws; the version is that of the last response, which is not sent again."""
+
+    version: str = ""
+
+
+class DrawRequest(RequestFields):
+    """Request of one draw by its number."""
+
+    number: int
+
+
+class ThumbnailRequest(DrawRequest):
+    """Request of a small image of an episode's first camera."""
+
+    frame: Literal["first", "last"]
+
+
+class VideoRequest(DrawRequest):
+    """Request of an episode's video; cameras are numbered in the order of the episode."""
+
+    camera: int
+
+
+class ChangeRequest(RequestFields):
+    """Change of the review of one episode."""
+
+    number: int
+    change: ReviewChange
+
+
+class ReviewRoutes:
+    """Routes of the review of the run in a folder.
+
+    Args:
+        out: Folder of the run.
+        draws: Its draws.
+    """
+
+    def __init__(self, out: Path, draws: DrawList) -> None:
+        self.out, self.draws = out, draws
+        self._thumbnail = lru_cache(THUMBNAILS)(self._encode_thumbnail)
+
+    def list_routes(self) -> dict[str, Route]:
+        """Return all routes by method and path."""
+        files = ("review.html", "review.css", "review.js", "episode.js", "plots.js", "map.js")
+        return {
+            "GET /review": send_file(PACKAGE, "review.html"),
+            **{f"GET /{name}": send_file(PACKAGE, name) for name in files[1:]},
+            "GET /review/draws": self.send_wall,
+            "GET /review/draw": self.send_draw,
+            "GET /review/thumbnail": self.send_thumbnail,
+            "GET /review/video": self.send_video,
+            "POST /review/change": self.change,
+        }
+
+    def send_wall(self, request: Request) -> Response:
+        """Send all draws with their reviews, unless the page has them."""
+        asked = request.parse(WallRequest)
+        reviews = read_reviews(self.out)
+        content = {
+            "run": self.out.name,
+            "draws": [describe_draw(draw, reviews) for draw in self.draws.read()],
+            "meanings": reasons(),
+        }
+        version = hashlib.sha256(json.dumps(content).encode()).hexdigest()[:16]
+        return send_json({"version": version} if version == asked.version else content | {"version": version})
+
+    def send_draw(self, request: Request) -> Response:
+        """Send what the page of one draw shows."""
+        draw = self.draws.find(request.parse(DrawRequest).number)
+        committed = draw.outcome in ("committed", "damaged")
+        shown = describe_episode(self._folder(draw)) if committed else describe_rejected(draw)
+        return send_json(describe_draw(draw, read_reviews(self.out)) | shown)
+
+    def send_thumbnail(self, request: Request) -> Response:
+        """Send the first or last image of an episode's first camera."""
+        asked = request.parse(ThumbnailRequest)
+        draw = self.draws.find(asked.number)
+        if not draw.cameras:
+            raise ValueError(f"draw {draw.number} has no images")
+        video = self._folder(draw) / f"{draw.cameras[0]}.mp4"
+        return Response("image/jpeg", self._thumbnail(video, draw.content, asked.frame))
+
+    def send_video(self, request: Request) -> Response:
+        """Send one video of an episode, as it is stored."""
+        asked = request.parse(VideoRequest)
+        draw = self.draws.find(asked.number)
+        if not 0 <= asked.camera < len(draw.cameras):
+            raise ValueError(f"draw {draw.number} has no camera {asked.camera}")
+        path = self._folder(draw) / f"{draw.cameras[asked.camera]}.mp4"
+        return Response("video/mp4", path.read_bytes())
+
+    def change(self, request: Request) -> Response:
+        """Store a decision, and send the review that is on disk now."""
+        asked = request.parse(ChangeRequest)
+        draw = self.draws.find(asked.number)
+        return send_json(describe_review(change_review(self.out, self._folder(draw), asked.change)))
+
+    def _folder(self, draw: Draw) -> Path:
+        return episode_folder(self.draws.episodes, draw.number)
+
+    @staticmethod
+    def _encode_thumbnail(video: Path, content: str, frame: str) -> bytes:
+        """A small JPEG; `content` is the digest of the episode, so that another one's image is not sent."""
+        image = read_frames(video, [0])[0] if frame == "first" else read_last_frame(video)
+        height = round(image.shape[0] * THUMBNAIL_PX / image.shape[1])
+        return encode_jpeg(resize(image, THUMBNAIL_PX, height), THUMBNAIL_QUALITY)
+
+
+def list_review_routes(out: Path) -> dict[str, Route]:
+    """Routes of the pages "Review" and "Coverage" of a run, finished or not."""
+    folder = next(stage.folder for stage in STAGES if stage.name == "episodes")
+    draws = DrawList(out, out / folder)
+    return ReviewRoutes(out, draws).list_routes() | CoverageRoutes(out, draws).list_routes()
+
+
+def describe_draw(draw: Draw, reviews: Mapping[int, Review]) -> dict[str, Any]:
+    """A draw as the wall shows it."""
+    review = reviews.get(draw.number, Review())
+    valid = bool(draw.content) and review.content == draw.content
+    return {
+        "number": draw.number,
+        "asset": draw.asset,
+        "outcome": draw.outcome,
+        "reason": draw.reason,
+        "detail": draw.detail,
+        "room": draw.room,
+        "place": place_words(draw.variation) if draw.variation else "",
+        **describe_review(review if valid else Review()),
+    }
+
+
+def describe_review(review: Review) -> dict[str, Any]:
+    """Decision, tags and note."""
+    return review.model_dump(exclude={"content"})
