@@ -1,18 +1,19 @@
 """Coverage of the requested ranges by the episodes of a run, and where its holes are."""
 
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 
-from aomgen.core.plan import FittedAsset, Variation
+from aomgen.core.plan import FittedAsset
+from aomgen.core.transforms import apply
 from aomgen.core.values import Array
 from aomgen.episodes.factory import GenerationParams
 from aomgen.episodes.ledger import Distribution, distributions, unit_of
-from aomgen.episodes.reach_map import LINE_M, REACH_MAP, ReachMap, front_line, scene_shapes
+from aomgen.episodes.reach_map import LINE_M, REACH_MAP, ReachMap, scene_shapes
 from aomgen.episodes.variations import Ranges, inside
 from aomgen.io.artifact import load_artifact
 from aomgen.io.review import Review, read_reviews
@@ -23,8 +24,8 @@ from aomgen.results import Results
 from aomgen.viewing.draws import Draw, DrawList
 from aomgen.web.server import Request, RequestFields, Response, Route, send_file, send_json
 
-# Positions along each axis of the requested area at which holes are searched: some 5 mm apart for usual ranges.
-HOLE_NODES: Final = 60
+# Positions along each axis of the requested area at which holes are searched: some 9 mm apart for usual ranges.
+HOLE_NODES: Final = 40
 # Holes that are listed for an asset.
 HOLES: Final = 3
 # A circle without an episode is a hole from this radius on, in mean distances of evenly spread episodes: an even grid
@@ -80,8 +81,12 @@ class CoverageRoutes:
         chosen = range(len(assets)) if asked.asset is None else [asked.asset]
         if not all(0 <= number < len(assets) for number in chosen):
             raise ValueError(f"there is no asset {asked.asset}")
-        draws = [draw for draw in self.draws.read() if draw.variation and unit_of(draw.number).asset in chosen]
-        return send_json({"assets": assets} | measure_coverage(results, draws, read_reviews(self.out), chosen))
+        draws = [
+            draw for draw in self.draws.read() if draw.variation and unit_of(draw.number).asset in chosen
+        ]
+        return send_json(
+            {"assets": assets} | measure_coverage(results, draws, read_reviews(self.out), chosen)
+        )
 
     def _open(self) -> Results | None:
         """Results of the run; read again when the assets have been fitted again."""
@@ -106,8 +111,14 @@ def measure_coverage(
     fits, ranges = results.fitted_assets, params.ranges
     maps = [load_artifact(results.folders["episodes"], REACH_MAP.format(number), ReachMap) for number in assets
             if (results.folders["episodes"] / f"{REACH_MAP.format(number)}.json").is_file()]  # fmt: skip
-    rows = [_place(draw, fits[unit_of(draw.number).asset], reviews) for draw in draws]
-    counted = [{"variation": draw.variation, "outcome": row["outcome"]} for draw, row in zip(draws, rows, strict=True)]
+    rows = [
+        _describe(draw, place, reviews.get(draw.number, Review()))
+        for draw, place in zip(draws, _locate(draws, fits), strict=True)
+    ]
+    counted = [
+        {"variation": draw.variation, "outcome": row["outcome"]}
+        for draw, row in zip(draws, rows, strict=True)
+    ]
     shapes = [
         {"points": shape.points_world.round(4).tolist(), "color": shape.color, "opacity": shape.opacity}
         for shape in scene_shapes(results.episode_scene, maps)
@@ -126,9 +137,11 @@ def outline_request(ranges: Ranges, fitted: FittedAsset) -> Array:
     """Corners (N, 2) of the area in which the middle of an object is requested, world frame, [m]."""
     if ranges.polygon:
         return np.array(ranges.polygon)
-    (x0, x1), (y0, y1) = ranges.x_m, ranges.y_m
+    (x0, x1), (y0, y1) = ranges.place_bounds
     corners = [(x0, y0), (x1, y0), (x1, y1), (x0, y1)]
-    return np.stack([_middle(fitted, x, y, ranges) for x, y in corners])
+    return locate_draws(fitted, [{"x": x, "y": y, "yaw": 0.0, "frame": ranges.frame} for x, y in corners])[
+        :, :2
+    ]
 
 
 def find_holes(area: Array, episodes: Array, others: Array, reasons: Sequence[str]) -> Iterator[Hole]:
@@ -162,35 +175,57 @@ def find_holes(area: Array, episodes: Array, others: Array, reasons: Sequence[st
         distances = np.minimum(distances, np.linalg.norm(nodes - center, axis=1) - radius)
 
 
-def _find_holes(ranges: Ranges, fits: Sequence[FittedAsset], rows: Sequence[dict[str, Any]]) -> Iterator[Hole]:
+def _find_holes(
+    ranges: Ranges, fits: Sequence[FittedAsset], rows: Sequence[dict[str, Any]]
+) -> Iterator[Hole]:
     delivered = np.array([[row["x"], row["y"]] for row in rows if row["outcome"] == "committed"])
     others = [row for row in rows if row["outcome"] != "committed"]
     positions = np.array([[row["x"], row["y"]] for row in others])
-    return find_holes(outline_request(ranges, fits[0]), delivered, positions, [row["reason"] for row in others])
+    return find_holes(
+        outline_request(ranges, fits[0]), delivered, positions, [row["reason"] for row in others]
+    )
 
 
-def _place(draw: Draw, fitted: FittedAsset, reviews: dict[int, Review]) -> dict[str, Any]:
-    """Position of a draw from above, direction of the object's front, and outcome."""
-    stored = draw.variation
-    place = {name: stored[name] for name in ("seed", "index", "x", "y", "yaw", "frame")}
-    first, last = front_line(fitted, Variation(**place), "committed").points_world
-    review = reviews.get(draw.number, Review())
-    rejected = draw.outcome == "committed" and review.decision == "rejected" and review.content == draw.content
+def locate_draws(fitted: FittedAsset, variations: Sequence[Mapping[str, Any]]) -> Array:
+    """Middle of an object's footprint and direction of its front (N, 4) in stored variations, world frame, [m].
+
+    `reach_map.front_line` gives the same for one variation.
+    """
+    R, T = fitted.T_world_asset[:3, :3], fitted.T_world_asset
+    pivot, front = apply(T, fitted.middle_asset), R @ [0.0, -LINE_M, 0.0]
+    shifts = np.array([[item["x"], item["y"], 0.0] for item in variations]).reshape(-1, 3)
+    frames = np.array([item["frame"] for item in variations])[:, None]
+    shifts = np.where(frames == "object", shifts @ R.T, shifts)
+    middles = np.where(frames == "polygon", shifts, pivot + shifts)[:, :2]
+    yaws = np.array([item["yaw"] for item in variations])
+    cos, sin = np.cos(yaws), np.sin(yaws)
+    turned = np.stack([cos * front[0] - sin * front[1], sin * front[0] + cos * front[1]], 1)
+    return np.concatenate([middles, turned], 1)
+
+
+def _locate(draws: Sequence[Draw], fits: Sequence[FittedAsset]) -> Array:
+    """`locate_draws` for draws of several assets (N, 4)."""
+    assets, rows = np.array([unit_of(draw.number).asset for draw in draws]), np.zeros((len(draws), 4))
+    for number in np.unique(assets):
+        mine = assets == number
+        rows[mine] = locate_draws(
+            fits[number], [draw.variation for draw in draws if unit_of(draw.number).asset == number]
+        )
+    return rows.round(4)
+
+
+def _describe(draw: Draw, place: Array, review: Review) -> dict[str, Any]:
+    """A draw on the map; an episode that a person has rejected is a rejected draw."""
+    rejected = (
+        draw.outcome == "committed" and review.decision == "rejected" and review.content == draw.content
+    )
     return {
         "number": draw.number,
         "asset": draw.asset,
         "outcome": "rejected" if rejected else draw.outcome,
         "reason": "rejected by a person" if rejected else draw.reason,
-        "x": round(float(first[0]), 4),
-        "y": round(float(first[1]), 4),
-        "dx": round(float(last[0] - first[0]), 4),
-        "dy": round(float(last[1] - first[1]), 4),
+        **dict(zip(("x", "y", "dx", "dy"), place.tolist(), strict=True)),
     }
-
-
-def _middle(fitted: FittedAsset, x: float, y: float, ranges: Ranges) -> Array:
-    variation = Variation(seed=0, index=0, x=x, y=y, yaw=0.0, frame=ranges.frame)
-    return front_line(fitted, variation, "committed").points_world[0]
 
 
 def _histogram(item: Distribution) -> dict[str, Any]:

@@ -64,6 +64,7 @@ class DrawList:
     def __init__(self, out: Path, episodes: Path) -> None:
         self.out, self.episodes = out, episodes
         self._lock = threading.Lock()
+        self._found: dict[int, Draw] = {}
         self._known: dict[Path, tuple[tuple[int, int], list[Draw]]] = {}
 
     def read(self) -> list[Draw]:
@@ -76,19 +77,20 @@ class DrawList:
         if not self.out.is_dir():
             raise MissingFileError(self.out, "is missing", "has it been moved or deleted?")
         with self._lock:
-            found = {draw.number: draw for draw in self._list()}
-        return [found[number] for number in sorted(found)]
+            self._found = {draw.number: draw for draw in self._list()}
+            return [self._found[number] for number in sorted(self._found)]
 
     def find(self, number: int) -> Draw:
-        """One draw.
+        """One draw as `read` found it last; the draws are read again when it was not among them.
 
         Raises:
             ValueError: There is no draw of that number.
         """
-        for draw in self.read():
-            if draw.number == number:
-                return draw
-        raise ValueError(f"there is no draw {number}")
+        if number not in self._found:
+            self.read()
+        if number not in self._found:
+            raise ValueError(f"there is no draw {number}")
+        return self._found[number]
 
     def _list(self) -> Iterator[Draw]:
         """Draws in the order of the files that report them: what a later one reports holds."""

@@ -84,7 +84,9 @@ def list_series(episode: Episode) -> list[dict[str, Any]]:
     return [
         _plot("object joint", "deg" if turning else "mm", {"reached": factor * episode.thetas}, goal),
         _plot("finger force", "N", finger_forces(episode)),
-        _plot("gripper", "0 open, 1 closed", {"reached": episode.gripper, "commanded": episode.action_gripper}),
+        _plot(
+            "gripper", "0 open, 1 closed", {"reached": episode.gripper, "commanded": episode.action_gripper}
+        ),
         _plot(
             "arm joints",
             "deg",

@@ -16,6 +16,7 @@ from aomgen.report.episodes import place_words, reasons
 from aomgen.viewing.coverage import CoverageRoutes
 from aomgen.viewing.draws import Draw, DrawList
 from aomgen.viewing.episode import describe_episode, describe_rejected
+from aomgen.viewing.policies import PolicyRoutes
 from aomgen.web.server import Request, RequestFields, Response, Route, send_file, send_json
 
 PACKAGE: Final = "aomgen.viewing"
@@ -136,10 +137,11 @@ class ReviewRoutes:
 
 
 def list_review_routes(out: Path) -> dict[str, Route]:
-    """Routes of the pages "Review" and "Coverage" of a run, finished or not."""
+    """Routes of the pages "Review", "Coverage" and "Policies" of a run, finished or not."""
     folder = next(stage.folder for stage in STAGES if stage.name == "episodes")
     draws = DrawList(out, out / folder)
-    return ReviewRoutes(out, draws).list_routes() | CoverageRoutes(out, draws).list_routes()
+    pages = (ReviewRoutes(out, draws), CoverageRoutes(out, draws), PolicyRoutes(out))
+    return {path: route for page in pages for path, route in page.list_routes().items()}
 
 
 def describe_draw(draw: Draw, reviews: Mapping[int, Review]) -> dict[str, Any]:
