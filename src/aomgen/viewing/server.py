@@ -3,6 +3,8 @@
 from pathlib import Path
 from typing import Final
 
+from aomgen.viewing.opened import ViewedFolder
+from aomgen.viewing.twin_pages import TwinPages
 from aomgen.web.server import PageServer, send_file
 
 PACKAGE: Final = "aomgen.viewing"
@@ -18,8 +20,8 @@ class ViewServer(PageServer):
             InputError, ConfigError: The folder holds neither, or the port is taken.
         """
         routes = {
-            "GET /": send_file(PACKAGE, "twin.html"),
             "GET /pages.css": send_file(PACKAGE, "pages.css"),
             "GET /pages.js": send_file(PACKAGE, "pages.js"),
+            **TwinPages(ViewedFolder(folder)).list_routes(),
         }
         super().__init__(routes, port)
