@@ -14,7 +14,7 @@ from aomgen.core.values import Array
 # Points of a circle; a collider's outline at arm's length is smooth enough.
 SIDES: Final = 24
 # Edges of a mesh between faces that meet at a smaller angle are not drawn: they belong to one smooth face, [rad].
-SHARP_RAD: Final = 0.35
+SHARP_RAD: Final = 0.6
 # Lines are cut at this depth before the camera, [m].
 NEAR: Final = 0.02
 # Depth of the drawn pyramid of a camera, [m].
@@ -63,7 +63,8 @@ def outline_geoms(model: mujoco.MjModel) -> list[tuple[int, Array]]:
     }
     found = []
     for geom in np.flatnonzero(model.geom_contype | model.geom_conaffinity):
-        kind, size = model.geom_type[geom], model.geom_size[geom]
+        # Not the number itself: it is not found among members of the enumeration.
+        kind, size = mujoco.mjtGeom(int(model.geom_type[geom])), model.geom_size[geom]
         if kind == mujoco.mjtGeom.mjGEOM_MESH:
             found.append((int(geom), meshes[int(model.geom_dataid[geom])]))
         elif kind == mujoco.mjtGeom.mjGEOM_BOX:

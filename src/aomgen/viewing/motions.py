@@ -125,7 +125,10 @@ def read_recording(results: Results, done: Collection[str]) -> ShownMotion:
         videos[item.name] = RecordedVideo(
             file=item.video, lens=lenses.get(item.name, item.lens), offset_s=offset
         )
-    times = read_frames_jpeg(videos[results.demo_camera].file, videos[results.demo_camera].lens)[0]
+    if "motion" in done:
+        times = results.motion.times_s
+    else:
+        times = read_frames_jpeg(videos[results.demo_camera].file, videos[results.demo_camera].lens)[0]
     trajectory = None
     if "twin" in done:
         T_world_object = results.twin.T_world_object

@@ -13,9 +13,9 @@ from aomgen.parts.survey import MIN_SHARE, Survey
 HIDDEN_M: Final = 0.04
 # The number of states of a point's coverage: no view, too few, enough.
 NO_VIEW, FEW_VIEWS, ENOUGH_VIEWS = 0, 1, 2
-# Directions further from every scan camera than this show surfaces that no image showed, [deg]: the angle at which
-# a flat surface that a camera sees head-on loses half of its width, cos 60, less what two cameras overlap.
-NEAR_DEG: Final = 30.0
+# Views further from every scan camera than this show surfaces that no image showed, [deg]; neighboring cameras of a walk
+# around the object are up to 12 deg apart.
+NEAR_DEG: Final = 20.0
 # A larger share of an image without any Gaussian is reported.
 EMPTY_SHARE: Final = 0.1
 # Alpha below which a pixel shows no surface.

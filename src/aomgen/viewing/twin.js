@@ -147,13 +147,13 @@ function refreshCompare() {
   const possible = atHome && home === filmed, overlaid = compare === "wipe" || compare === "difference";
   $("besides").hidden = compare !== "beside";
   film.hidden = !(overlaid && possible);
-  film.className = compare === "difference" ? "difference" : "";
+  $("images").className = compare === "difference" && possible ? "difference" : "";
   film.style.clipPath = compare === "wipe" ? `inset(0 0 0 ${100 * wipe}%)` : "";
   $("wipe").hidden = !(compare === "wipe" && possible);
   $("wipe").style.left = 100 * wipe + "%";
   $("what").hidden = !overlaid;
-  $("what").textContent = !possible ? `R: back to ${filmed}, to compare with its video` : compare === "wipe" ? "twin | recorded" : "difference of twin and recorded";
-  $("recorded").textContent = "recorded: " + filmed;
+  $("what").textContent = !possible ? `R: back to ${filmed}, to compare with its video` : compare === "wipe" ? "twin | video" : "difference of twin and video, 4 times as bright";
+  $("recorded").textContent = "video: " + filmed;
   for (const button of document.querySelectorAll("[data-compare]")) button.setAttribute("aria-pressed", button.dataset.compare === compare);
   for (const button of document.querySelectorAll("[data-view]")) button.setAttribute("aria-pressed", atHome && button.dataset.view === home);
 }
