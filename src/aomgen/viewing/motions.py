@@ -22,7 +22,7 @@ KEPT_VIDEOS: Final = 4
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class RecordedVideo:
+class MotionVideo:
     """A video of a motion.
 
     Attributes:
@@ -61,7 +61,7 @@ class ShownMotion:
     times_s: Array
     trajectory: SceneTrajectory | None
     cameras: Mapping[str, CameraPath]
-    videos: Mapping[str, RecordedVideo]
+    videos: Mapping[str, MotionVideo]
 
     def describe(self) -> dict[str, Any]:
         """Describe the motion to the page: times, states, cameras and names of the videos."""
@@ -122,7 +122,7 @@ def read_recording(results: Results, done: Collection[str]) -> ShownMotion:
         offset = first.offset_s - clock.offset_s if first and clock else 0.0
         if fixed:
             cameras[item.name] = CameraPath(camera=fixed.camera, Ts_world_cam=fixed.camera.T_world_cam[None])
-        videos[item.name] = RecordedVideo(
+        videos[item.name] = MotionVideo(
             file=item.video, lens=lenses.get(item.name, item.lens), offset_s=offset
         )
     if "motion" in done:
@@ -152,7 +152,7 @@ def show_episode(committed: CommittedEpisode) -> ShownMotion:
         name: CameraPath(camera=camera, Ts_world_cam=episode.camera_poses.get(name, camera.T_world_cam[None]))
         for name, camera in episode.cameras.items()
     }
-    videos = {name: RecordedVideo(file=file) for name, file in committed.videos.items()}
+    videos = {name: MotionVideo(file=file) for name, file in committed.videos.items()}
     return ShownMotion(
         title=f"episode {episode.index}: {episode.asset}",
         times_s=episode.times_s,

@@ -16,11 +16,11 @@ from aomgen.pipeline.preflight import category_warnings
 from aomgen.twin.twin import TwinState
 from aomgen.viewing.observed import describe_support, project_coverage
 from aomgen.viewing.opened import OpenedRun, ViewedFolder
-from aomgen.viewing.overlays import Place, project_overlay
+from aomgen.viewing.overlays import Moment, project_overlay
 from aomgen.viewing.scenes import PosableScene
-from aomgen.web.server import (
+from aomgen.web.page_server import (
     JPEG_QUALITY,
-    Request,
+    PageRequest,
     RequestFields,
     Response,
     Route,
@@ -97,7 +97,7 @@ class TwinPages:
             "POST /api/draw": self._post_draw,
         }
 
-    def _get_run(self, request: Request) -> Response:
+    def _get_run(self, request: PageRequest) -> Response:
         opened = self._viewed.open()
         return send_json(
             {
@@ -108,18 +108,18 @@ class TwinPages:
             }
         )
 
-    def _get_motion(self, request: Request) -> Response:
+    def _get_motion(self, request: PageRequest) -> Response:
         name = request.parse(MotionRequest).name
         return send_json(self._work.submit(_describe_motion, self._viewed.last, name).result())
 
-    def _get_frame(self, request: Request) -> Response:
+    def _get_frame(self, request: PageRequest) -> Response:
         wanted = request.parse(FrameRequest)
         motion = self._work.submit(self._viewed.last.motion, wanted.motion).result()[0]
         if wanted.camera not in motion.videos:
             raise UnknownNameError("camera", wanted.camera, motion.videos)
         return Response("image/jpeg", motion.videos[wanted.camera].read_frame(wanted.time))
 
-    def _get_capture(self, request: Request) -> Response:
+    def _get_capture(self, request: PageRequest) -> Response:
         opened = self._viewed.last
         recorded = opened.results.recorded
         prompts = [
@@ -128,7 +128,7 @@ class TwinPages:
         ]
         return send_json({"images": opened.scan.names, "size": list(recorded.scan_size), "prompts": prompts})
 
-    def _get_check(self, request: Request) -> Response:
+    def _get_check(self, request: PageRequest) -> Response:
         recorded = self._viewed.last.results.recorded
         try:
             checked = check_capture(recorded)
@@ -137,14 +137,14 @@ class TwinPages:
         warnings = checked.warnings + category_warnings(recorded)
         return send_json({"facts": checked.summary(recorded), "warnings": list(warnings)})
 
-    def _get_scan(self, request: Request) -> Response:
+    def _get_scan(self, request: PageRequest) -> Response:
         index = request.parse(ScanImageRequest).index
         images = self._viewed.last.scan
         if not 0 <= index < len(images.names):
             raise IndexError(f"the scan has no image {index}")
         return send_jpeg(images.read(index))
 
-    def _post_draw(self, request: Request) -> Response:
+    def _post_draw(self, request: PageRequest) -> Response:
         wanted = request.parse(DrawRequest)
         drawing: Future[dict[str, Any]] = self._work.submit(draw, self._viewed.last, wanted)
         return send_json(drawing.result())
@@ -201,12 +201,12 @@ def draw(opened: OpenedRun, wanted: DrawRequest) -> dict[str, Any]:
     T = require_poses("T_world_cam", require_array("T_world_cam", wanted.T_world_cam, (16,)).reshape(4, 4), single=True)  # fmt: skip
     optics = motion.cameras[wanted.camera].camera
     camera = optics.resize(wanted.width, max(1, round(optics.height * wanted.width / optics.width))).move(T)
-    place = Place(_read_state(scene, wanted), wanted.time)
-    view = scene.draw(place.state, camera, wanted.parts)
+    moment = Moment(_read_state(scene, wanted), wanted.time)
+    view = scene.draw(moment.state, camera, wanted.parts)
     lines: dict[str, Any] = {}
     for kind in wanted.overlays:
         if kind != "coverage":
-            lines |= project_overlay(opened.overlay(wanted.motion, kind), place, camera)
+            lines |= project_overlay(opened.overlay(wanted.motion, kind), moment, camera)
     points = []
     if "coverage" in wanted.overlays and opened.survey is not None:
         points = project_coverage(opened.survey, camera, view.depth)

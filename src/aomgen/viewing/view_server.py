@@ -5,7 +5,7 @@ from typing import Final
 
 from aomgen.viewing.opened import ViewedFolder
 from aomgen.viewing.twin_pages import TwinPages
-from aomgen.web.server import PageServer, send_file
+from aomgen.web.page_server import PageServer, send_file
 
 PACKAGE: Final = "aomgen.viewing"
 
