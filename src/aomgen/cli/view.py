@@ -18,7 +18,7 @@ def view(
     """Show a run in a browser: its twin from any camera in any state, and its episodes; Ctrl+C ends it."""
     import webbrowser
 
-    from aomgen.viewing.server import ViewServer
+    from aomgen.viewing.view_server import ViewServer
 
     with ViewServer(out, port) as server:
         print(f"view {out} at {server.url}", flush=True)

@@ -5,7 +5,15 @@ import base64
 from aomgen.capture.capture_schema import Four, PromptSection
 from aomgen.io.images import encode_png
 from aomgen.prompting.session import PromptSession, box_of_mask, find_missing
-from aomgen.web.server import PageServer, Request, RequestFields, Response, send_file, send_jpeg, send_json
+from aomgen.web.page_server import (
+    PageRequest,
+    PageServer,
+    RequestFields,
+    Response,
+    send_file,
+    send_jpeg,
+    send_json,
+)
 
 
 class ImageRequest(RequestFields):
@@ -46,13 +54,13 @@ class PromptServer(PageServer):
         }
         super().__init__(routes, port)
 
-    def _get_state(self, request: Request) -> Response:
+    def _get_state(self, request: PageRequest) -> Response:
         return send_json(self.session.describe())
 
-    def _get_image(self, request: Request) -> Response:
+    def _get_image(self, request: PageRequest) -> Response:
         return send_jpeg(self.session.images.read(self._check_index(request.parse(ImageRequest).index)))
 
-    def _post_mask(self, request: Request) -> Response:
+    def _post_mask(self, request: PageRequest) -> Response:
         prompt = request.parse(MaskRequest)
         index = self._check_index(prompt.image)
         mask = self.session.segment(index, prompt.part, prompt.points, prompt.box or [])
@@ -61,12 +69,12 @@ class PromptServer(PageServer):
         png = base64.b64encode(encode_png(mask.astype("uint8") * 255)).decode()
         return send_json({"mask": png, "box": box_of_mask(mask)})
 
-    def _post_save(self, request: Request) -> Response:
+    def _post_save(self, request: PageRequest) -> Response:
         save = request.parse(SaveRequest)
         self.session.save(save.prompts, save.model_dump(include={"category", "instruction"}))
         return send_json({"missing": find_missing(save.prompts)})
 
-    def _post_done(self, request: Request) -> Response:
+    def _post_done(self, request: PageRequest) -> Response:
         self.stop()
         return send_json({})
 

@@ -3,8 +3,10 @@
 from pathlib import Path
 from typing import Final
 
-from aomgen.viewing.review import list_review_routes
-from aomgen.web.server import PageServer, send_file
+from aomgen.viewing.opened import ViewedFolder
+from aomgen.viewing.review_pages import list_review_routes
+from aomgen.viewing.twin_pages import TwinPages
+from aomgen.web.page_server import PageServer, send_file
 
 PACKAGE: Final = "aomgen.viewing"
 
@@ -19,9 +21,9 @@ class ViewServer(PageServer):
             InputError, ConfigError: The folder holds neither, or the port is taken.
         """
         routes = {
-            "GET /": send_file(PACKAGE, "twin.html"),
             "GET /pages.css": send_file(PACKAGE, "pages.css"),
             "GET /pages.js": send_file(PACKAGE, "pages.js"),
             **list_review_routes(folder),
+            **TwinPages(ViewedFolder(folder)).list_routes(),
         }
         super().__init__(routes, port)

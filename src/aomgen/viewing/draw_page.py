@@ -12,8 +12,8 @@ from aomgen.core.episode import FINGERS, PHASES, Episode
 from aomgen.core.values import Array
 from aomgen.io.episode_folder import read_episode
 from aomgen.report.episodes import place_words, reasons
-from aomgen.viewing.draws import Draw
-from aomgen.viewing.limits import parse_pair, read_limits, read_rejected
+from aomgen.viewing.draw_list import Draw
+from aomgen.viewing.limit_readings import parse_pair, read_limits, read_rejected
 
 # Digits of plotted values, below what a plot can show.
 DIGITS: Final = 4

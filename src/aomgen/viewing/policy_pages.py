@@ -16,7 +16,7 @@ from aomgen.evaluation.suite import Suite, read_suite
 from aomgen.io.artifact import load_artifact, read_json
 from aomgen.report.episodes import place_words, reasons
 from aomgen.saved_units import REQUEST_FILE, unit_name
-from aomgen.web.server import Request, RequestFields, Response, Route, send_file, send_json
+from aomgen.web.page_server import PageRequest, RequestFields, Response, Route, send_file, send_json
 
 # Two trials differ from where the end effectors are this far apart, [mm], or the objects are opened by different
 # shares of the planned travel: above what other images of the same scene change in the actions of a policy.
@@ -29,13 +29,13 @@ DIGITS: Final = 4
 
 
 class SuiteRequest(RequestFields):
-    """Request of one suite by its number in the list of all."""
+    """PageRequest of one suite by its number in the list of all."""
 
     suite: int
 
 
 class TrialRequest(RequestFields):
-    """Request of a trial of two policies by their numbers in the list of the suite."""
+    """PageRequest of a trial of two policies by their numbers in the list of the suite."""
 
     suite: int
     trial: int
@@ -44,7 +44,7 @@ class TrialRequest(RequestFields):
 
 
 class FailureRequest(RequestFields):
-    """Request of the video of a failed trial of a policy."""
+    """PageRequest of the video of a failed trial of a policy."""
 
     suite: int
     policy: int
@@ -87,7 +87,7 @@ class PolicyRoutes:
             "GET /policies/video": self.send_video,
         }
 
-    def send_suites(self, request: Request) -> Response:
+    def send_suites(self, request: PageRequest) -> Response:
         """Send the names of all suites of the run, and how many policies each has."""
         return send_json(
             {
@@ -98,7 +98,7 @@ class PolicyRoutes:
             }
         )  # fmt: skip
 
-    def send_suite(self, request: Request) -> Response:
+    def send_suite(self, request: PageRequest) -> Response:
         """Send all trials of a suite and the results of all policies."""
         suite, found = self._find(request.parse(SuiteRequest).suite)
         return send_json(
@@ -116,7 +116,7 @@ class PolicyRoutes:
             }
         )  # fmt: skip
 
-    def send_trial(self, request: Request) -> Response:
+    def send_trial(self, request: PageRequest) -> Response:
         """Send the course of a trial of two policies, and where they first differ."""
         asked = request.parse(TrialRequest)
         suite, found = self._find(asked.suite)
@@ -134,7 +134,7 @@ class PolicyRoutes:
             }
         )
 
-    def send_video(self, request: Request) -> Response:
+    def send_video(self, request: PageRequest) -> Response:
         """Send the video of a failed trial."""
         asked = request.parse(FailureRequest)
         chosen = _choose(self._find(asked.suite)[1], asked.policy)

@@ -21,8 +21,8 @@ from aomgen.pipeline.manifest import MANIFEST
 from aomgen.pipeline.runner import results_of
 from aomgen.pipeline.stages import STAGES, find_project
 from aomgen.results import Results
-from aomgen.viewing.draws import Draw, DrawList
-from aomgen.web.server import Request, RequestFields, Response, Route, send_file, send_json
+from aomgen.viewing.draw_list import Draw, DrawList
+from aomgen.web.page_server import PageRequest, RequestFields, Response, Route, send_file, send_json
 
 # Positions along each axis of the requested area at which holes are searched: some 9 mm apart for usual ranges.
 HOLE_NODES: Final = 40
@@ -34,7 +34,7 @@ LEAST_HOLE: Final = 1.0
 
 
 class CoverageRequest(RequestFields):
-    """Request of the coverage of one asset by its number, or of all."""
+    """PageRequest of the coverage of one asset by its number, or of all."""
 
     asset: int | None = None
 
@@ -72,7 +72,7 @@ class CoverageRoutes:
             "GET /coverage/state": self.send_state,
         }
 
-    def send_state(self, request: Request) -> Response:
+    def send_state(self, request: PageRequest) -> Response:
         """Send the map, the draws on it, histograms and holes; empty before the run has fitted its assets."""
         asked, results = request.parse(CoverageRequest), self._open()
         if results is None:

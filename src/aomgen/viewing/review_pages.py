@@ -13,11 +13,11 @@ from aomgen.io.review import Review, ReviewChange, change_review, read_reviews
 from aomgen.io.video import read_frames, read_last_frame
 from aomgen.pipeline.stages import STAGES
 from aomgen.report.episodes import place_words, reasons
-from aomgen.viewing.coverage import CoverageRoutes
-from aomgen.viewing.draws import Draw, DrawList
-from aomgen.viewing.episode import describe_episode, describe_rejected
-from aomgen.viewing.policies import PolicyRoutes
-from aomgen.web.server import Request, RequestFields, Response, Route, send_file, send_json
+from aomgen.viewing.coverage_pages import CoverageRoutes
+from aomgen.viewing.draw_list import Draw, DrawList
+from aomgen.viewing.draw_page import describe_episode, describe_rejected
+from aomgen.viewing.policy_pages import PolicyRoutes
+from aomgen.web.page_server import PageRequest, RequestFields, Response, Route, send_file, send_json
 
 PACKAGE: Final = "aomgen.viewing"
 # Width of the images of the wall, [px], and quality of their JPEG: some 5 kB each.
@@ -27,25 +27,25 @@ THUMBNAILS: Final = 4000
 
 
 class WallRequest(RequestFields):
-    """Request of all draws; the version is that of the last response, which is not sent again."""
+    """PageRequest of all draws; the version is that of the last response, which is not sent again."""
 
     version: str = ""
 
 
 class DrawRequest(RequestFields):
-    """Request of one draw by its number."""
+    """PageRequest of one draw by its number."""
 
     number: int
 
 
 class ThumbnailRequest(DrawRequest):
-    """Request of a small image of an episode's first camera."""
+    """PageRequest of a small image of an episode's first camera."""
 
     frame: Literal["first", "last"]
 
 
 class VideoRequest(DrawRequest):
-    """Request of an episode's video; cameras are numbered in the order of the episode."""
+    """PageRequest of an episode's video; cameras are numbered in the order of the episode."""
 
     camera: int
 
@@ -82,7 +82,7 @@ class ReviewRoutes:
             "POST /review/change": self.change,
         }
 
-    def send_wall(self, request: Request) -> Response:
+    def send_wall(self, request: PageRequest) -> Response:
         """Send all draws with their reviews, unless the page has them."""
         asked = request.parse(WallRequest)
         reviews = read_reviews(self.out)
@@ -94,14 +94,14 @@ class ReviewRoutes:
         version = hashlib.sha256(json.dumps(content).encode()).hexdigest()[:16]
         return send_json({"version": version} if version == asked.version else content | {"version": version})
 
-    def send_draw(self, request: Request) -> Response:
+    def send_draw(self, request: PageRequest) -> Response:
         """Send what the page of one draw shows."""
         draw = self.draws.find(request.parse(DrawRequest).number)
         committed = draw.outcome in ("committed", "damaged")
         shown = describe_episode(self._folder(draw)) if committed else describe_rejected(draw)
         return send_json(describe_draw(draw, read_reviews(self.out)) | shown)
 
-    def send_thumbnail(self, request: Request) -> Response:
+    def send_thumbnail(self, request: PageRequest) -> Response:
         """Send the first or last image of an episode's first camera."""
         asked = request.parse(ThumbnailRequest)
         draw = self.draws.find(asked.number)
@@ -110,7 +110,7 @@ class ReviewRoutes:
         video = self._folder(draw) / f"{draw.cameras[0]}.mp4"
         return Response("image/jpeg", self._thumbnail(video, draw.content, asked.frame))
 
-    def send_video(self, request: Request) -> Response:
+    def send_video(self, request: PageRequest) -> Response:
         """Send one video of an episode, as it is stored."""
         asked = request.parse(VideoRequest)
         draw = self.draws.find(asked.number)
@@ -119,7 +119,7 @@ class ReviewRoutes:
         path = self._folder(draw) / f"{draw.cameras[asked.camera]}.mp4"
         return Response("video/mp4", path.read_bytes())
 
-    def change(self, request: Request) -> Response:
+    def change(self, request: PageRequest) -> Response:
         """Store a decision, and send the review that is on disk now."""
         asked = request.parse(ChangeRequest)
         draw = self.draws.find(asked.number)

@@ -18,7 +18,7 @@ from aomgen.errors import AomgenError, MissingFileError
 from aomgen.io.artifact import read_json
 from aomgen.io.episode_folder import EPISODE_FILE, list_committed
 from aomgen.io.review import content_of
-from aomgen.viewing.limits import parse_excess, read_limits
+from aomgen.viewing.limit_readings import parse_excess, read_limits
 
 # "damaged" is an episode whose episode.json cannot be read.
 Outcome = Literal["committed", "rejected", "skipped", "damaged"]

@@ -47,8 +47,8 @@ class Response:
 
 
 @dataclass(frozen=True, slots=True)
-class Request:
-    """Request of a page.
+class PageRequest:
+    """PageRequest of a page.
 
     Attributes:
         query: Values of the address, `?name=value`.
@@ -67,7 +67,7 @@ class Request:
         return kind.model_validate_json(self.body) if self.body else kind.model_validate(self.query)
 
 
-Route = Callable[[Request], Response]
+Route = Callable[[PageRequest], Response]
 
 
 class PageServer(ThreadingHTTPServer):
@@ -183,7 +183,7 @@ class _Handler(BaseHTTPRequestHandler):
         if self.command == "POST" and self.headers.get_content_type() != "application/json":
             raise _RefusedError(HTTPStatus.UNSUPPORTED_MEDIA_TYPE, "the request is not JSON")
         body = self._read() if self.command == "POST" else b""
-        return route(Request(dict(parse_qsl(address.query)), body))
+        return route(PageRequest(dict(parse_qsl(address.query)), body))
 
     def _read(self) -> bytes:
         length = int(self.headers.get("Content-Length", 0))

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from aomgen.errors import ConfigError, MissingFileError
-from aomgen.web.server import PageServer, Request, RequestFields, Response, send_jpeg, send_json
+from aomgen.web.page_server import PageRequest, PageServer, RequestFields, Response, send_jpeg, send_json
 
 
 class Number(RequestFields):
@@ -17,23 +17,23 @@ class Number(RequestFields):
     number: int
 
 
-def double(request: Request) -> Response:
+def double(request: PageRequest) -> Response:
     return send_json({"double": 2 * request.parse(Number).number})
 
 
-def miss(request: Request) -> Response:
+def miss(request: PageRequest) -> Response:
     raise MissingFileError("run", "has vanished", "make it again")
 
 
-def break_off(request: Request) -> Response:
+def break_off(request: PageRequest) -> Response:
     raise KeyError("unexpected")
 
 
-def read_vanished(request: Request) -> Response:
+def read_vanished(request: PageRequest) -> Response:
     raise FileNotFoundError(2, "No such file or directory", "episode.npz")
 
 
-def stay_grey(request: Request) -> Response:
+def stay_grey(request: PageRequest) -> Response:
     return send_jpeg(np.full((4, 6, 3), 128, np.uint8))
 
 
@@ -58,7 +58,7 @@ def server() -> Iterator[PageServer]:
 def ask(server, path, body=None, **headers):
     data = None if body is None else json.dumps(body).encode()
     headers = ({"Content-Type": "application/json"} if body is not None else {}) | headers
-    with urllib.request.urlopen(urllib.request.Request(server.url + path, data, headers)) as answer:
+    with urllib.request.urlopen(urllib.request.PageRequest(server.url + path, data, headers)) as answer:
         return answer.read()
 
 
