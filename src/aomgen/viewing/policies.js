@@ -7,7 +7,8 @@ buildHeader("Policies");
 
 async function load() {
   try {
-    const {suites} = await ask("/policies/suites"), known = suites.map((s, i) => [s, i]).filter(([s]) => s.policies);
+    const {suites, problems} = await ask("/policies/suites"), known = suites.map((s, i) => [s, i]).filter(([s]) => s.policies);
+    if (problems.length) say(problems.join(" "), true);
     $("note").hidden = known.length > 0; $("content").hidden = $("filters").hidden = !known.length;
     document.body.dataset.loaded = known.length;
     $("suite").replaceChildren(...known.map(([s, i]) => new Option(`${s.name}: ${s.trials} trials, ${s.policies} ${s.policies > 1 ? "policies" : "policy"}`, i)));

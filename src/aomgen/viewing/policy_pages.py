@@ -10,7 +10,7 @@ import numpy as np
 
 from aomgen.api.evaluation import EVALUATION_FOLDER
 from aomgen.core.values import Array
-from aomgen.errors import MalformedFileError
+from aomgen.errors import InputError, MalformedFileError
 from aomgen.evaluation.evaluate import ROLLOUTS_FOLDER, VIDEOS_FOLDER, RolloutRecord, interval_95
 from aomgen.evaluation.suite import Suite, read_suite
 from aomgen.io.artifact import load_artifact, read_json
@@ -88,15 +88,13 @@ class PolicyRoutes:
         }
 
     def send_suites(self, request: PageRequest) -> Response:
-        """Send the names of all suites of the run, and how many policies each has."""
-        return send_json(
-            {
-                "suites": [
-                    {"name": path.stem, "trials": len(suite.trials), "policies": len(find_evaluations(path, suite))}
-                    for path, suite in find_suites(self.out)
-                ]
-            }
-        )  # fmt: skip
+        """Send the names of all suites of the run, how many policies each has, and what is damaged."""
+        suites, problems = find_suites(self.out)
+        shown = [
+            {"name": path.stem, "trials": len(suite.trials), "policies": len(find_evaluations(path, suite))}
+            for path, suite in suites
+        ]
+        return send_json({"suites": shown, "problems": problems})
 
     def send_suite(self, request: PageRequest) -> Response:
         """Send all trials of a suite and the results of all policies."""
@@ -144,19 +142,26 @@ class PolicyRoutes:
         return Response("video/mp4", path.read_bytes())
 
     def _find(self, number: int) -> tuple[Suite, list[Evaluation]]:
-        suites = find_suites(self.out)
+        suites, _ = find_suites(self.out)
         if not 0 <= number < len(suites):
             raise ValueError(f"there is no suite {number}")
         path, suite = suites[number]
         return suite, find_evaluations(path, suite)
 
 
-def find_suites(out: Path) -> list[tuple[Path, Suite]]:
-    """Suites of a run in its folder of evaluations, and beside the run's folder."""
+def find_suites(out: Path) -> tuple[list[tuple[Path, Suite]], list[str]]:
+    """Suites of a run in its folder of evaluations and beside the run's folder; and sentences about damaged suites."""
     places = (out / EVALUATION_FOLDER, out.resolve().parent)
-    files = [path for place in places for path in sorted(place.glob("*.json")) if _is_suite(path)]
-    suites = [(path, read_suite(path)) for path in files]
-    return [(path, suite) for path, suite in suites if (path.parent / suite.run).resolve() == out.resolve()]
+    suites, problems = [], []
+    for path in (path for place in places for path in sorted(place.glob("*.json")) if _is_suite(path)):
+        try:
+            suite = read_suite(path)
+        except InputError as error:
+            problems.append(str(error))
+            continue
+        if (path.parent / suite.run).resolve() == out.resolve():
+            suites.append((path, suite))
+    return suites, problems
 
 
 def find_evaluations(path: Path, suite: Suite) -> list[Evaluation]:
