@@ -14,10 +14,19 @@ def view(
     browser: Annotated[
         bool, typer.Option("--browser/--no-browser", help="Open the page in a browser.")
     ] = True,
+    export: Annotated[
+        Path | None,
+        typer.Option(help="Write one HTML file that opens without AOMGen and offline, and serve nothing."),
+    ] = None,
 ) -> None:
     """Show a run in a browser: its twin from any camera in any state, and its episodes; Ctrl+C ends it."""
     import webbrowser
 
+    if export is not None:
+        from aomgen.viewing.offline_page import write_offline_page
+
+        print(f"wrote {export}, {write_offline_page(out, export) / 1e6:.1f} MB")
+        return
     from aomgen.viewing.view_server import ViewServer
 
     with ViewServer(out, port) as server:

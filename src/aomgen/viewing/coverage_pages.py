@@ -19,7 +19,7 @@ from aomgen.io.artifact import load_artifact
 from aomgen.io.review import Review, read_reviews
 from aomgen.pipeline.manifest import MANIFEST
 from aomgen.pipeline.runner import results_of
-from aomgen.pipeline.stages import STAGES, find_project
+from aomgen.pipeline.stages import PROJECT_FILE, STAGES, find_project
 from aomgen.results import Results
 from aomgen.viewing.draw_list import Draw, DrawList
 from aomgen.web.page_server import PageRequest, RequestFields, Response, Route, send_file, send_json
@@ -34,7 +34,7 @@ LEAST_HOLE: Final = 1.0
 
 
 class CoverageRequest(RequestFields):
-    """PageRequest of the coverage of one asset by its number, or of all."""
+    """Request of the coverage of one asset by its number, or of all."""
 
     asset: int | None = None
 
@@ -89,7 +89,9 @@ class CoverageRoutes:
         )
 
     def _open(self) -> Results | None:
-        """Results of the run; read again when the assets have been fitted again."""
+        """Results of the run, read again when the assets have been fitted again; None before that, or for a capture."""
+        if self.out.is_dir() and not (self.out / PROJECT_FILE).is_file():
+            return None
         results = results_of(find_project(self.out), STAGES)
         manifest = results.folders["replacement"] / MANIFEST
         if not manifest.is_file():

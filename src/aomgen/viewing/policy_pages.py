@@ -29,13 +29,13 @@ DIGITS: Final = 4
 
 
 class SuiteRequest(RequestFields):
-    """PageRequest of one suite by its number in the list of all."""
+    """Request of one suite by its number in the list of all."""
 
     suite: int
 
 
 class TrialRequest(RequestFields):
-    """PageRequest of a trial of two policies by their numbers in the list of the suite."""
+    """Request of a trial of two policies by their numbers in the list of the suite."""
 
     suite: int
     trial: int
@@ -44,7 +44,7 @@ class TrialRequest(RequestFields):
 
 
 class FailureRequest(RequestFields):
-    """PageRequest of the video of a failed trial of a policy."""
+    """Request of the video of a failed trial of a policy."""
 
     suite: int
     policy: int

@@ -66,7 +66,7 @@ function card(draw) {
   const thumbnail = frame => `<img loading="lazy" decoding="async" alt="${frame} frame" src="/review/thumbnail?number=${draw.number}&frame=${frame}">`;
   const images = draw.outcome === "committed" ? `<div class="pair">${thumbnail("first")}${thumbnail("last")}</div>` : "";
   const badge = draw.decision ? `<span class="badge ${draw.decision}">${draw.decision === "accepted" ? "✓" : "✗"} ${draw.decision}</span>` : "";
-  const cause = draw.outcome === "committed" ? `${escape(draw.reason)} <span class="dim">${escape(draw.detail)}</span>` : `<b>${escape(draw.reason.replaceAll("_", " "))}</b>`;
+  const cause = draw.outcome === "committed" ? `${escape(draw.reason)} <span class="dim">${escape(draw.detail.replaceAll(" %", "\u00a0%"))}</span>` : `<b>${escape(draw.reason.replaceAll("_", " "))}</b>`;
   const sentence = draw.outcome === "committed" ? "" : `<div class="dim">${escape(draw.detail || meanings[draw.reason] || "")}</div>`;
   const share = draw.room === null ? null : Math.min(Math.abs(draw.room), 1);
   const kind = draw.room === null || draw.room < 0 ? "over" : draw.room < 0.25 ? "tight" : "";

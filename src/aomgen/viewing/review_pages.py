@@ -27,25 +27,25 @@ THUMBNAILS: Final = 4000
 
 
 class WallRequest(RequestFields):
-    """PageRequest of all draws; the version is that of the last response, which is not sent again."""
+    """Request of all draws; the version is that of the last response, which is not sent again."""
 
     version: str = ""
 
 
 class DrawRequest(RequestFields):
-    """PageRequest of one draw by its number."""
+    """Request of one draw by its number."""
 
     number: int
 
 
 class ThumbnailRequest(DrawRequest):
-    """PageRequest of a small image of an episode's first camera."""
+    """Request of a small image of an episode's first camera."""
 
     frame: Literal["first", "last"]
 
 
 class VideoRequest(DrawRequest):
-    """PageRequest of an episode's video; cameras are numbered in the order of the episode."""
+    """Request of an episode's video; cameras are numbered in the order of the episode."""
 
     camera: int
 
@@ -67,7 +67,8 @@ class ReviewRoutes:
 
     def __init__(self, out: Path, draws: DrawList) -> None:
         self.out, self.draws = out, draws
-        self._thumbnail = lru_cache(THUMBNAILS)(self._encode_thumbnail)
+        # Kept by the episode's digest, so that the image of an earlier episode of the same number is not sent.
+        self._thumbnail = lru_cache(THUMBNAILS)(lambda video, content, frame: encode_thumbnail(video, frame))
 
     def list_routes(self) -> dict[str, Route]:
         """Return all routes by method and path."""
@@ -128,12 +129,16 @@ class ReviewRoutes:
     def _folder(self, draw: Draw) -> Path:
         return episode_folder(self.draws.episodes, draw.number)
 
-    @staticmethod
-    def _encode_thumbnail(video: Path, content: str, frame: str) -> bytes:
-        """A small JPEG; `content` is the digest of the episode, so that another one's image is not sent."""
-        image = read_frames(video, [0])[0] if frame == "first" else read_last_frame(video)
-        height = round(image.shape[0] * THUMBNAIL_PX / image.shape[1])
-        return encode_jpeg(resize(image, THUMBNAIL_PX, height), THUMBNAIL_QUALITY)
+
+def encode_thumbnail(video: Path, frame: str) -> bytes:
+    """Make a small JPEG of the first or last frame of a video.
+
+    Raises:
+        MissingFileError, MalformedFileError: The video is missing or damaged.
+    """
+    image = read_frames(video, [0])[0] if frame == "first" else read_last_frame(video)
+    height = round(image.shape[0] * THUMBNAIL_PX / image.shape[1])
+    return encode_jpeg(resize(image, THUMBNAIL_PX, height), THUMBNAIL_QUALITY)
 
 
 def list_review_routes(out: Path) -> dict[str, Route]:

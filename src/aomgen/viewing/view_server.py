@@ -20,10 +20,11 @@ class ViewServer(PageServer):
         Raises:
             InputError, ConfigError: The folder holds neither, or the port is taken.
         """
+        viewed = ViewedFolder(folder)
         routes = {
             "GET /pages.css": send_file(PACKAGE, "pages.css"),
             "GET /pages.js": send_file(PACKAGE, "pages.js"),
-            **list_review_routes(folder),
-            **TwinPages(ViewedFolder(folder)).list_routes(),
+            **TwinPages(viewed).list_routes(),
+            **list_review_routes(viewed.last.results.out),
         }
         super().__init__(routes, port)
