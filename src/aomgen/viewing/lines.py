@@ -17,8 +17,6 @@ SIDES: Final = 24
 SHARP_RAD: Final = 0.6
 # Lines are cut at this depth before the camera, [m].
 NEAR: Final = 0.02
-# Depth of the drawn pyramid of a camera, [m].
-CAMERA_M: Final = 0.05
 
 
 def project_segments(camera: Camera, segments: ArrayLike) -> Array:
@@ -42,11 +40,11 @@ def join_points(points: ArrayLike, *, closed: bool = False) -> Array:
     return np.stack([points, following], 1)[: None if closed else -1]
 
 
-def outline_camera(camera: Camera) -> Array:
-    """Segments (8, 2, 3) of a camera's pyramid."""
+def outline_camera(camera: Camera, size: float) -> Array:
+    """Segments (8, 2, 3) of a camera's pyramid, `size` deep."""
     u = (np.array([0, camera.width, camera.width, 0]) - camera.cx) / camera.fx
     v = (np.array([0, 0, camera.height, camera.height]) - camera.cy) / camera.fy
-    corners = apply(camera.T_world_cam, CAMERA_M * np.stack([u, v, np.ones(4)], 1))
+    corners = apply(camera.T_world_cam, size * np.stack([u, v, np.ones(4)], 1))
     rays = np.stack([np.repeat(camera.center[None], 4, 0), corners], 1)
     return np.concatenate([rays, join_points(corners, closed=True)])
 
@@ -107,7 +105,7 @@ def _outline_tube(radius: float, half: float, cap: float) -> Array:
     lines = np.stack([rings[0][:: SIDES // 4], rings[1][:: SIDES // 4]], 1)
     parts = [*(join_points(ring, closed=True) for ring in rings), lines]
     if cap:
-        turns = np.linspace(0, np.pi, SIDES // 2)
+        turns = np.linspace(0, np.pi, SIDES // 2 + 1)
         for sign in (-1, 1):
             for axis in (0, 1):
                 arc = np.zeros((len(turns), 3))

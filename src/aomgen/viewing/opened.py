@@ -45,6 +45,8 @@ RECORDING: Final = "recording"
 CAPTURE_FILE: Final = "capture.toml"
 # Episodes that are kept open, each with a copy of the twin of some ten MB.
 KEPT_EPISODES: Final = 2
+# Depth of a drawn camera as a share of the scan cameras' median distance from the object.
+CAMERA_SHARE: Final = 0.05
 # Sentences about what a run lacks, by the first stage that has not finished.
 LACKS: Final = {
     "structure": "The scan is not reconstructed yet: its images and the recording are shown.",
@@ -214,7 +216,8 @@ class OpenedRun:
             raise UnknownNameError("overlay", kind, self.list_overlays(name))
         if kind == "cameras":
             fixed = {key: path.camera for key, path in self.motion(name)[0].cameras.items()}
-            return overlays.outline_cameras(self.scan_cameras, fixed)
+            arms = [np.linalg.norm(item.center - self.pivot(name)) for item in self.scan_cameras.values()]
+            return overlays.outline_cameras(self.scan_cameras, fixed, CAMERA_SHARE * float(np.median(arms)))
         if name != RECORDING:
             episode = self.episode(name).episode
             makers = {"contacts": overlays.outline_contacts, "axis": overlays.outline_episode_axis}
@@ -287,9 +290,10 @@ class ViewedFolder:
 
     def _compute_token(self) -> str:
         """Text that changes whenever a stage or an episode is committed."""
-        results = self._opened.results
-        if not self._folder.exists():
-            raise MissingFileError(self._folder, "has vanished", "what was read before is still shown")
+        results, opened = self._opened.results, self._opened
+        for folder in (self._folder, *([results.out] if opened.done else [])):
+            if not folder.exists():
+                raise MissingFileError(folder, "has vanished", "what was read before is still shown")
         times = [
             file.stat().st_mtime_ns if (file := results.folders[stage.name] / MANIFEST).is_file() else 0
             for stage in STAGES

@@ -22,10 +22,11 @@ ARROW_MAX_M: Final = 0.2
 
 
 class Moment(NamedTuple):
-    """State and time [s] of a motion, for which an overlay is drawn."""
+    """State and time [s] of a motion, for which an overlay is drawn, and the camera that looks at it."""
 
     state: TwinState
     time_s: float
+    camera: Camera
 
 
 class Overlay(Protocol):
@@ -55,14 +56,19 @@ class Colliders:
         return {"collider": np.concatenate(segments)}
 
 
-def outline_cameras(scan: Mapping[str, Camera], fixed: Mapping[str, Camera]) -> Overlay:
-    """Pyramids of scan cameras and of fixed cameras."""
-    named = {"scan": scan.values(), "fixed": fixed.values()}
-    drawn = {
-        name: np.concatenate([np.zeros((0, 2, 3)), *(outline_camera(camera) for camera in cameras)])
-        for name, cameras in named.items()
-    }
-    return lambda moment: drawn
+def outline_cameras(scan: Mapping[str, Camera], fixed: Mapping[str, Camera], size: float) -> Overlay:
+    """Pyramids, `size` deep, of scan cameras and of fixed cameras; not of the camera that one looks through."""
+
+    def draw(moment: Moment) -> Mapping[str, Array]:
+        drawn = {}
+        for name, cameras in (("scan", scan.values()), ("fixed", fixed.values())):
+            others = (item for item in cameras if np.linalg.norm(item.center - moment.camera.center) > size)
+            drawn[name] = np.concatenate(
+                [np.zeros((0, 2, 3)), *(outline_camera(item, size) for item in others)]
+            )
+        return drawn
+
+    return draw
 
 
 def outline_axis(motion: MotionEstimate, held_world: Array) -> Overlay:
@@ -108,9 +114,9 @@ def outline_contacts(episode: Episode) -> Overlay:
     return draw
 
 
-def project_overlay(overlay: Overlay, moment: Moment, camera: Camera) -> dict[str, list[list[float]]]:
+def project_overlay(overlay: Overlay, moment: Moment) -> dict[str, list[list[float]]]:
     """Pixels x0, y0, x1, y1 of an overlay's segments by class name."""
     return {
-        name: project_segments(camera, segments).round(1).tolist()
+        name: project_segments(moment.camera, segments).round(1).tolist()
         for name, segments in overlay(moment).items()
     }

@@ -264,8 +264,10 @@ function buildControls() {
       ...scene.parts.map(name => makeToggle(parts, name, PARTS[name])),
       ...scene.overlays.map(name => makeToggle(overlays, name, OVERLAYS[name], SWATCHES[name])));
     $("views").replaceChildren(...Object.keys(cameras).map(name => makeButton("Back to " + name, {view: name}, () => goHome(name))));
-    const modes = {off: "off", beside: "beside", wipe: "wipe", difference: "difference"};
-    $("compare").replaceChildren(...Object.entries(modes).map(([name, title]) => makeButton(title, {compare: name}, () => setCompare(name))));
+    // Before the alignment it is unknown where the video's camera stood.
+    const modes = cameras[filmed] ? ["off", "beside", "wipe", "difference"] : ["off", "beside"];
+    if (!modes.includes(compare)) compare = "off";
+    $("compare").replaceChildren(...modes.map(name => makeButton(name, {compare: name}, () => setCompare(name))));
   }
   buildSliders();
 }

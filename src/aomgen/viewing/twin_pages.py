@@ -201,12 +201,12 @@ def draw(opened: OpenedRun, wanted: DrawRequest) -> dict[str, Any]:
     T = require_poses("T_world_cam", require_array("T_world_cam", wanted.T_world_cam, (16,)).reshape(4, 4), single=True)  # fmt: skip
     optics = motion.cameras[wanted.camera].camera
     camera = optics.resize(wanted.width, max(1, round(optics.height * wanted.width / optics.width))).move(T)
-    moment = Moment(_read_state(scene, wanted), wanted.time)
+    moment = Moment(_read_state(scene, wanted), wanted.time, camera)
     view = scene.draw(moment.state, camera, wanted.parts)
     lines: dict[str, Any] = {}
     for kind in wanted.overlays:
         if kind != "coverage":
-            lines |= project_overlay(opened.overlay(wanted.motion, kind), moment, camera)
+            lines |= project_overlay(opened.overlay(wanted.motion, kind), moment)
     points = []
     if "coverage" in wanted.overlays and opened.survey is not None:
         points = project_coverage(opened.survey, camera, view.depth)
