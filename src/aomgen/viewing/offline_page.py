@@ -22,8 +22,9 @@ from aomgen.io.video import encode_video, read_video
 from aomgen.pipeline.manifest import read_manifest
 from aomgen.pipeline.rendering import open_twin, render_twin
 from aomgen.pipeline.runner import results_of
-from aomgen.pipeline.stages import STAGES, find_project
+from aomgen.pipeline.stages import REPORT_FILE, STAGES, find_project
 from aomgen.report.episodes import reasons
+from aomgen.report.page import OFFLINE_PAGE, write_report
 from aomgen.results import Results
 from aomgen.robots.robot import RobotModel
 from aomgen.twin.twin import TwinModel
@@ -44,6 +45,8 @@ SLOT: Final = "__CONTENT__"
 
 def write_offline_page(out: Path, path: Path) -> int:
     """Write the page of a run; sections of what the run has not made yet are left out.
+
+    The report of the run links to the page when it is `page.html` in the run's folder.
 
     Returns:
         Its size, [bytes].
@@ -78,6 +81,8 @@ def write_offline_page(out: Path, path: Path) -> int:
     # "</script>" in a name would end the script that holds the content.
     page = template.replace(SLOT, json.dumps(content, allow_nan=False).replace("</", "<\\/"))
     write_text(path, page)
+    if path.resolve() == results.out.resolve() / OFFLINE_PAGE and (results.out / REPORT_FILE).is_file():
+        write_report(results.out)  # which links to the page
     return len(page.encode())
 
 
