@@ -104,7 +104,7 @@ def remove_folder(path: Path) -> None:
 
 @contextmanager
 def lock_folder(folder: Path) -> Iterator[None]:
-    """Hold the lock of a folder, for which others wait; where the file system has no locks, nobody waits.
+    """Hold the lock of a folder, for which other processes wait; a file system without locks gives no protection.
 
     Raises:
         StorageError: The folder cannot be opened.

@@ -26,7 +26,7 @@ Note = Annotated[str, StringConstraints(strip_whitespace=True, max_length=MAX_NO
 
 
 class Review(BaseModel):
-    """What a person has decided about one episode.
+    """Decision of a person about one episode.
 
     Attributes:
         content: Digest of the episode that was reviewed, see `read_content`.
@@ -71,7 +71,7 @@ class _ReviewFile(BaseModel):
 
 
 def read_reviews(out: Path) -> dict[int, Review]:
-    """Read the reviews of a run by episode number; empty where nobody has reviewed it.
+    """Read the reviews of a run by episode number; empty without a review.
 
     Raises:
         MalformedFileError: The file is damaged.

@@ -195,21 +195,6 @@ def read_frames(path: Path, numbers: Sequence[int]) -> list[NDArray[np.uint8]]:
     return [found[number] for number in numbers]
 
 
-def read_last_frame(path: Path) -> NDArray[np.uint8]:
-    """The last frame (H, W, 3) of a video that `encode_video` made, without decoding those before its key frame.
-
-    Raises:
-        MissingFileError, MalformedFileError: No such file, or it cannot be decoded.
-    """
-    with open_stream(path) as (container, stream):
-        try:
-            container.seek(stream.duration or 0, stream=stream)
-            *_, last = container.decode(stream)
-        except (av.error.FFmpegError, IndexError, ValueError) as error:
-            raise MalformedFileError(path, f"cannot be decoded ({error})", "make the video again") from error
-        return np.asarray(last.to_ndarray(format="rgb24", threads=1), np.uint8)
-
-
 @contextmanager
 def open_stream(path: Path, **options: str) -> Iterator[tuple[InputContainer, VideoStream]]:
     """Open a container and its video stream; cover images are not considered.

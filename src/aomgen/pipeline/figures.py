@@ -157,7 +157,7 @@ FIGURES: Final[dict[str, dict[str, Figure]]] = {
         "penetration_mm": Figure(name="robot in other bodies", unit="mm", digits=2, below=1.0),
         "drift_mm": Figure(name="base slid by", unit="mm", digits=1, below=5.0),
     },
-    # Of a commanded motion, before it is simulated.
+    # Figures of a commanded motion, before it is simulated.
     "plan": {
         "residual_mm": Figure(name="end effector off its pose", unit="mm", digits=2, below=1.0),
         "residual_deg": Figure(name="end effector turned off", unit="deg", digits=2, below=0.5),

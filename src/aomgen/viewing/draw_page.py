@@ -98,15 +98,9 @@ def list_series(episode: Episode) -> list[dict[str, Any]]:
 
 def finger_forces(episode: Episode) -> dict[str, Array]:
     """Sum of the normal forces of each finger on the object at every frame (T,), [N]."""
-    contacts = episode.contacts
-    return {
-        name: np.bincount(
-            contacts.frames[contacts.fingers == finger],
-            contacts.forces[contacts.fingers == finger],
-            len(episode),
-        )
-        for finger, name in enumerate(FINGERS)
-    }
+    contacts, sums = episode.contacts, np.zeros((len(FINGERS), len(episode)))
+    np.add.at(sums, (contacts.fingers, contacts.frames), contacts.forces)
+    return dict(zip(FINGERS, sums, strict=True))
 
 
 def describe_variation(variation: Mapping[str, Any]) -> dict[str, str]:

@@ -16,6 +16,8 @@ async function openEpisode(number, seconds) {
   $("player").hidden = $("decide").hidden = !committed;
   $("name").textContent = `${committed ? "Episode" : "Draw"} ${String(number).padStart(6, "0")}`;
   $("facts").textContent = [episode.asset, episode.place, committed ? `${(episode.frames / episode.fps).toFixed(1)} s` : NAMES[episode.outcome]].filter(Boolean).join(", ");
+  $("twin").hidden = !committed;
+  $("twin").href = "/#" + new URLSearchParams({episode: number, t: seconds});
   describeVerdict();
   describeReview();
   // A draw without images shows the map in their place.
@@ -61,7 +63,9 @@ function show(wanted) {
   const phase = episode.phases.find(p => frame <= p.last);
   $("time").textContent = `${(frame / episode.fps).toFixed(2)} s, frame ${frame}, ${phase.name}`;
   moveCursor(frame);
-  if (!playing) writeLink({episode: episode.number, t: (frame / episode.fps).toFixed(2)});
+  const link = {episode: episode.number, t: (frame / episode.fps).toFixed(2)};
+  $("twin").href = "/#" + new URLSearchParams(link);
+  if (!playing) writeLink(link);
   seek();
 }
 async function seek() {

@@ -1,4 +1,4 @@
-"""Distance of an episode's figures to their limits, comparable between figures; and what a rejection says of its limit."""
+"""Distance of an episode's figures to their limits, comparable between figures; and the limit that a rejection states."""
 
 import re
 from collections.abc import Mapping
@@ -9,7 +9,7 @@ from aomgen.pipeline.figures import FIGURES, read_figure
 
 # Rejections state their value and its limit in these forms; others have no limit that can be compared.
 _STATED: Final = re.compile(r"(-?\d+(?:\.\d+)?(?:e[+-]?\d+)?)\D*?, (?:limit|at least) (-?\d+(?:\.\d+)?)")
-# Metrics by which planning compares attempts; they say nothing to a person.
+# Metrics by which planning compares attempts; a person cannot use them.
 _INTERNAL: Final = ("in_contact", "path_share")
 _PAIR: Final = re.compile(r"\((\w+ and \w+)\)$")
 
@@ -67,7 +67,7 @@ def _read(name: str, value: float, limit: float, margin: float, setting: str) ->
 
 
 def parse_excess(detail: str) -> float | None:
-    """How far beyond its limit a rejection's sentence states its value, as a share of the limit; None without a limit.
+    """Parse the excess over the limit that a rejection's sentence states, as a share of the limit; None without a limit.
 
     Example:
         >>> parse_excess("penetration_mm is 3.0, limit 1.0 (wrist_1_link and table)")
@@ -81,7 +81,7 @@ def parse_excess(detail: str) -> float | None:
 
 
 def parse_pair(detail: str) -> str:
-    """The colliding bodies that a rejection's sentence names, for example "wrist_1_link and table"; empty for none."""
+    """Parse the colliding bodies that a rejection's sentence names, for example "wrist_1_link and table"; empty for none."""
     found = _PAIR.search(detail)
     return found[1] if found else ""
 

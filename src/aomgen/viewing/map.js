@@ -8,7 +8,7 @@ const MAP_PX = 640, MAP_ROOM_M = 0.12;
 
 // SVG text of a map of the requested area and the robot; draws in `lit` (a set of numbers, or null for all) are drawn strongly.
 function drawMap(state, lit = null) {
-  const corners = [[0, 0], ...state.requested.flat(), ...state.draws.map(d => [d.x, d.y]), ...state.holes.flatMap(h => [[h.x - h.radius_m, h.y - h.radius_m], [h.x + h.radius_m, h.y + h.radius_m]])];
+  const corners = [...(lit ? [] : [[0, 0]]), ...state.requested.flat(), ...state.draws.map(d => [d.x, d.y]), ...(lit ? [] : state.holes).flatMap(h => [[h.x - h.radius_m, h.y - h.radius_m], [h.x + h.radius_m, h.y + h.radius_m]])];
   const low = [0, 1].map(k => Math.min(...corners.map(c => c[k])) - MAP_ROOM_M), high = [0, 1].map(k => Math.max(...corners.map(c => c[k])) + MAP_ROOM_M);
   const scale = MAP_PX / (high[0] - low[0]), height = scale * (high[1] - low[1]);
   const at = ([x, y]) => `${(scale * (x - low[0])).toFixed(1)},${(height - scale * (y - low[1])).toFixed(1)}`;
@@ -17,7 +17,7 @@ function drawMap(state, lit = null) {
   const draws = [...state.draws].sort((a, b) => order.indexOf(a.outcome) - order.indexOf(b.outcome)).map(draw => {
     const strong = !lit || lit.has(draw.number), color = OUTCOMES[draw.outcome].color, [cx, cy] = at([draw.x, draw.y]).split(",");
     return `<g class="pick" data-number="${draw.number}" opacity="${strong ? 1 : 0.25}"><title>${draw.number} ${escape(draw.asset)}: ${escape(OUTCOMES[draw.outcome].name)}${draw.reason ? ", " + escape(draw.reason.replaceAll("_", " ")) : ""}</title>
-      <polyline points="${at([draw.x, draw.y])} ${at([draw.x + draw.dx, draw.y + draw.dy])}" stroke="${color}" stroke-width="2"/><circle cx="${cx}" cy="${cy}" r="${lit && strong ? 7 : 4}" fill="${color}"/></g>`;
+      <polyline points="${at([draw.x, draw.y])} ${at([draw.x + draw.dx, draw.y + draw.dy])}" stroke="${color}" stroke-width="${lit && strong ? 4 : 2}"/><circle cx="${cx}" cy="${cy}" r="${lit && strong ? 9 : 4}" fill="${color}"/></g>`;
   });
   const holes = state.holes.map((hole, i) => {
     const [cx, cy] = at([hole.x, hole.y]).split(",");

@@ -29,7 +29,8 @@ from aomgen.results import Results
 from aomgen.robots.robot import RobotModel
 from aomgen.twin.twin import TwinModel
 from aomgen.viewing.draw_list import Draw, DrawList
-from aomgen.viewing.review_pages import describe_draw, encode_thumbnail
+from aomgen.viewing.review_pages import describe_draw
+from aomgen.viewing.thumbnails import encode_thumbnail
 
 # Images of the twin over the range of its joint: steps of some 4 degrees for a door.
 STRIP_IMAGES: Final = 24

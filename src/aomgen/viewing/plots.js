@@ -13,7 +13,7 @@ function make(tag, properties = {}, ...children) {
   return element;
 }
 const escape = text => String(text).replace(/[&<>"]/g, c => ({"&": "&amp;", "<": "&lt;", ">": "&gt;", '"': "&quot;"}[c]));
-const shorten = value => Math.abs(value) >= 100 ? value.toFixed(0) : value.toFixed(Math.abs(value) >= 10 ? 1 : 2);
+const shorten = value => Math.abs(value) < 0.005 ? "0" : Math.abs(value) >= 100 ? value.toFixed(0) : value.toFixed(Math.abs(value) >= 10 ? 1 : 2);
 
 // Draw the plots of an episode into `home`; returns a function that moves the cursor to a frame.
 function drawPlots(home, episode, onPick) {
@@ -31,7 +31,7 @@ function drawPlot(home, series, episode, named, onPick) {
   const x = frame => frame / last * width, y = value => 4 + (bottom - 8) * (high - value) / (high - low);
   const phases = episode.phases.map(phase => {
     const left = x(Math.max(phase.first - 0.5, 0)), right = x(Math.min(phase.last + 0.5, last));
-    const name = named ? `<text x="${left + 3}" y="${bottom + 12}">${phase.name}</text>` : "";
+    const name = named ? `<text x="${left + 34}" y="${bottom + 12}">${phase.name}</text>` : "";
     return `<rect x="${left}" y="0" width="${right - left}" height="${bottom}" fill="${PHASE_COLORS[phase.name]}"/>${name}`;
   });
   const levels = series.levels.map(level =>
@@ -40,7 +40,7 @@ function drawPlot(home, series, episode, named, onPick) {
     `<polyline fill="none" stroke="${LINE_COLORS[i % LINE_COLORS.length]}" stroke-width="1.6" points="${line.values.map((v, f) => `${x(f).toFixed(1)},${y(v).toFixed(1)}`).join(" ")}"/>`);
   const end = named ? "" : `<text x="${width}" y="${bottom + 12}" text-anchor="end">${(last / episode.fps).toFixed(1)} s</text>`;
   box.innerHTML = `<svg viewBox="0 0 ${width} ${PLOT_HEIGHT}" preserveAspectRatio="none">${phases.join("")}${levels.join("")}${lines.join("")}${end}
-    <text x="2" y="10">${shorten(high)}</text><text x="2" y="${bottom - 2}">${shorten(low)}</text>
+    <text x="2" y="10">${shorten(high)}</text><text x="2" y="${bottom + 11}">${shorten(low)}</text>
     <line class="cursor" y1="0" y2="${bottom}" stroke="#1c2430" stroke-width="1"/></svg>`;
   box.prepend(title);
   const svg = box.querySelector("svg"), cursor = box.querySelector(".cursor");
@@ -49,7 +49,7 @@ function drawPlot(home, series, episode, named, onPick) {
   svg.onpointermove = event => { if (event.buttons) pick(event); };
   return frame => {
     cursor.setAttribute("x1", x(frame)); cursor.setAttribute("x2", x(frame));
-    const shown = series.lines.map((line, i) => `<span><b style="color:${LINE_COLORS[i % LINE_COLORS.length]}">&#9632;</b> ${escape(line.name)} ${shorten(line.values[frame])}</span>`);
+    const shown = series.lines.map((line, i) => `<span><b style="color:${LINE_COLORS[i % LINE_COLORS.length]}">&#9632;</b> ${escape(line.name)} ${shorten(line.values[Math.min(frame, line.values.length - 1)])}</span>`);
     const goals = series.levels.map(level => `<span>${escape(level.name)} ${shorten(level.value)}</span>`);
     title.innerHTML = `${escape(series.title)} [${escape(series.unit)}] ${shown.join("")}${goals.join("")}`;
   };

@@ -26,14 +26,14 @@ async function openSuite() {
 
 function describeResult(result) {
   if (!result) return '<span class="dim">not done</span>';
-  const opening = `${(100 * result.opening).toFixed(0)} %`;
+  const opening = `${Math.round(100 * result.opening) || 0} %`;
   return result.fail_reason ? `<span class="poor" title="${escape(suite.meanings[result.fail_reason] || "")}">✗ ${escape(result.fail_reason.replaceAll("_", " "))}</span> <span class="dim">${opening}</span>` : `<span class="good">✓</span> <span class="dim">${opening}</span>`;
 }
 
 function refresh() {
   const policies = chosen().map(i => suite.policies[i]), results = n => policies.map(p => p.trials[n]);
   const failed = result => result && result.fail_reason ? 1 : 0;
-  $("summary").innerHTML = `<table class="rows"><tr><th></th><th>policy</th><th>success</th><th>95 % interval</th><th>fails by</th></tr>${policies.map((p, k) => `<tr><td><b style="color:${LINE_COLORS[k]}">&#9632;</b></td><td>${escape(p.name)}<br><span class="dim">${escape(p.sees)}</span></td>
+  $("summary").innerHTML = `<table class="rows"><tr><th></th><th>policy</th><th class="n">success</th><th class="n">95 % interval</th><th>fails by</th></tr>${policies.map((p, k) => `<tr><td><b style="color:${LINE_COLORS[k]}">&#9632;</b></td><td>${escape(p.name)}<br><span class="dim">${escape(p.sees)}</span></td>
     <td class="n">${p.successes} of ${p.done}<br>${p.done ? (100 * p.successes / p.done).toFixed(0) + " %" : ""}</td><td class="n">${p.interval.map(v => (100 * v).toFixed(0)).join(" to ")} %</td><td>${Object.entries(p.failures).map(([reason, n]) => `${n} ${escape(reason.replaceAll("_", " "))}`).join(", ") || "none"}</td></tr>`).join("")}</table>`;
   const rows = suite.trials.map((trial, n) => ({trial, n, results: results(n)})).filter(row => {
     const count = row.results.reduce((sum, r) => sum + failed(r), 0);
@@ -83,10 +83,9 @@ function describeDifference(trial) {
 function drawCourses(home, trial) {
   const courses = trial.courses.map((course, k) => ({course, k})).filter(({course}) => course);
   const frames = Math.max(...courses.map(({course}) => course.frames));
-  const stretch = values => [...values, ...Array(frames - values.length).fill(values.at(-1))];
   const names = chosen().map(i => suite.policies[i].name);
-  const series = [{title: "opening", unit: "% of the planned travel", levels: [{value: 90, name: "limit"}], lines: courses.map(({course, k}) => ({name: names[k], values: stretch(course.openings.map(v => 100 * v))}))}];
-  if (trial.apart_mm.length) series.push({title: "end effectors apart", unit: "mm", levels: [], lines: [{name: "distance", values: stretch(trial.apart_mm)}]});
+  const series = [{title: "opening", unit: "% of the planned travel", levels: [{value: 90, name: "limit"}], lines: courses.map(({course, k}) => ({name: names[k], values: course.openings.map(v => 100 * v)}))}];
+  if (trial.apart_mm.length) series.push({title: "end effectors apart", unit: "mm", levels: [], lines: [{name: "distance", values: trial.apart_mm}]});
   const move = drawPlots(home, {frames, fps: trial.fps, phases: [], series}, frame => move(frame));
   move(trial.differs ? trial.differs.frame : frames - 1);
 }

@@ -21,7 +21,7 @@ from aomgen.web.page_server import PageRequest, RequestFields, Response, Route, 
 # Two trials differ from where the end effectors are this far apart, [mm], or the objects are opened by different
 # shares of the planned travel: above what other images of the same scene change in the actions of a policy.
 APART_MM, APART_SHARE = 10.0, 0.02
-# Letters by which a suite's file begins; other files beside a run may be large.
+# Letters by which a suite's file begins; other files next to a run may be large.
 _SUITE_HEAD: Final = '"type": "Suite"'
 _HEAD_BYTES: Final = 40
 # Digits of plotted values.
@@ -121,14 +121,14 @@ class PolicyRoutes:
         chosen = [_choose(found, number) for number in (asked.first, asked.second)]
         records = [item.records.get(asked.trial) for item in chosen]
         first, second = records
-        both = first is not None and second is not None
+        both = (first, second) if first is not None and second is not None else None
         return send_json(
             {
                 "fps": suite.fps,
                 "courses": [_describe_course(record) for record in records],
                 "filmed": [asked.trial in item.filmed for item in chosen],
-                "apart_mm": distances_mm(first, second).round(2).tolist() if both else [],
-                "differs": first_difference(first, second) if both else None,
+                "apart_mm": distances_mm(*both).round(2).tolist() if both else [],
+                "differs": first_difference(*both) if both else None,
             }
         )
 
@@ -150,7 +150,7 @@ class PolicyRoutes:
 
 
 def find_suites(out: Path) -> tuple[list[tuple[Path, Suite]], list[str]]:
-    """Suites of a run in its folder of evaluations and beside the run's folder; and sentences about damaged suites."""
+    """Suites of a run in its folder of evaluations and next to the run's folder; and sentences about damaged suites."""
     places = (out / EVALUATION_FOLDER, out.resolve().parent)
     suites, problems = [], []
     for path in (path for place in places for path in sorted(place.glob("*.json")) if _is_suite(path)):
@@ -165,7 +165,7 @@ def find_suites(out: Path) -> tuple[list[tuple[Path, Suite]], list[str]]:
 
 
 def find_evaluations(path: Path, suite: Suite) -> list[Evaluation]:
-    """Evaluations of a suite whose folders are beside its file, by name."""
+    """Evaluations of a suite whose folders are next to its file, by name."""
     found = []
     for place in sorted(path.parent.glob(f"*/{ROLLOUTS_FOLDER}/{REQUEST_FILE}")):
         request = read_json(place)

@@ -8,21 +8,18 @@ from pathlib import Path
 from typing import Any, Final, Literal
 
 from aomgen.io.episode_folder import episode_folder
-from aomgen.io.images import encode_jpeg, resize
 from aomgen.io.review import Review, ReviewChange, change_review, read_reviews
-from aomgen.io.video import read_frames, read_last_frame
 from aomgen.pipeline.stages import STAGES
 from aomgen.report.episodes import place_words, reasons
 from aomgen.viewing.coverage_pages import CoverageRoutes
 from aomgen.viewing.draw_list import Draw, DrawList
 from aomgen.viewing.draw_page import describe_episode, describe_rejected
 from aomgen.viewing.policy_pages import PolicyRoutes
+from aomgen.viewing.thumbnails import encode_thumbnail
 from aomgen.web.page_server import PageRequest, RequestFields, Response, Route, send_file, send_json
 
 PACKAGE: Final = "aomgen.viewing"
-# Width of the images of the wall, [px], and quality of their JPEG: some 5 kB each.
-THUMBNAIL_PX, THUMBNAIL_QUALITY = 160, 80
-# Number of such images that stay in memory, some 20 MB.
+# Number of small images that stay in memory, some 20 MB.
 THUMBNAILS: Final = 4000
 
 
@@ -128,17 +125,6 @@ class ReviewRoutes:
 
     def _folder(self, draw: Draw) -> Path:
         return episode_folder(self.draws.episodes, draw.number)
-
-
-def encode_thumbnail(video: Path, frame: str) -> bytes:
-    """Make a small JPEG of the first or last frame of a video.
-
-    Raises:
-        MissingFileError, MalformedFileError: The video is missing or damaged.
-    """
-    image = read_frames(video, [0])[0] if frame == "first" else read_last_frame(video)
-    height = round(image.shape[0] * THUMBNAIL_PX / image.shape[1])
-    return encode_jpeg(resize(image, THUMBNAIL_PX, height), THUMBNAIL_QUALITY)
 
 
 def list_review_routes(out: Path) -> dict[str, Route]:
