@@ -14,8 +14,8 @@ from browser import needs_chromium, open_page
 SETTLE = """async () => {
   await new Promise(done => setTimeout(done, 50));
   while (document.body.dataset.sharp !== "true") await new Promise(done => setTimeout(done, 20));
-  const canvas = document.getElementById("view"), pen = canvas.getContext("2d");
-  return [canvas.width, canvas.height, [...pen.getImageData(0, 0, canvas.width, canvas.height).data]];
+  const canvas = document.getElementById("view");
+  return [canvas.width, canvas.height, canvas.toDataURL()];
 }"""
 
 
@@ -34,7 +34,7 @@ def serve(folder: Path) -> Iterator[ViewServer]:
 @needs_chromium
 @pytest.mark.slow
 def test_scrub_toggle_and_orbit(finished_toy_run: Path):
-    with serve(finished_toy_run) as server, open_page(server.url + "#t=2.0", 800, 700) as page:
+    with serve(finished_toy_run) as server, open_page(server.url + "#t=2.0", 1000, 800) as page:
         page.wait_for_selector("body[data-drawings]", timeout=60_000)
         start = page.evaluate(SETTLE)
         assert page.evaluate("frame") == 10
