@@ -101,7 +101,8 @@ def write_rejection(folder: Path, unit: Unit, variation: Variation, rejection: R
     Raises:
         StorageError: The disk refuses.
     """
-    content = {"variation": asdict(variation), **asdict(rejection)}
+    stated = {name: getattr(rejection, name) for name in ("reason", "detail", "metrics")}
+    content = {"variation": asdict(variation), **stated}
     write_json(rejection_file(folder, unit), content)
 
 

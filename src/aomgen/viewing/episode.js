@@ -16,7 +16,8 @@ async function openEpisode(number, seconds) {
   $("player").hidden = $("decide").hidden = !committed;
   $("name").textContent = `${committed ? "Episode" : "Draw"} ${String(number).padStart(6, "0")}`;
   $("facts").textContent = [episode.asset, episode.place, committed ? `${(episode.frames / episode.fps).toFixed(1)} s` : NAMES[episode.outcome]].filter(Boolean).join(", ");
-  $("twin").hidden = !committed;
+  $("twin").hidden = episode.outcome === "damaged";
+  $("twin").textContent = committed ? "Show in the twin" : "Plan again and show in the twin";
   $("twin").href = "/#" + new URLSearchParams({episode: number, t: seconds});
   describeVerdict();
   describeReview();

@@ -146,7 +146,7 @@ def read_recording(results: Results, done: Collection[str]) -> ShownMotion:
 
 
 def show_episode(committed: CommittedEpisode) -> ShownMotion:
-    """The motion of a committed episode."""
+    """The motion of a committed episode, or of a draw without one, which has no videos."""
     episode = committed.episode
     cameras = {
         name: CameraPath(camera=camera, Ts_world_cam=episode.camera_poses.get(name, camera.T_world_cam[None]))
@@ -154,7 +154,7 @@ def show_episode(committed: CommittedEpisode) -> ShownMotion:
     }
     videos = {name: MotionVideo(file=file) for name, file in committed.videos.items()}
     return ShownMotion(
-        title=f"episode {episode.index}: {episode.asset}",
+        title=f"{'episode' if videos else 'draw'} {episode.index}: {episode.asset}",
         times_s=episode.times_s,
         trajectory=episode,
         cameras=cameras,

@@ -32,7 +32,9 @@ from aomgen.robots.robot import RobotModel
 from aomgen.simulation.episode_scene import episode_scene
 from aomgen.twin.twin import TwinModel, TwinState
 from aomgen.viewing import overlays
+from aomgen.viewing.draw_list import DrawList
 from aomgen.viewing.motions import ShownMotion, read_recording, show_episode
+from aomgen.viewing.rejected_draw import NOTE, replan_draw
 from aomgen.viewing.scenes import (
     PosableScene,
     ScannedScene,
@@ -128,12 +130,17 @@ class OpenedRun:
     def _read_episode(self, name: str) -> CommittedEpisode:
         if not name.isdigit():
             raise UnknownNameError("motion", name, [RECORDING, "the number of an episode"])
-        return read_episode(episode_folder(self.results.folders["episodes"], int(name)))
+        home = self.results.folders["episodes"]
+        folder = episode_folder(home, int(name))
+        if folder.is_dir():
+            return read_episode(folder)
+        return replan_draw(self.results, DrawList(self.results.out, home).find(int(name)))
 
     def _open_motion(self, name: str) -> tuple[ShownMotion, str]:
         """A motion, and a sentence about what is missing of it."""
         if name != RECORDING:
-            return show_episode(self.episode(name)), ""
+            committed = self.episode(name)
+            return show_episode(committed), str(committed.episode.verdict.get(NOTE, ""))
         try:
             motion, problem = read_recording(self.results, self.done), ""
         except InputError as error:

@@ -284,6 +284,8 @@ async function loadMotion(name, time, keep = false) {
   const next = await ask("/api/motion?name=" + encodeURIComponent(name));
   const before = {T, pivot, home, atHome, hand: byHand && motion && motion.name === name && pose};
   motion = next; last = null; filmText = "";
+  // Draws without an episode are not in the list.
+  if (![...$("motion").options].some(option => option.value === name)) $("motion").append(new Option(motion.title, name));
   $("motion").value = name;
   $("scrub").max = motion.times.length - 1;
   filmed = motion.videos.includes(filmed) ? filmed : motion.videos[0];
