@@ -52,7 +52,7 @@ def describe_episode(folder: Path) -> dict[str, Any]:
 
 
 def describe_rejected(draw: Draw) -> dict[str, Any]:
-    """Values of the page of a draw that gave no episode."""
+    """Values of the page of a draw that gave no episode, or a damaged one."""
     return {
         "asset": draw.asset,
         "meaning": reasons().get(draw.reason, ""),

@@ -17,7 +17,7 @@ function drawMap(state, lit = null) {
   const draws = [...state.draws].sort((a, b) => order.indexOf(a.outcome) - order.indexOf(b.outcome)).map(draw => {
     const strong = !lit || lit.has(draw.number), color = OUTCOMES[draw.outcome].color, [cx, cy] = at([draw.x, draw.y]).split(",");
     return `<g class="pick" data-number="${draw.number}" opacity="${strong ? 1 : 0.25}"><title>${draw.number} ${escape(draw.asset)}: ${escape(OUTCOMES[draw.outcome].name)}${draw.reason ? ", " + escape(draw.reason.replaceAll("_", " ")) : ""}</title>
-      <polyline points="${at([draw.x, draw.y])} ${at([draw.x + draw.dx, draw.y + draw.dy])}" stroke="${color}" stroke-width="${lit && strong ? 4 : 2}"/><circle cx="${cx}" cy="${cy}" r="${lit && strong ? 9 : 4}" fill="${color}"/></g>`;
+      <polyline points="${at([draw.x, draw.y])} ${at([draw.x + draw.dx, draw.y + draw.dy])}" stroke="${color}" stroke-width="${lit && strong ? 4 : 2}"/><circle cx="${cx}" cy="${cy}" r="${lit && strong ? 9 : 4}" fill="${color}"${lit && strong ? ' stroke="#1c2430" stroke-width="2"' : ""}/></g>`;
   });
   const holes = state.holes.map((hole, i) => {
     const [cx, cy] = at([hole.x, hole.y]).split(",");

@@ -51,7 +51,7 @@ function refresh() {
   shown.sort(chosen("sort") === "room" ? (a, b) => rank(a) - rank(b) || near(a) - near(b) || a.number - b.number : (a, b) => a.number - b.number);
   const decided = value => draws.filter(d => d.outcome === "committed" && d.decision === value).length;
   $("count").innerHTML = `${shown.length} of ${draws.length} draws; ${decided("accepted")} accepted, ${decided("rejected")} rejected, ${decided("")} undecided.`
-    + (decided("rejected") ? ` <code>aomgen export</code> and the next <code>aomgen run</code> leave out the ${decided("rejected")} rejected.` : "");
+    + (decided("rejected") ? ` <code>aomgen export</code> and the next <code>aomgen run</code> leave out ${decided("rejected")}.` : "");
   $("note").hidden = draws.length > 0;
   $("note").textContent = "There is no episode yet: the run has not come to its stage “episodes”.";
   $("cards").replaceChildren(...shown.map(card));

@@ -95,7 +95,7 @@ class ReviewRoutes:
     def send_draw(self, request: PageRequest) -> Response:
         """Send what the page of one draw shows."""
         draw = self.draws.find(request.parse(DrawRequest).number)
-        committed = draw.outcome in ("committed", "damaged")
+        committed = draw.outcome == "committed"
         shown = describe_episode(self._folder(draw)) if committed else describe_rejected(draw)
         return send_json(describe_draw(draw, read_reviews(self.out)) | shown)
 
