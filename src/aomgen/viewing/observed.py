@@ -22,13 +22,22 @@ EMPTY_SHARE: Final = 0.1
 SOLID_ALPHA: Final = 0.5
 
 
-def project_coverage(found: Survey, camera: Camera, depth: Array) -> list[list[float]]:
-    """Rows of x, y [px] and coverage of the surveyed points that the rendered depth (H, W) [m] does not hide."""
+def project_coverage(found: Survey, camera: Camera, depth: Array, *, with_robot: bool) -> list[list[float]]:
+    """Rows of x, y [px] and coverage of the surveyed points that the rendered depth (H, W) [m] does not hide.
+
+    The robot's points are where it stood during the scan; without `with_robot` they are left out.
+    """
+    robots = [k for k, name in enumerate(found.names) if name.endswith("of the robot")]
     pixels, depths = camera.project(found.points_world)
     seen = np.where(
         found.coverage.enough, ENOUGH_VIEWS, np.where(found.coverage.views > 0, FEW_VIEWS, NO_VIEW)
     )
-    inside = (depths > 0) & (pixels >= 0).all(1) & (pixels < [camera.width, camera.height]).all(1)
+    inside = (
+        (depths > 0)
+        & (with_robot | ~np.isin(found.sides, robots))
+        & (pixels >= 0).all(1)
+        & (pixels < [camera.width, camera.height]).all(1)
+    )
     pixels, depths, seen = pixels[inside], depths[inside], seen[inside]
     columns, rows = pixels.astype(int).T
     before = depth[rows, columns]

@@ -63,7 +63,7 @@ LACKS: Final = {
 
 
 class OpenedRun:
-    """What a run had made when it was opened; nothing in it changes."""
+    """What a run had made when it was opened; only the list of its committed episodes changes."""
 
     def __init__(self, results: Results, token: str) -> None:
         self.results, self.token = results, token
@@ -296,7 +296,7 @@ class ViewedFolder:
         return results_of(find_project(self._folder), STAGES)
 
     def _compute_token(self) -> str:
-        """Text that changes whenever a stage or an episode is committed."""
+        """Text that changes whenever a stage is committed; episodes appear without opening the twin again."""
         results, opened = self._opened.results, self._opened
         for folder in (self._folder, *([results.out] if opened.done else [])):
             if not folder.exists():
@@ -305,5 +305,4 @@ class ViewedFolder:
             file.stat().st_mtime_ns if (file := results.folders[stage.name] / MANIFEST).is_file() else 0
             for stage in STAGES
         ]
-        episodes = list_committed(results.folders["episodes"])
-        return " ".join(map(str, [*times, *(folder.name for folder in episodes)]))
+        return " ".join(map(str, times))

@@ -50,7 +50,9 @@ const redraw = latest(async () => {
   if (!motion || !motion.scene) { drawPlain(); return; }
   const still = performance.now() - changed >= QUIET_MS, size = layout(optics().width / optics().height);
   const sharp = Math.min(WIDEST, Math.round(size * devicePixelRatio));
-  const width = still ? sharp : Math.min(sharp, movingWidth || optics().width);
+  // A difference is that of images of one size; else it would show how sharp they are.
+  const equal = compare === "difference" && comparable();
+  const width = equal ? optics().width : still ? sharp : Math.min(sharp, movingWidth || optics().width);
   const request = {motion: motion.name, camera: home, T_world_cam: T, width, time: seconds(), ...pose, parts: [...parts], overlays: [...overlays]};
   const text = JSON.stringify(request);
   document.body.dataset.sharp = still && Boolean(last && last.text === text);
@@ -60,7 +62,7 @@ const redraw = latest(async () => {
   const image = new Image();
   image.src = "data:image/jpeg;base64," + answer.image;
   await image.decode();
-  if (!still) {
+  if (!still && !equal) {
     const took = performance.now() - start;
     movingWidth = Math.round(Math.max(NARROWEST, Math.min(sharp, width * Math.sqrt(MOVING_MS / took))));
   }
@@ -143,8 +145,9 @@ const refilm = latest(async () => {
   if (!motion.scene) drawPlain();
 });
 
+const comparable = () => atHome && home === filmed;
 function refreshCompare() {
-  const possible = atHome && home === filmed, overlaid = compare === "wipe" || compare === "difference";
+  const possible = comparable(), overlaid = compare === "wipe" || compare === "difference";
   $("besides").hidden = compare !== "beside";
   film.hidden = !(overlaid && possible);
   $("images").className = compare === "difference" && possible ? "difference" : "";
@@ -273,7 +276,7 @@ function buildControls() {
 }
 function setCompare(mode) {
   compare = mode;
-  if ((mode === "wipe" || mode === "difference") && !(atHome && home === filmed)) goHome(filmed);
+  if ((mode === "wipe" || mode === "difference") && !comparable()) goHome(filmed);
   refreshCompare(); refilm(); touch();
 }
 
@@ -304,22 +307,24 @@ async function loadMotion(name, time, keep = false) {
   if (!motion.scene && $("strip").hidden) showCapture();
 }
 function refreshNotes() {
-  $("notes").replaceChildren(...[...run.notes, motion.note].filter(Boolean).map(text => { const note = document.createElement("p"); note.className = "note"; note.textContent = text; return note; }));
+  $("notes").replaceChildren(...[...run.notes, motion && motion.note].filter(Boolean).map(text => { const note = document.createElement("p"); note.className = "note"; note.textContent = text; return note; }));
 }
-async function loadRun() {
-  run = await ask("/api/run");
+function showRun(found) {
+  run = found;
   document.querySelector("h1").textContent = run.name;
   document.title = run.name + " – AOMGen";
   $("motion").replaceChildren(...run.motions.map(item => new Option(item.title, item.name)));
+  if (motion) $("motion").value = motion.name;
 }
 let lost = false;
 async function poll() {
   try {
     const found = await ask("/api/run");
     if (lost) { lost = false; say(""); }
-    if (run && found.token !== run.token) {
+    const continued = run && found.token !== run.token;
+    if (!run || JSON.stringify(found) !== JSON.stringify(run)) { showRun(found); refreshNotes(); }
+    if (continued) {
       const [name, time] = [motion ? motion.name : "recording", motion ? seconds() : 0];
-      await loadRun();
       await loadMotion(run.motions.some(item => item.name === name) ? name : "recording", time, true);
       say("the run has changed, and is shown as it is now");
     }
@@ -421,7 +426,8 @@ window.onhashchange = () => {
 
 buildHeader("Twin");
 say("opening the run ...");
-loadRun().then(async () => {
+ask("/api/run").then(async found => {
+  showRun(found);
   const [name, time] = readTime();
   try { await loadMotion(name, time); }
   catch (error) {

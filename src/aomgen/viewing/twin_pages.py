@@ -17,7 +17,7 @@ from aomgen.twin.twin import TwinState
 from aomgen.viewing.observed import describe_support, project_coverage
 from aomgen.viewing.opened import OpenedRun, ViewedFolder
 from aomgen.viewing.overlays import Moment, project_overlay
-from aomgen.viewing.scenes import PosableScene
+from aomgen.viewing.scenes import PosableScene, ViewedScene
 from aomgen.web.page_server import (
     JPEG_QUALITY,
     PageRequest,
@@ -32,6 +32,9 @@ from aomgen.web.page_server import (
 PACKAGE: Final = "aomgen.viewing"
 # Widest image that is rendered, [px]: a wider one takes longer than a person waits for.
 MAX_WIDTH: Final = 1600
+
+# The robot's surveyed points belong to its surface while no joint is further from the scan than this, [rad].
+AS_SCANNED_RAD: Final = 0.02
 
 
 class MotionRequest(RequestFields):
@@ -209,7 +212,9 @@ def draw(opened: OpenedRun, wanted: DrawRequest) -> dict[str, Any]:
             lines |= project_overlay(opened.overlay(wanted.motion, kind), moment)
     points = []
     if "coverage" in wanted.overlays and opened.survey is not None:
-        points = project_coverage(opened.survey, camera, view.depth)
+        points = project_coverage(
+            opened.survey, camera, view.depth, with_robot=_is_as_scanned(scene, moment.state)
+        )
     whole = set(wanted.parts) == set(PART_LABELS)
     notes = describe_support(
         camera,
@@ -228,7 +233,14 @@ def draw(opened: OpenedRun, wanted: DrawRequest) -> dict[str, Any]:
     }
 
 
-def _read_state(scene: Any, wanted: DrawRequest) -> TwinState:
+def _is_as_scanned(scene: ViewedScene, state: TwinState) -> bool:
+    """Whether the robot stands as it did during the scan."""
+    if not isinstance(scene, PosableScene):
+        return True
+    return bool(np.abs(state.joints - scene.rest.joints).max() < AS_SCANNED_RAD)
+
+
+def _read_state(scene: ViewedScene, wanted: DrawRequest) -> TwinState:
     if not isinstance(scene, PosableScene):
         return TwinState(joints=np.zeros(0), gripper=0.0, theta=0.0, T_world_object=np.eye(4))
     if not 0 <= wanted.gripper <= 1:

@@ -66,15 +66,19 @@ def test_a_run_whose_capture_is_missing_shows_its_twin(toy_run_copy):
     assert opened.scene(RECORDING) is not None
 
 
-def test_a_run_is_opened_again_when_it_has_continued(toy_run_copy, tmp_path):
-    episode = toy_run_copy / FOLDERS["episodes"] / "000007"
+def test_a_run_is_followed_while_it_continues(toy_run_copy, tmp_path):
+    episode, twin = toy_run_copy / FOLDERS["episodes"] / "000007", toy_run_copy / FOLDERS["twin"]
     shutil.move(episode, tmp_path / "000007")
+    shutil.move(twin, tmp_path / "twin")
     viewed = ViewedFolder(toy_run_copy)
     first = viewed.open()
-    assert viewed.open() is first
+    assert "twin" not in first.done
     assert len(first.list_motions()) == 1
     shutil.move(tmp_path / "000007", episode)
-    assert [item["name"] for item in viewed.open().list_motions()] == ["recording", "7"]
+    assert [item["name"] for item in first.list_motions()] == ["recording", "7"]
+    assert viewed.open() is first
+    shutil.move(tmp_path / "twin", twin)
+    assert "twin" in viewed.open().done
 
 
 def test_a_run_that_has_vanished_is_named_and_still_drawn(toy_run_copy):

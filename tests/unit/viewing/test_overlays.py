@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import mujoco
 import numpy as np
 import pytest
@@ -72,8 +74,10 @@ def test_contacts_of_a_frame(toy_episode_7):
 def test_coverage_behind_a_surface_is_hidden(toy_survey):
     camera = CAMERA.move(look_at((-1, -0.1, 0.1), (0, -0.1, 0.1)))
     near = np.full((80, 100), 1.4, np.float32)
-    assert [row[2] for row in project_coverage(toy_survey, camera, near)] == [2]
-    assert [row[2] for row in project_coverage(toy_survey, camera, 0 * near)] == [2, 0]
+    assert [row[2] for row in project_coverage(toy_survey, camera, near, with_robot=True)] == [2]
+    assert [row[2] for row in project_coverage(toy_survey, camera, 0 * near, with_robot=True)] == [2, 0]
+    robots = replace(toy_survey, names=("the near side of the object", "the top of the robot"))
+    assert len(project_coverage(robots, camera, 0 * near, with_robot=False)) == 1
 
 
 @pytest.mark.parametrize(
