@@ -31,7 +31,7 @@ PARAMS: Final = {
 }
 INPUTS: Final = "inputs"
 # What the two stages need, made by nobody here.
-NEEDED: Final = ("capture", "motion", "twin", "replacement")
+NEEDED: Final = ("capture", "motion", "twin", "replacement", "review")
 # Calls of `os` that change the disk: files opened to be written, folders made, things put in place, and synced.
 OPERATIONS: Final = ("open", "mkdir", "replace", "fsync")
 # No run takes as long, not even on a busy machine, [s].

@@ -23,6 +23,7 @@ from aomgen.episodes.ledger import unit_of
 from aomgen.episodes.variations import Ranges
 from aomgen.errors import ConfigError
 from aomgen.io.episode_folder import CommittedEpisode, list_committed, read_episode
+from aomgen.io.review import leave_out_rejected
 from aomgen.pipeline.runner import results_of, share_stages
 from aomgen.pipeline.stages import PROJECT_FILE, STAGES, check_params, find_project
 from aomgen.simulation.scene import Scene
@@ -242,7 +243,7 @@ def export(
     """Write episodes as a dataset for training.
 
     Args:
-        episodes: Episodes, or a run whose episodes are all written.
+        episodes: Episodes, or a run whose episodes are written without those that a person has rejected.
         folder: The dataset; replaced if AOMGen wrote it.
         format: "lerobot-v3", "lerobot-v2.1", "rlds", "rlds-array-record" or "hdf5".
         actions: "joint", "ee_absolute" or "ee_delta"; the format's own when empty.
@@ -265,6 +266,8 @@ def export(
     if not made:
         raise ConfigError("episodes", "is empty", "generate episodes first")
     folders = [episode.folder for episode in made]
+    if isinstance(episodes, Run):
+        folders = leave_out_rejected(episodes.folder, folders)
     return export_dataset(
         folders, Path(folder).resolve(), format, actions=actions, media=media, size=size, val=val
     )

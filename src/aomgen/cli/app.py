@@ -13,6 +13,7 @@ from aomgen.cli.model_commands import assets_app, robot_app
 from aomgen.cli.prompting import prompts
 from aomgen.cli.run import COMMAND_LINE, run_command, run_project, sample_capture
 from aomgen.cli.splat import splat
+from aomgen.cli.view import view
 from aomgen.errors import ConfigError, CorruptArtifactError, MissingFileError
 from aomgen.version import __version__
 
@@ -29,6 +30,7 @@ app.add_typer(import_app, name="import")
 app.add_typer(robot_app, name="robot")
 app.command()(prompts)
 app.command()(splat)
+app.command()(view)
 
 
 def main() -> None:
@@ -285,7 +287,7 @@ def export(
         ),
     ] = None,
 ) -> None:
-    """Write the committed episodes of a run as a dataset."""
+    """Write the committed episodes of a run as a dataset, without those that a person has rejected in `aomgen view`."""
     from aomgen.datasets.formats import export_dataset
 
     made = export_dataset(
@@ -299,7 +301,7 @@ def audit(
     dataset: Annotated[Path, typer.Argument(help="Folder of a dataset, in any format of `aomgen export`.")],
     out: RunFolder,
 ) -> None:
-    """Compare a dataset with the committed episodes of a run."""
+    """Compare a dataset with the committed episodes of a run that no person has rejected."""
     from aomgen.datasets.audit import audit_dataset
 
     found = audit_dataset(dataset, _episodes(out))
@@ -316,8 +318,9 @@ def audit(
 
 
 def _episodes(out: Path) -> list[Path]:
-    """Folders of a run's committed episodes."""
+    """Folders of a run's committed episodes, without the rejected ones."""
     from aomgen.io.episode_folder import list_committed
+    from aomgen.io.review import REVIEW_FILE, leave_out_rejected
     from aomgen.pipeline.stages import STAGES, find_project
 
     project = find_project(out)
@@ -325,7 +328,10 @@ def _episodes(out: Path) -> list[Path]:
     found = list_committed(folder)
     if not found:
         raise MissingFileError(folder, "holds no committed episode", "run the project first")
-    return found
+    kept = leave_out_rejected(project.out, found)
+    if len(kept) < len(found):
+        print(f"left out {len(found) - len(kept)} of {len(found)} episodes: {REVIEW_FILE} rejects them")
+    return kept
 
 
 @app.command()

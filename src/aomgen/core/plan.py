@@ -23,11 +23,13 @@ class Rejection:
         reason: Short key, for example "unreachable" or "collision".
         detail: One sentence with the value against its limit.
         metrics: The metrics behind it, by name with unit.
+        worst: Sample of the motion (1,) in which it breaks its limit most; None where that is not known. It is not stored.
     """
 
     reason: str
     detail: str = ""
     metrics: Mapping[str, float] = field(default_factory=dict)
+    worst: Trajectory | None = field(default=None, compare=False)
 
     @property
     def passed(self) -> bool:

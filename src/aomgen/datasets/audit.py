@@ -68,7 +68,7 @@ def audit_dataset(dataset: Path, episode_folders: Sequence[Path], progress: Prog
         audit.splits[found.split] = audit.splits.get(found.split, 0) + 1
         if found.source_index not in left:
             audit.faults.append(
-                f"episode {found.source_index} is not among the committed ones, or there twice"
+                f"episode {found.source_index} is not among the committed ones, is rejected, or is there twice"
             )
             continue
         item = read_episode(left.pop(found.source_index))

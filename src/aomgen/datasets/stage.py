@@ -10,6 +10,7 @@ from aomgen.datasets.lerobot_v3 import write_lerobot_v3
 from aomgen.datasets.selection import Choices
 from aomgen.errors import ConfigError, suggest
 from aomgen.io.episode_folder import list_committed
+from aomgen.io.review import leave_out_rejected
 from aomgen.results import Results
 
 
@@ -31,8 +32,8 @@ class DatasetParams:
 
 
 def run(results: Results, folder: Path, progress: Progress) -> dict[str, Any]:
-    """Write all episodes of the run."""
+    """Write all episodes of the run that no review rejects."""
     params = results.params("dataset", DatasetParams())
-    episodes = list_committed(results.folders["episodes"])
+    episodes = leave_out_rejected(results.out, list_committed(results.folders["episodes"]))
     selection = write_lerobot_v3(episodes, folder, Choices(actions=params.actions), progress)
     return {"episodes": len(selection.episodes), "frames": selection.frames}

@@ -102,7 +102,8 @@ def write_rejection(folder: Path, unit: Unit, variation: Variation, rejection: R
     Raises:
         StorageError: The file cannot be written.
     """
-    content = {"variation": asdict(variation), **asdict(rejection)}
+    stated = {name: getattr(rejection, name) for name in ("reason", "detail", "metrics")}
+    content = {"variation": asdict(variation), **stated}
     write_json(rejection_file(folder, unit), content)
 
 
@@ -150,7 +151,7 @@ def read_accounts(folder: Path) -> list[Account]:
     """
     if not (folder / REQUEST_FILE).is_file():
         return []
-    request = _read_request(folder / REQUEST_FILE)
+    request = read_request(folder)
     committed, rejected = list_ended_units(folder)
     finished = (folder / DRAWS_FILE).is_file()
     skipped = [draw for draw in read_draws(folder) if draw["outcome"] == "skipped"] if finished else []
@@ -174,7 +175,13 @@ def read_accounts(folder: Path) -> list[Account]:
     return accounts
 
 
-def _read_request(path: Path) -> Request:
+def read_request(folder: Path) -> Request:
+    """Read the request that a stage works on.
+
+    Raises:
+        MissingFileError, MalformedFileError: As their names say.
+    """
+    path = folder / REQUEST_FILE
     content = read_json(path)
     try:
         return Request(

@@ -5,13 +5,14 @@ from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Any, Final
+from typing import Annotated, Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import binomtest
 
 from aomgen.core.progress import Progress
+from aomgen.core.values import Array, freeze_arrays
 from aomgen.datasets.features import ActionSpace
 from aomgen.evaluation.policies import Policy, open_policy, policy_digest
 from aomgen.evaluation.rollout import World
@@ -51,13 +52,25 @@ class RolloutRecord:
         trial: Its number.
         fail_reason: Empty where it succeeded.
         opening_share: Travel of the object's joint at the end, over the planned one.
-        frames: Actions taken.
+        frames: Number F of the actions taken.
+        opening_shares: That travel after each action (F,).
+        ee_world: End effector after each action (F, 3), world frame, [m].
     """
 
     trial: int
     fail_reason: str
     opening_share: float
     frames: int
+    opening_shares: Annotated[Array, "F"]
+    ee_world: Annotated[Array, "F 3"]
+
+    __post_init__ = freeze_arrays
+
+    @property
+    def figures(self) -> dict[str, Any]:
+        """Everything except the course of the trial."""
+        names = ("trial", "fail_reason", "opening_share", "frames")
+        return {name: getattr(self, name) for name in names}
 
 
 def evaluate(
@@ -108,7 +121,7 @@ def evaluate(
         "redrawn": dict(suite.redrawn),
         "nearest_mm": nearest and nearest.mm,
         "nearest_deg": nearest and nearest.deg,
-        "rollouts": [asdict(row) for row in rows],
+        "rollouts": [row.figures for row in rows],
     }
 
 
@@ -128,12 +141,15 @@ def _open_rollouts(
 def roll_out(world: World, policy: Policy, number: int, film: Path | None = None) -> RolloutRecord:
     """Let a policy try a trial to its end; a folder `film` gets its video."""
     rollout, frames = world.rollout(number), list[NDArray[np.uint8]]()
+    openings, joints = list[float](), list[Array]()
     policy.reset(rollout)
     while rollout.fail_reason is None:
         observation = rollout.observation(pixels=film is not None or policy.looks(rollout.frame))
         if film is not None:
             frames.append(np.concatenate(list(observation["pixels"].values()), 1))
         rollout.step(np.asarray(policy.act(observation), np.float64))
+        openings.append(rollout.opening_share)
+        joints.append(rollout.reached.joints[0])
     if film is not None:
         write_bytes(film / f"{number:04d}.mp4", encode_video(np.stack(frames), world.suite.fps))
     return RolloutRecord(
@@ -141,4 +157,6 @@ def roll_out(world: World, policy: Policy, number: int, film: Path | None = None
         fail_reason=rollout.fail_reason,
         opening_share=rollout.opening_share,
         frames=rollout.frame,
+        opening_shares=np.array(openings),
+        ee_world=world.factory.results.robot.ee_poses(np.stack(joints))[:, :3, 3],
     )

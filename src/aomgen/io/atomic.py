@@ -102,6 +102,24 @@ def remove_folder(path: Path) -> None:
         raise _cannot_be_deleted(path, error) from error
 
 
+@contextmanager
+def lock_folder(folder: Path) -> Iterator[None]:
+    """Hold the lock of a folder, for which other processes wait; a file system without locks gives no protection.
+
+    Raises:
+        StorageError: The folder cannot be opened.
+    """
+    try:
+        handle = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
+    except OSError as error:
+        raise StorageError(folder, f"cannot be opened ({error.strerror})", "check the folder") from error
+    try:
+        _lock(handle, wait=True)
+        yield
+    finally:
+        os.close(handle)
+
+
 def remove_staging(folder: Path) -> None:
     """Delete what dead processes left half-written directly below `folder`.
 

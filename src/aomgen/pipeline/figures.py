@@ -150,6 +150,21 @@ FIGURES: Final[dict[str, dict[str, Figure]]] = {
         "robot_force_n": Figure(name="force on other things", unit="N", below=15.0),
         "peak_force_n": Figure(name="peak grip force", unit="N"),
         "peak_reaction_n": Figure(name="peak force on the object", unit="N"),
+        # Limits of the pass rule; a certified episode keeps them.
+        "pushed_share": Figure(name="moved by other contacts", unit="%", digits=1, factor=100.0, below=10.0),
+        "start_share": Figure(name="moved before contact", unit="%", digits=2, factor=100.0, below=2.0),
+        "written_share": Figure(name="travel without a force", unit="%", digits=2, factor=100.0, below=5.0),
+        "penetration_mm": Figure(name="robot in other bodies", unit="mm", digits=2, below=1.0),
+        "drift_mm": Figure(name="base slid by", unit="mm", digits=1, below=5.0),
+    },
+    # Figures of a commanded motion, before it is simulated.
+    "plan": {
+        "residual_mm": Figure(name="end effector off its pose", unit="mm", digits=2, below=1.0),
+        "residual_deg": Figure(name="end effector turned off", unit="deg", digits=2, below=0.5),
+        "grip_gap_mm": Figure(name="farther pad to the handle", unit="mm", digits=2, below=10.0),
+        "handle_penetration_mm": Figure(name="planned fingers in the handle", unit="mm", digits=2, below=6.0),
+        "penetration_mm": Figure(name="planned robot in other bodies", unit="mm", digits=2, below=1.0),
+        "self_penetration_mm": Figure(name="robot in itself", unit="mm", digits=2, below=1.0),
     },
     "coverage": {
         "views": Figure(name="views (median)"),

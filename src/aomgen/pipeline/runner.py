@@ -45,8 +45,8 @@ class Stage:
         name: For example "structure".
         folder: Folder below the run's folder, for example "01_structure".
         title: What the user reads while it runs.
-        needs: Names of the stages it reads, "capture" when it reads the capture, and "assets" when it
-            reads the files that the project names.
+        needs: Names of the stages it reads, "capture" when it reads the capture, "assets" when it
+            reads the files that the project names, and "review" when it leaves out rejected episodes.
         settings: Names of the project's fields that change its result.
         version: Raised when the same inputs may give other bytes.
         weight: Seconds that it takes of the bundled recording on two cores, for the remaining time shown.

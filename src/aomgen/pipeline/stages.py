@@ -15,8 +15,9 @@ from aomgen.core.project import Project, split_light
 from aomgen.core.recording import Recording
 from aomgen.errors import ConfigError, MissingFileError, suggest
 from aomgen.executors import require_cluster
+from aomgen.io.review import read_reviews
 from aomgen.io.schema import override
-from aomgen.pipeline.manifest import files_digest
+from aomgen.pipeline.manifest import files_digest, text_digest
 from aomgen.pipeline.preflight import preflight
 from aomgen.pipeline.project_file import read_project, write_project
 from aomgen.pipeline.runner import Display, Stage, StageFunction, lock, run_stages
@@ -160,7 +161,7 @@ STAGES: tuple[Stage, ...] = (
         name="dataset",
         folder="dataset",
         title="LeRobot dataset",
-        needs=("episodes",),
+        needs=("episodes", "review"),
         version=5,
         weight=2,
         function=_lazily("datasets.stage"),
@@ -201,13 +202,15 @@ def run_pipeline(project: Project, display: Display, *, until: str = "", **machi
         require_cluster(machine["ray"])
     capture = read_capture(project.capture)
     inputs = {"capture": capture_digest(capture), "assets": assets_digest(project.assets, project.light)}
+    # A damaged file is reported before the work begins; decisions do not change what preflight checks.
+    review = {"review": rejections_digest(project.out)}
     for sentence in preflight(project, capture, inputs, wanted):
         # Warnings about the input appear where it is read first.
         display.warn(STAGES[0], sentence)
     # The choices are stored with the results, so that reports can be made again.
     with lock(project.out):
         write_project(project.out / PROJECT_FILE, project)
-    return run_stages(project, STAGES, display, inputs=inputs, until=until, **machine)
+    return run_stages(project, STAGES, display, inputs=inputs | review, until=until, **machine)
 
 
 def find_project(path: Path) -> Project:
@@ -253,3 +256,14 @@ def assets_digest(specs: Sequence[str], light: str) -> str:
     found = [named[0] for named in map(asset_file, specs) if named is not None]
     found.append(Path(split_light(light)[1]))
     return files_digest([file for file in found if file.is_file()])
+
+
+def rejections_digest(out: Path) -> str:
+    """Digest of the episodes that a person has rejected; when it changes, the dataset of a run is written again.
+
+    Raises:
+        MalformedFileError: The review file is damaged.
+    """
+    reviews = sorted(read_reviews(out).items())
+    rejected = (f"{number} {item.content}" for number, item in reviews if item.decision == "rejected")
+    return text_digest("\n".join(rejected))

@@ -23,6 +23,7 @@ from aomgen.report.html import (
     commands,
     contents,
     heading,
+    link,
     page,
     paragraph,
     picture,
@@ -37,6 +38,8 @@ from aomgen.results import Results
 from aomgen.version import __version__
 
 CONTACT_SHEET = "episodes.jpg"
+# Name in the run's folder under which `aomgen view --export` writes the page that the report links to.
+OFFLINE_PAGE = "page.html"
 SHEET_FRAMES, SHEET_EPISODES = 5, 12
 # The figures that a reader looks for first: stage, names.
 HEADLINES = (
@@ -82,11 +85,18 @@ def write_report(out: Path) -> Path:
     body = [
         f"<h1>{text(name)}</h1>",
         contents(list(shown)),
+        *_link_offline_page(out),
         f'<div class="head"><div>{results_table(results)}</div><div>{provenance_table(results)}</div></div>',
         *(section(title, *parts) for title, parts in shown.items()),
     ]
     write_text(out / REPORT_FILE, page(f"AOMGen: {results.recorded.name}", body))
     return out / REPORT_FILE
+
+
+def _link_offline_page(out: Path) -> list[str]:
+    if not (out / OFFLINE_PAGE).is_file():
+        return []
+    return [f"<p>{link(OFFLINE_PAGE, 'The twin with a joint slider, and all episodes, on one page')}</p>"]
 
 
 def _render_estimate_sections(results: Results) -> dict[str, list[str]]:

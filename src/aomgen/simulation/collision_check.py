@@ -1,7 +1,7 @@
 """Tier A: check before any simulation that a commanded trajectory avoids collisions and reaches the handle."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import product
 from typing import NamedTuple
 
@@ -9,6 +9,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from aomgen.core.demonstration import Trajectory
 from aomgen.core.plan import Rejection
 from aomgen.core.transforms import matrix_from_quat
 from aomgen.core.values import Array
@@ -75,6 +76,24 @@ def check_kinematics(
         Figures `penetration_mm`, `handle_penetration_mm`, `self_penetration_mm`, `grip_gap_mm`; or a
         Rejection "collision", "self_collision", "grip_collision" or "no_grip" with the `sample` at which it is worst.
     """
+    result = _measure_motion(scene, joints, gripper, thetas, holding, limits)
+    if not isinstance(result, Rejection):
+        return result
+    times = np.arange(len(joints), dtype=np.float64)
+    motion = Trajectory(
+        times_s=times, joints=joints, gripper=np.broadcast_to(gripper, times.shape), thetas=thetas
+    )
+    return replace(result, worst=motion.at([result.metrics["sample"]]))
+
+
+def _measure_motion(
+    scene: Scene,
+    joints: Array,
+    gripper: Array,
+    thetas: Array,
+    holding: NDArray[np.bool_],
+    limits: KinematicLimits,
+) -> dict[str, float] | Rejection:
     data, kinds = mujoco.MjData(scene.model), _pair_kinds(scene)
     worst = {"scene": _Overlap(*_object_overlap(scene, data)), "self": _Overlap(), "handle": _Overlap()}
     rows = np.arange(len(joints), dtype=np.float64)

@@ -6,6 +6,7 @@ from pathlib import Path
 import pytest
 
 from aomgen.core.project import Project
+from aomgen.io.review import ReviewChange, change_review
 from aomgen.pipeline.project_file import write_project
 from aomgen.pipeline.stages import PROJECT_FILE
 from command_line import aomgen, one_sentence
@@ -30,6 +31,17 @@ def test_export_and_audit(run, tmp_path):
     found = aomgen("audit", "opening", run, folder=tmp_path)
     assert (found.returncode, found.stderr) == (0, "")
     assert "2 train + 1 val of 3, 36 frames, actions ee_delta" in found.stdout
+
+
+def test_rejected_episodes_are_left_out(run, tmp_path):
+    reviewed = Path(shutil.copytree(run, tmp_path / "reviewed"))
+    change_review(reviewed, reviewed / "08_episodes" / "000001", ReviewChange(decision="rejected"))
+    made = aomgen("export", "reviewed", "d", "--format", "lerobot-v3", folder=tmp_path)
+    said = "left out 1 of 3 episodes: review.json rejects them\n"
+    assert made.stdout == f"{said}wrote d: 2 + 0 episodes, 27 frames\n"
+    found = aomgen("audit", "d", "reviewed", folder=tmp_path)
+    assert (found.returncode, found.stderr) == (0, "")
+    assert found.stdout.startswith(f"{said}episodes  2 train of 2, 27 frames")
 
 
 def test_a_dataset_that_differs_ends_with_an_exit_code(run, tmp_path):

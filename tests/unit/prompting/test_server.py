@@ -11,7 +11,7 @@ import pytest
 from PIL import Image
 
 from aomgen.capture.read import read_capture
-from aomgen.errors import BackendError, ConfigError, InputError
+from aomgen.errors import BackendError, InputError
 from aomgen.prompting import session as sessions
 from aomgen.prompting.server import PromptServer
 from aomgen.prompting.session import PromptSession
@@ -64,7 +64,7 @@ def test_page_images_and_masks(server, sample):
     assert state["images"] == sorted(path.name for path in (sample / "scan").iterdir())
     assert len(state["prompts"]) == 6
     assert len(set(state["proposed"])) == 6
-    assert Image.open(BytesIO(ask(server, "api/image/5"))).size == (640, 480)
+    assert Image.open(BytesIO(ask(server, "api/image?index=5"))).size == (640, 480)
     answer = ask(server, "api/mask", {"image": 5, "part": "moving", "points": [[150, 120, 1]]})
     mask = np.asarray(Image.open(BytesIO(base64.b64decode(answer["mask"]))))
     assert mask.shape == (480, 640)
@@ -104,14 +104,10 @@ def test_invalid_prompts_are_not_saved(server, changes, word):
     assert (server.session.capture / "capture.toml").read_bytes() == before
 
 
-def test_foreign_pages_and_invalid_requests_are_refused(server):
-    assert refusal(server, "api/state", Host="evil.example:80")[0] == 403
-    assert refusal(server, "api/save", {"prompts": [], **STATED}, **{"Content-Type": "text/plain"})[0] == 415
-    assert refusal(server, "api/image/../../../etc/passwd")[0] == 400
-    assert refusal(server, "api/image/64")[0] == 400
+def test_invalid_requests_are_refused(server):
+    assert refusal(server, "api/image?index=64")[0] == 400
     assert refusal(server, "api/mask", {"image": -1, "part": "moving"})[0] == 400
     assert refusal(server, "api/mask", {"file": "x"})[0] == 400
-    assert refusal(server, "api/none")[0] == 404
 
 
 def test_done_ends_the_server(capture_copy, monkeypatch):
@@ -119,11 +115,6 @@ def test_done_ends_the_server(capture_copy, monkeypatch):
     with PromptServer(PromptSession(capture_copy), 0) as server:
         threading.Timer(0.2, lambda: ask(server, "api/done", {})).start()
         server.serve_forever()
-
-
-def test_taken_port_is_named(server):
-    with pytest.raises(ConfigError, match=str(server.server_port)):
-        PromptServer(server.session, server.server_port)
 
 
 def test_without_weights_there_are_no_masks(capture_copy, monkeypatch):

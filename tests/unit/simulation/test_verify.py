@@ -327,6 +327,10 @@ def test_kinematic_check_sees_grip_and_collision(scene: Scene, plan: EpisodePlan
     struck = check_kinematics(inside, plan.joints, gripper, plan.thetas, ~holding, limits)
     assert isinstance(struck, Rejection)
     assert struck.reason == "collision"
+    assert struck.worst is not None
+    before, share = divmod(struck.metrics["sample"], 1)
+    between = plan.joints[int(before)] + share * np.diff(plan.joints, axis=0)[min(int(before), 44)]
+    np.testing.assert_allclose(struck.worst.joints[0], between, atol=1e-9)
 
 
 def test_a_table_through_the_arm_is_noticed(

@@ -1,0 +1,188 @@
+"""All draws of a run, finished or not: committed episodes, rejected attempts, and draws that were not tried."""
+
+import threading
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Final, Literal
+
+from aomgen.episodes.ledger import (
+    DRAWS_FILE,
+    REJECTED_FOLDER,
+    REQUEST_FILE,
+    read_draws,
+    read_request,
+    unit_of,
+)
+from aomgen.errors import AomgenError, MissingFileError
+from aomgen.io.artifact import read_json
+from aomgen.io.episode_folder import EPISODE_FILE, list_committed
+from aomgen.io.review import content_of
+from aomgen.viewing.limit_readings import parse_excess, read_limits
+
+# "damaged" is an episode whose episode.json cannot be read.
+Outcome = Literal["committed", "rejected", "skipped", "damaged"]
+UNKNOWN_ASSET: Final = "unknown"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Draw:
+    """One draw of an asset and its outcome.
+
+    Attributes:
+        number: Of its episode.
+        asset: Name of the object.
+        outcome: See `Outcome`.
+        reason, detail: Why there is no episode; or the limit that came nearest, and its figure in words.
+        room: Distance to the limit that came nearest, 0..1 (see `LimitReading`); below 0 beyond it; None where no limit is stated.
+        variation: As stored; empty where it is unknown.
+        metrics: Figures of a rejection.
+        content: Digest of a committed episode, by which its review is found.
+        cameras: Names of its videos.
+    """
+
+    number: int
+    asset: str
+    outcome: Outcome
+    reason: str
+    detail: str
+    room: float | None = None
+    variation: Mapping[str, Any] = field(default_factory=dict)
+    metrics: Mapping[str, float] = field(default_factory=dict)
+    content: str = ""
+    cameras: tuple[str, ...] = ()
+
+
+class DrawList:
+    """Draws of the run in a folder, read again only where a file has changed since.
+
+    Args:
+        out: Folder of the run.
+        episodes: Folder of its stage "episodes".
+    """
+
+    def __init__(self, out: Path, episodes: Path) -> None:
+        self.out, self.episodes = out, episodes
+        self._lock = threading.Lock()
+        self._found: dict[int, Draw] = {}
+        self._known: dict[Path, tuple[tuple[int, int], list[Draw]]] = {}
+
+    def read(self) -> list[Draw]:
+        """All draws by number; none as long as the run has not come to its episodes.
+
+        Raises:
+            MissingFileError: The folder of the run has gone.
+            MalformedFileError: A file that all draws depend on is damaged.
+        """
+        if not self.out.is_dir():
+            raise MissingFileError(self.out, "is missing", "has it been moved or deleted?")
+        with self._lock:
+            self._found = {draw.number: draw for draw in self._list()}
+            return [self._found[number] for number in sorted(self._found)]
+
+    def find(self, number: int) -> Draw:
+        """One draw as `read` found it last; the draws are read again when it was not among them.
+
+        Raises:
+            ValueError: There is no draw of that number.
+        """
+        if number not in self._found:
+            self.read()
+        if number not in self._found:
+            raise ValueError(f"there is no draw {number}")
+        return self._found[number]
+
+    def _list(self) -> Iterator[Draw]:
+        """Draws in the order of the files that report them: what a later one reports holds."""
+        if not (self.episodes / REQUEST_FILE).is_file():
+            return
+        names = dict(enumerate(read_request(self.episodes).assets))
+        yield from self._cached(self.episodes / DRAWS_FILE, _read_skipped)
+        for path in (self.episodes / REJECTED_FOLDER).glob("[0-9]*.json"):
+            yield from self._cached(path, lambda path: [_read_rejected(path, names)])
+        for folder in list_committed(self.episodes):
+            yield from self._cached(folder / EPISODE_FILE, lambda path: [_read_committed(path, names)])
+
+    def _cached(self, path: Path, read: Callable[[Path], list[Draw]]) -> list[Draw]:
+        """Draws of a file; none where it has gone meanwhile."""
+        try:
+            status = path.stat()
+        except FileNotFoundError:
+            return []
+        stamp = (status.st_mtime_ns, status.st_size)
+        if path not in self._known or self._known[path][0] != stamp:
+            try:
+                self._known[path] = (stamp, read(path))
+            except MissingFileError:
+                return []
+        return self._known[path][1]
+
+
+def _read_skipped(path: Path) -> list[Draw]:
+    return [
+        Draw(
+            number=int(item["number"]),
+            asset=str(item["name"]),
+            outcome="skipped",
+            reason=str(item["reason"]),
+            detail=str(item["detail"]),
+            room=_room(item["detail"]),
+            variation=item["variation"],
+        )
+        for item in read_draws(path.parent)
+        if item["outcome"] == "skipped"
+    ]
+
+
+def _read_rejected(path: Path, names: Mapping[int, str]) -> Draw:
+    unit = unit_of(path.stem)
+    asset = names.get(unit.asset, UNKNOWN_ASSET)
+    try:
+        item = read_json(path)
+        return Draw(
+            number=unit.number,
+            asset=asset,
+            outcome="rejected",
+            reason=str(item["reason"]),
+            detail=str(item["detail"]),
+            room=_room(item["detail"]),
+            variation=item["variation"],
+            metrics=item["metrics"],
+        )
+    except MissingFileError:
+        raise
+    except (AomgenError, KeyError, TypeError) as error:
+        return _describe_damage(unit.number, asset, path, error)
+
+
+def _read_committed(path: Path, names: Mapping[int, str]) -> Draw:
+    number = int(path.parent.name)
+    asset = names.get(unit_of(number).asset, UNKNOWN_ASSET)
+    try:
+        header = read_json(path)
+        nearest = read_limits(header["verdict"])[0]
+        return Draw(
+            number=number,
+            asset=str(header["asset"]),
+            outcome="committed",
+            reason=nearest.name,
+            detail=f"{nearest.value}, limit {nearest.limit}",
+            room=nearest.room,
+            variation=header["verdict"]["variation"],
+            content=content_of(header, path),
+            cameras=tuple(header["cameras"]),
+        )
+    except MissingFileError:
+        raise
+    except (AomgenError, KeyError, TypeError, ValueError, IndexError) as error:
+        return _describe_damage(number, asset, path, error)
+
+
+def _describe_damage(number: int, asset: str, path: Path, error: Exception) -> Draw:
+    sentence = str(error) if isinstance(error, AomgenError) else f"{path}: is not complete ({error!r})"
+    return Draw(number=number, asset=asset, outcome="damaged", reason="damaged", detail=sentence)
+
+
+def _room(detail: str) -> float | None:
+    excess = parse_excess(detail)
+    return None if excess is None else -excess

@@ -1,0 +1,147 @@
+"""One episode or rejected draw for its page: what the robot and the object did, and every limit."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from aomgen.core.episode import FINGERS, PHASES, Episode
+from aomgen.core.values import Array
+from aomgen.io.episode_folder import read_episode
+from aomgen.report.episodes import place_words, reasons
+from aomgen.viewing.draw_list import Draw
+from aomgen.viewing.limit_readings import parse_pair, read_limits, read_rejected
+
+# Digits of plotted values, below what a plot can show.
+DIGITS: Final = 4
+
+
+def describe_episode(folder: Path) -> dict[str, Any]:
+    """Values of an episode's page: cameras, series over its frames, and its limits.
+
+    Returns:
+        `series` is a list of plots, each with a title, a unit, and lines of T values; `phases` a list of name, first and
+        last frame; `limits` see `LimitReading`.
+
+    Raises:
+        CorruptArtifactError, MalformedFileError: A file of the episode is missing or damaged.
+    """
+    committed = read_episode(folder)
+    episode, verdict = committed.episode, committed.episode.verdict
+    return {
+        "instruction": episode.instruction,
+        "asset": episode.asset,
+        "fps": episode.fps,
+        "frames": len(episode),
+        "cameras": [
+            {"name": name, "width": camera.width, "height": camera.height}
+            for name, camera in episode.cameras.items()
+        ],
+        "place": place_words(verdict["variation"]),
+        "variation": describe_variation(verdict["variation"]),
+        "grasp": verdict.get("grasp", ""),
+        "phases": list_phases(episode.phases),
+        "series": list_series(episode),
+        "limits": [asdict(item) for item in read_limits(verdict)],
+        "settings": [run["name"] for run in verdict["dynamic"]],
+        "mb": sum(path.stat().st_size for path in committed.videos.values()) / 1e6,
+    }
+
+
+def describe_rejected(draw: Draw) -> dict[str, Any]:
+    """Values of the page of a draw that gave no episode, or a damaged one."""
+    return {
+        "asset": draw.asset,
+        "meaning": reasons().get(draw.reason, ""),
+        "pair": parse_pair(draw.detail),
+        "place": place_words(draw.variation) if draw.variation else "",
+        "variation": describe_variation(draw.variation),
+        "figures": read_rejected(draw.metrics),
+    }
+
+
+def list_phases(phases: NDArray[np.int64]) -> list[dict[str, Any]]:
+    """Runs of equal phases (T,): name, first and last frame."""
+    starts = np.flatnonzero(np.diff(phases, prepend=-1))
+    ends = [*(starts[1:] - 1).tolist(), len(phases) - 1]
+    return [
+        {"name": PHASES[phases[first]], "first": first, "last": last}
+        for first, last in zip(starts.tolist(), ends, strict=True)
+    ]
+
+
+def list_series(episode: Episode) -> list[dict[str, Any]]:
+    """Plots of an episode: joint value of the object, finger forces, gripper, arm joints, tracking error."""
+    turning = episode.joint.type == "revolute"
+    verdict, factor = episode.verdict, (np.degrees(1.0) if turning else 1000.0)
+    goal = [(factor * verdict[name], name.removesuffix("_theta")) for name in ("start_theta", "target_theta")]
+    errors = 1000 * np.linalg.norm(
+        episode.Ts_world_ee_action[:-1, :3, 3] - episode.Ts_world_ee[1:, :3, 3], axis=1
+    )
+    return [
+        _plot("object joint", "deg" if turning else "mm", {"reached": factor * episode.thetas}, goal),
+        _plot("finger force", "N", finger_forces(episode)),
+        _plot(
+            "gripper", "0 open, 1 closed", {"reached": episode.gripper, "commanded": episode.action_gripper}
+        ),
+        _plot(
+            "arm joints",
+            "deg",
+            dict(zip(episode.joint_names, np.degrees(episode.joints).T, strict=True)),
+        ),
+        _plot("end effector off its command", "mm", {"distance": np.append(0.0, errors)}),
+    ]
+
+
+def finger_forces(episode: Episode) -> dict[str, Array]:
+    """Sum of the normal forces of each finger on the object at every frame (T,), [N]."""
+    contacts, sums = episode.contacts, np.zeros((len(FINGERS), len(episode)))
+    np.add.at(sums, (contacts.fingers, contacts.frames), contacts.forces)
+    return dict(zip(FINGERS, sums, strict=True))
+
+
+def describe_variation(variation: Mapping[str, Any]) -> dict[str, str]:
+    """Differences of a draw from the recording in words, by their names; those that are zero are left out."""
+    if not variation:
+        return {}
+    light, material = variation["light"], variation["material"]
+    found = {
+        "size": _factor(variation["scale"]),
+        "speed": _factor(variation["speed"]),
+        "light turned": _degrees(light["turn"]),
+        "light intensity": _factor(light["intensity"]),
+        "light temperature": "" if light["temperature_k"] == 6500 else f"{light['temperature_k']:.0f} K",
+        "hue": _degrees(material["hue"]),
+        "saturation": _factor(material["saturation"]),
+        "brightness": _factor(material["brightness"]),
+        "push": f"{1000 * variation['push_m']:.0f} mm" if variation["push_m"] else "",
+        "start": ", ".join(f"{np.degrees(value):+.0f}" for value in variation["start_offset"]),
+    }
+    for number, orbit in enumerate(variation["orbits"]):
+        words = [_degrees(orbit["turn"]), _degrees(orbit["tilt"]), _factor(orbit["distance"])]
+        found[f"camera {number} moved"] = ", ".join(filter(None, words))
+    return {name: words for name, words in found.items() if words}
+
+
+def _plot(
+    title: str, unit: str, lines: Mapping[str, Array], levels: Sequence[tuple[float, str]] = ()
+) -> dict[str, Any]:
+    return {
+        "title": title,
+        "unit": unit,
+        "lines": [
+            {"name": name, "values": np.round(values, DIGITS).tolist()} for name, values in lines.items()
+        ],
+        "levels": [{"value": round(float(value), DIGITS), "name": name} for value, name in levels],
+    }
+
+
+def _factor(value: float) -> str:
+    return "" if value == 1 else f"x {value:.2f}"
+
+
+def _degrees(radians: float) -> str:
+    return "" if radians == 0 else f"{np.degrees(radians):+.0f} deg"

@@ -1,0 +1,162 @@
+"""Motions on the timeline of the twin page: the recording, and committed episodes."""
+
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from aomgen.core.camera import CameraPath
+from aomgen.core.demonstration import SceneTrajectory
+from aomgen.core.lens import Lens, undistorter
+from aomgen.core.values import Array
+from aomgen.io.episode_folder import CommittedEpisode
+from aomgen.io.images import encode_jpeg
+from aomgen.io.video import decode_frames
+from aomgen.results import Results
+
+# Videos whose frames are kept as JPEG: those that a person switches between.
+KEPT_VIDEOS: Final = 4
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MotionVideo:
+    """A video of a motion.
+
+    Attributes:
+        file: Path of the video.
+        lens: Distortion that is removed; None for a video of a pinhole camera.
+        offset_s: Video time = time of the motion + this, [s].
+    """
+
+    file: Path
+    lens: Lens | None = None
+    offset_s: float = 0.0
+
+    def read_frame(self, time_s: float) -> bytes:
+        """Return the JPEG of the frame nearest to a time of the motion.
+
+        Raises:
+            InputError: The video is missing or damaged.
+        """
+        times, frames = read_frames_jpeg(self.file, self.lens)
+        return frames[int(np.argmin(np.abs(times - (time_s + self.offset_s))))]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ShownMotion:
+    """A motion of the timeline.
+
+    Attributes:
+        title: Name for a person.
+        times_s: (T,), rising, [s].
+        trajectory: States at these times; None before the motion is estimated.
+        cameras: Cameras of the videos, each at one pose or at T poses.
+        videos: Videos by camera.
+    """
+
+    title: str
+    times_s: Array
+    trajectory: SceneTrajectory | None
+    cameras: Mapping[str, CameraPath]
+    videos: Mapping[str, MotionVideo]
+
+    def describe(self) -> dict[str, Any]:
+        """Describe the motion to the page: times, states, cameras and names of the videos."""
+        path = self.trajectory
+        states = None if path is None else {
+            "joints": path.joints.round(5).tolist(),
+            "gripper": path.gripper.round(4).tolist(),
+            "theta": path.thetas.round(5).tolist(),
+        }  # fmt: skip
+        cameras = {
+            name: {
+                "Ts_world_cam": item.Ts_world_cam.reshape(-1, 16).tolist(),
+                **{key: getattr(item.camera, key) for key in ("fx", "fy", "cx", "cy", "width", "height")},
+            }
+            for name, item in self.cameras.items()
+        }
+        videos = list(self.videos)
+        return {
+            "title": self.title,
+            "times": self.times_s.round(4).tolist(),
+            "states": states,
+            "cameras": cameras,
+            "videos": videos,
+        }
+
+
+@lru_cache(KEPT_VIDEOS)
+def _read_frames_jpeg(file: Path, lens: Lens | None, changed_ns: int) -> tuple[Array, tuple[bytes, ...]]:
+    undistort = undistorter(lens) if lens else None
+    times, frames = [], []
+    for time_s, frame in decode_frames(file):
+        image = np.asarray(frame.to_ndarray(format="rgb24"), np.uint8)
+        times.append(time_s)
+        frames.append(encode_jpeg(undistort(image) if undistort else image, halve_colors=False))
+    return np.array(times), tuple(frames)
+
+
+def read_frames_jpeg(file: Path, lens: Lens | None = None) -> tuple[Array, tuple[bytes, ...]]:
+    """Return the times (T,) [s] of a video's frames and their JPEG bytes; a video that has not changed is kept."""
+    changed_ns = file.stat().st_mtime_ns if file.is_file() else 0
+    return _read_frames_jpeg(file, lens, changed_ns)
+
+
+def read_recording(results: Results, done: Collection[str]) -> ShownMotion:
+    """Read the recorded demonstration, as far as the stages in `done` know it.
+
+    Raises:
+        InputError: The capture is missing or damaged.
+    """
+    cameras, videos = {}, {}
+    aligned = "alignment" in done
+    lenses = results.structure.demo_lenses if "structure" in done else {}
+    first = results.alignment.cameras[results.demo_camera].clock if aligned else None
+    for item in results.recorded.cameras:
+        fixed = results.alignment.cameras.get(item.name) if aligned else None
+        clock = fixed.clock if fixed else None
+        # Both clocks relate a video to the same joint log.
+        offset = first.offset_s - clock.offset_s if first and clock else 0.0
+        if fixed:
+            cameras[item.name] = CameraPath(camera=fixed.camera, Ts_world_cam=fixed.camera.T_world_cam[None])
+        videos[item.name] = MotionVideo(
+            file=item.video, lens=lenses.get(item.name, item.lens), offset_s=offset
+        )
+    if "motion" in done:
+        times = results.motion.times_s
+    else:
+        times = read_frames_jpeg(videos[results.demo_camera].file, videos[results.demo_camera].lens)[0]
+    trajectory = None
+    if "twin" in done:
+        T_world_object = results.twin.T_world_object
+        states = results.states_at(times, T_world_object)
+        trajectory = SceneTrajectory(
+            times_s=times,
+            joints=np.stack([state.joints for state in states]),
+            gripper=np.array([state.gripper for state in states]),
+            thetas=np.array([state.theta for state in states]),
+            T_world_object=T_world_object,
+        )
+    return ShownMotion(
+        title="recording", times_s=times, trajectory=trajectory, cameras=cameras, videos=videos
+    )
+
+
+def show_episode(committed: CommittedEpisode) -> ShownMotion:
+    """The motion of a committed episode, or of a draw without one, which has no videos."""
+    episode = committed.episode
+    cameras = {
+        name: CameraPath(camera=camera, Ts_world_cam=episode.camera_poses.get(name, camera.T_world_cam[None]))
+        for name, camera in episode.cameras.items()
+    }
+    videos = {name: MotionVideo(file=file) for name, file in committed.videos.items()}
+    return ShownMotion(
+        title=f"{'episode' if videos else 'draw'} {episode.index}: {episode.asset}",
+        times_s=episode.times_s,
+        trajectory=episode,
+        cameras=cameras,
+        videos=videos,
+    )

@@ -1,0 +1,166 @@
+"""One HTML file that shows a run without AOMGen and without a network: its twin, some episodes, and the wall of all."""
+
+import base64
+import importlib.resources
+import json
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from aomgen.core.camera import Camera
+from aomgen.core.values import Array
+from aomgen.errors import AomgenError, MissingFileError
+from aomgen.io.atomic import write_text
+from aomgen.io.episode_folder import episode_folder, read_episode
+from aomgen.io.images import encode_jpeg
+from aomgen.io.review import Review, read_reviews
+from aomgen.io.video import encode_video, read_video
+from aomgen.pipeline.manifest import read_manifest
+from aomgen.pipeline.rendering import open_twin, render_twin
+from aomgen.pipeline.runner import results_of
+from aomgen.pipeline.stages import REPORT_FILE, STAGES, find_project
+from aomgen.report.episodes import reasons
+from aomgen.report.page import OFFLINE_PAGE, write_report
+from aomgen.results import Results
+from aomgen.robots.robot import RobotModel
+from aomgen.twin.twin import TwinModel
+from aomgen.viewing.draw_list import Draw, DrawList
+from aomgen.viewing.review_pages import describe_draw
+from aomgen.viewing.thumbnails import encode_thumbnail
+
+# Images of the twin over the range of its joint: steps of some 4 degrees for a door.
+STRIP_IMAGES: Final = 24
+# Quality of the embedded JPEG images and videos: a page of a few MB can still be sent by mail.
+JPEG_QUALITY, VIDEO_CRF = 85, 28
+# Episodes that can be played for each asset, and the largest number of all.
+PLAYED_EACH, MOST_PLAYED = 1, 4
+# Episodes whose first and last image are embedded, some 10 kB each.
+MOST_SHOWN: Final = 300
+# The template holds this in place of the content.
+SLOT: Final = "__CONTENT__"
+
+
+def write_offline_page(out: Path, path: Path) -> int:
+    """Write the page of a run; sections of what the run has not made yet are left out.
+
+    The report of the run links to the page when it is `page.html` in the run's folder.
+
+    Returns:
+        Its size, [bytes].
+
+    Raises:
+        MissingFileError: There is no run, or it has neither a twin nor an episode.
+        CorruptArtifactError, MalformedFileError: A file of the run is damaged.
+        StorageError: The disk refuses.
+    """
+    results = results_of(find_project(out), STAGES)
+    folder, reviews = results.folders["episodes"], read_reviews(results.out)
+    draws = DrawList(results.out, folder).read()
+    kept = [draw for draw in draws if draw.outcome == "committed" and not _is_rejected(draw, reviews)]
+    twin = read_manifest(results.folders["twin"]) is not None
+    if not (twin or kept):
+        raise MissingFileError(out, "has neither a twin nor an episode", f"finish it with `aomgen run {out}`")
+    kept.sort(key=lambda draw: draw.room or 0.0)
+    players = [_embed_episode(folder, draw) for draw in choose_played(kept)]
+    content = {
+        "run": results.out.resolve().name,
+        "instruction": next((player["instruction"] for player in players), ""),
+        "strip": _describe_strip(results) if twin else None,
+        "players": players,
+        "episodes": [
+            describe_draw(draw, reviews) | _embed_images(folder, draw) for draw in kept[:MOST_SHOWN]
+        ],
+        "kept": len(kept),
+        "rejected_by_review": sum(_is_rejected(draw, reviews) for draw in draws),
+        "reasons": _count_reasons(draws),
+    }
+    template = (importlib.resources.files("aomgen.viewing") / "offline.html").read_text("utf-8")
+    # "</script>" in a name would end the script that holds the content.
+    page = template.replace(SLOT, json.dumps(content, allow_nan=False).replace("</", "<\\/"))
+    write_text(path, page)
+    if path.resolve() == results.out.resolve() / OFFLINE_PAGE and (results.out / REPORT_FILE).is_file():
+        write_report(results.out)  # which links to the page
+    return len(page.encode())
+
+
+def choose_played(draws: Sequence[Draw]) -> list[Draw]:
+    """Choose the episodes that can be played: for each asset those with the most room to their limits."""
+    counts, chosen = Counter[str](), []
+    for draw in sorted(draws, key=lambda draw: -(draw.room or 0.0)):
+        if counts[draw.asset] < PLAYED_EACH and len(chosen) < MOST_PLAYED:
+            counts[draw.asset] += 1
+            chosen.append(draw)
+    return sorted(chosen, key=lambda draw: draw.number)
+
+
+def draw_strip(twin: TwinModel, robot: RobotModel, camera: Camera, values: Array) -> list[str]:
+    """Render the twin at joint values (K,), [rad] or [m], else as during the scan; returns data URLs of JPEG images."""
+    images = []
+    for value in values.tolist():
+        state = replace(twin.scan_state, theta=value)
+        images.append(
+            _embed("image/jpeg", encode_jpeg(render_twin(twin, robot, camera, state)[0], JPEG_QUALITY))
+        )
+    return images
+
+
+def _describe_strip(results: Results) -> dict[str, Any]:
+    """Images of the twin over the recorded range of its joint, from the first camera of the recording."""
+    twin, robot = open_twin(results.out)
+    name, fixed = next(iter(results.alignment.cameras.items()))
+    values = np.linspace(results.motion.thetas.min(), results.motion.thetas.max(), STRIP_IMAGES)
+    turning = results.motion.joint.type == "revolute"
+    return {
+        "camera": name,
+        "unit": "deg" if turning else "mm",
+        "values": (values * (np.degrees(1.0) if turning else 1000.0)).round(2).tolist(),
+        "images": draw_strip(twin, robot, fixed.camera, values),
+    }
+
+
+def _embed_episode(folder: Path, draw: Draw) -> dict[str, Any]:
+    """All views of an episode side by side, as one video."""
+    committed = read_episode(episode_folder(folder, draw.number))
+    videos = [read_video(path).frames_srgb for path in committed.videos.values()]
+    height = min(frames.shape[1] for frames in videos)
+    shown = np.concatenate([frames[:, :height] for frames in videos], axis=2)
+    data = encode_video(shown, committed.episode.fps, crf=VIDEO_CRF)
+    return {
+        "number": draw.number,
+        "asset": draw.asset,
+        "instruction": committed.episode.instruction,
+        "views": list(committed.videos),
+        "video": _embed("video/mp4", data),
+    }
+
+
+def _embed_images(folder: Path, draw: Draw) -> dict[str, str]:
+    """First and last image of an episode; a damaged video gives the sentence of its error instead."""
+    video = episode_folder(folder, draw.number) / f"{draw.cameras[0]}.mp4"
+    try:
+        return {frame: _embed("image/jpeg", encode_thumbnail(video, frame)) for frame in ("first", "last")}
+    except AomgenError as error:
+        return {"problem": str(error)}
+
+
+def _count_reasons(draws: Sequence[Draw]) -> list[dict[str, Any]]:
+    """Reasons of the draws without an episode, the most frequent first."""
+    meanings = reasons()
+    counts = Counter(draw.reason for draw in draws if draw.outcome in ("rejected", "skipped"))
+    return [
+        {"reason": reason, "count": count, "meaning": meanings.get(reason, "")}
+        for reason, count in counts.most_common()
+    ]
+
+
+def _is_rejected(draw: Draw, reviews: dict[int, Review]) -> bool:
+    review = reviews.get(draw.number, Review())
+    return review.decision == "rejected" and review.content == draw.content
+
+
+def _embed(kind: str, data: bytes) -> str:
+    return f"data:{kind};base64,{base64.b64encode(data).decode()}"

@@ -1,0 +1,308 @@
+"""A run, or a capture alone, as the twin page shows it: motions, scenes and overlays, each opened when it is first used."""
+
+from collections.abc import Mapping
+from dataclasses import replace
+from functools import cached_property, lru_cache
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from aomgen.capture.read import read_capture
+from aomgen.core.camera import Camera, CameraPath
+from aomgen.core.plan import Variation
+from aomgen.core.project import Project
+from aomgen.core.transforms import apply
+from aomgen.core.values import Array
+from aomgen.episodes.ledger import unit_of
+from aomgen.episodes.variations import scale_fit
+from aomgen.errors import InputError, MissingFileError, OutdatedRunError, UnknownNameError
+from aomgen.io.artifact import load_artifact
+from aomgen.io.episode_folder import CommittedEpisode, episode_folder, list_committed, read_episode
+from aomgen.io.schema import override
+from aomgen.parts.stage import COVERAGE
+from aomgen.parts.survey import Survey
+from aomgen.pipeline.manifest import MANIFEST, read_manifest
+from aomgen.pipeline.rendering import open_twin
+from aomgen.pipeline.runner import results_of
+from aomgen.pipeline.stages import STAGES, find_project
+from aomgen.prompting.scan_choice import ScanImages
+from aomgen.results import Results
+from aomgen.robots.robot import RobotModel
+from aomgen.simulation.episode_scene import episode_scene
+from aomgen.twin.twin import TwinModel, TwinState
+from aomgen.viewing import overlays
+from aomgen.viewing.draw_list import DrawList
+from aomgen.viewing.motions import ShownMotion, read_recording, show_episode
+from aomgen.viewing.rejected_draw import NOTE, replan_draw
+from aomgen.viewing.scenes import (
+    PosableScene,
+    ScannedScene,
+    ViewedScene,
+    open_episode_scene,
+    open_recorded_scene,
+)
+
+RECORDING: Final = "recording"
+CAPTURE_FILE: Final = "capture.toml"
+# Episodes that are kept open, each with a copy of the twin of some ten MB.
+KEPT_EPISODES: Final = 2
+# Depth of a drawn camera as a share of the scan cameras' median distance from the object.
+CAMERA_SHARE: Final = 0.05
+# Sentences about what a run lacks, by the first stage that has not finished.
+LACKS: Final = {
+    "structure": "The scan is not reconstructed yet: its images and the recording are shown.",
+    "gaussians": "The scan has cameras but no Gaussians yet: its images and the recording are shown.",
+    "alignment": "The scene can be orbited; it is not aligned with the robot yet, so that it has no scale.",
+    "parts": "The scene can be orbited; its parts are not separated yet.",
+    "motion": "The scene can be orbited; the object's joint is not estimated yet.",
+    "twin": "The scene can be orbited; the twin is not built yet, so that nothing moves.",
+    "replacement": "There are no episodes yet: no asset has replaced the object.",
+    "episodes": "The episodes are not complete yet; those that are committed are shown.",
+}
+
+
+class OpenedRun:
+    """What a run had made when it was opened; only the list of its committed episodes changes."""
+
+    def __init__(self, results: Results, token: str) -> None:
+        self.results, self.token = results, token
+        self.done = {stage.name for stage in STAGES if _is_current(results, stage.name)}
+        self.episode = lru_cache(KEPT_EPISODES)(self._read_episode)
+        self.motion = lru_cache(KEPT_EPISODES)(self._open_motion)
+        self.scene = lru_cache(KEPT_EPISODES)(self._open_scene)
+        self.overlay = lru_cache(None)(self._open_overlay)
+        self.pivot = lru_cache(None)(self._find_pivot)
+
+    def list_notes(self) -> list[str]:
+        """Sentences about what the run lacks."""
+        notes = []
+        for stage in STAGES:
+            manifest = read_manifest(self.results.folders[stage.name])
+            if manifest and manifest.version != stage.version:
+                notes.append(
+                    f"{OutdatedRunError(self.results.out, stage.name, manifest.version, stage.version)}."
+                )
+        missing = next((name for name in LACKS if name not in self.done), None)
+        return [*notes, *([LACKS[missing]] if missing else [])]
+
+    def list_motions(self) -> list[dict[str, str]]:
+        """Name and title of every motion, the recording first."""
+        numbers = [int(folder.name) for folder in list_committed(self.results.folders["episodes"])]
+        shown = numbers if "replacement" in self.done else []
+        return [
+            {"name": RECORDING, "title": "recording"},
+            *({"name": str(number), "title": f"episode {number}"} for number in shown),
+        ]
+
+    @cached_property
+    def posable(self) -> tuple[TwinModel, RobotModel]:
+        """Twin of the recording and its robot."""
+        return open_twin(self.results.out)
+
+    @cached_property
+    def scan(self) -> ScanImages:
+        """Images of the scan.
+
+        Raises:
+            InputError: The capture is missing or damaged.
+        """
+        return ScanImages(self.results.recorded.scan_images, self.results.recorded.scan_video)
+
+    @property
+    def has_parts(self) -> bool:
+        """Whether the parts of the scene are known and can be hidden."""
+        return "parts" in self.done
+
+    @cached_property
+    def survey(self) -> Survey | None:
+        """Coverage of the scan; None before it was measured."""
+        if "parts" not in self.done:
+            return None
+        return load_artifact(self.results.folders["parts"], COVERAGE, Survey)
+
+    @cached_property
+    def scan_cameras(self) -> Mapping[str, Camera]:
+        """Scan cameras by image name, in the frame of the scene."""
+        aligned = "alignment" in self.done
+        return self.results.scan_cameras if aligned else self.results.structure.cameras_recon
+
+    def _read_episode(self, name: str) -> CommittedEpisode:
+        if not name.isdigit():
+            raise UnknownNameError("motion", name, [RECORDING, "the number of an episode"])
+        home = self.results.folders["episodes"]
+        folder = episode_folder(home, int(name))
+        if folder.is_dir():
+            return read_episode(folder)
+        return replan_draw(self.results, DrawList(self.results.out, home).find(int(name)))
+
+    def _open_motion(self, name: str) -> tuple[ShownMotion, str]:
+        """A motion, and a sentence about what is missing of it."""
+        if name != RECORDING:
+            committed = self.episode(name)
+            return show_episode(committed), str(committed.episode.verdict.get(NOTE, ""))
+        try:
+            motion, problem = read_recording(self.results, self.done), ""
+        except InputError as error:
+            # The twin can be looked at without the capture that it comes from.
+            if "twin" not in self.done:
+                raise
+            fixed = {name: item.camera for name, item in self.results.alignment.cameras.items()}
+            cameras = {name: CameraPath(camera=item, Ts_world_cam=item.T_world_cam[None]) for name, item in fixed.items()}  # fmt: skip
+            motion = ShownMotion(
+                title=RECORDING, times_s=np.zeros(1), trajectory=None, cameras=cameras, videos={}
+            )
+            problem = f"The recording cannot be shown: {error}."
+        if not motion.cameras and "gaussians" in self.done:
+            name, camera = next(iter(self.scan_cameras.items()))
+            path = CameraPath(camera=camera, Ts_world_cam=camera.T_world_cam[None])
+            motion = replace(motion, cameras={name: path})
+        return motion, problem
+
+    def _open_scene(self, name: str) -> ViewedScene | None:
+        """The scene of a motion; None before there are Gaussians."""
+        if name == RECORDING:
+            if "twin" in self.done:
+                return open_recorded_scene(*self.posable)
+            if "gaussians" not in self.done:
+                return None
+            if "parts" in self.done:
+                return ScannedScene(self.results.scene, self.results.parts.labels)
+            aligned = "alignment" in self.done
+            return ScannedScene(self.results.gaussians if aligned else self.results.gaussians_recon, None)
+        episode, motion = self.episode(name).episode, self.motion(name)[0]
+        first = TwinState(
+            joints=episode.joints[0],
+            gripper=float(episode.gripper[0]),
+            theta=float(episode.thetas[0]),
+            T_world_object=episode.T_world_object,
+        )
+        eyes = np.stack([path.camera.center for path in motion.cameras.values()])
+        asset = unit_of(episode.index).asset
+        return open_episode_scene(self.results, self.posable[1], asset, self._variation(name), first, eyes)
+
+    def _variation(self, name: str) -> Variation:
+        stated = self.episode(name).episode.verdict["variation"]
+        return override(Variation(seed=0, index=0, x=0.0, y=0.0, yaw=0.0), stated, "variation")
+
+    def _find_pivot(self, name: str) -> Array:
+        """The point (3,) that the view turns about: the object, else the middle of the scan."""
+        scene = self.scene(name)
+        if isinstance(scene, PosableScene):
+            return scene.find_center()
+        if self.survey is not None:
+            sides = [k for k, side in enumerate(self.survey.names) if side.endswith("of the object")]
+            return self.survey.points_world[np.isin(self.survey.sides, sides)].mean(0)
+        points = self.results.structure.points_recon
+        if "alignment" in self.done:
+            points = apply(self.results.alignment.S_world_recon, points)
+        return np.median(points, 0)
+
+    def find_up(self) -> Array:
+        """Unit direction (3,) upwards: the world's z axis, or the cameras' mean before the alignment."""
+        if "alignment" in self.done:
+            return np.array([0.0, 0.0, 1.0])
+        up = -np.mean([camera.T_world_cam[:3, 1] for camera in self.scan_cameras.values()], 0)
+        return up / np.linalg.norm(up)
+
+    def list_overlays(self, name: str) -> list[str]:
+        """Names of the overlays that a motion has."""
+        if name != RECORDING:
+            return ["colliders", "cameras", "contacts", "axis"]
+        needs = {
+            "colliders": "twin",
+            "cameras": "structure",
+            "coverage": "parts",
+            "contacts": "twin",
+            "axis": "motion",
+        }
+        return [overlay for overlay, stage in needs.items() if stage in self.done]
+
+    def _open_overlay(self, name: str, kind: str) -> overlays.Overlay:
+        if kind not in self.list_overlays(name):
+            raise UnknownNameError("overlay", kind, self.list_overlays(name))
+        if kind == "cameras":
+            fixed = {key: path.camera for key, path in self.motion(name)[0].cameras.items()}
+            arms = [np.linalg.norm(item.center - self.pivot(name)) for item in self.scan_cameras.values()]
+            return overlays.outline_cameras(self.scan_cameras, fixed, CAMERA_SHARE * float(np.median(arms)))
+        if name != RECORDING:
+            episode = self.episode(name).episode
+            makers = {"contacts": overlays.outline_contacts, "axis": overlays.outline_episode_axis}
+            return makers[kind](episode) if kind in makers else self._open_episode_colliders(name)
+        if kind == "colliders":
+            robot = self.posable[1]
+            model = robot.spec(visual=False).compile()
+            return overlays.Colliders(model, lambda state: robot.qpos(state.joints, state.gripper)[0])
+        motion = self.results.motion
+        if kind == "contacts":
+            return overlays.outline_patches(motion)
+        points = [item.point for item in motion.contacts]
+        return overlays.outline_axis(motion, np.mean(points, 0) if points else self.pivot(name))
+
+    def _open_episode_colliders(self, name: str) -> overlays.Overlay:
+        episode, results = self.episode(name).episode, self.results
+        fitted = scale_fit(results.fitted_assets[unit_of(episode.index).asset], self._variation(name).scale)
+        shared, demo = results.episode_scene, results.demonstration
+        bolted = bool(episode.verdict["bolted"])
+        scene = episode_scene(
+            results.robot, fitted, demo, shared.support, shared.obstacles, bolted=bolted
+        ).place_at(episode.T_world_object)
+
+        def find_qpos(state: TwinState) -> Array:
+            return scene.qpos(state.joints, state.gripper, state.theta)[0]
+
+        return overlays.Colliders(scene.model, find_qpos)
+
+
+def _is_current(results: Results, name: str) -> bool:
+    stage = next(stage for stage in STAGES if stage.name == name)
+    manifest = read_manifest(results.folders[name])
+    return manifest is not None and manifest.version == stage.version
+
+
+class ViewedFolder:
+    """Folder of a run or a capture, opened again after it has changed."""
+
+    def __init__(self, folder: Path) -> None:
+        """Open a folder.
+
+        Raises:
+            InputError, ConfigError: It holds neither a run nor a readable capture.
+        """
+        self._folder = folder
+        self._opened = OpenedRun(self._find_results(), "")
+
+    def open(self) -> OpenedRun:
+        """Return the run as it is now.
+
+        Raises:
+            MissingFileError: The folder has vanished.
+        """
+        token = self._compute_token()
+        if token != self._opened.token:
+            self._opened = OpenedRun(self._find_results(), token)
+        return self._opened
+
+    @property
+    def last(self) -> OpenedRun:
+        """The run as it was opened last, which can still be drawn after its folder has vanished."""
+        return self._opened
+
+    def _find_results(self) -> Results:
+        if (self._folder / CAPTURE_FILE).is_file():
+            # A capture alone is shown like a run that has made nothing.
+            folder = read_capture(self._folder).folder.resolve()
+            return results_of(Project(capture=folder, out=folder), STAGES)
+        return results_of(find_project(self._folder), STAGES)
+
+    def _compute_token(self) -> str:
+        """Text that changes whenever a stage is committed; episodes appear without opening the twin again."""
+        results, opened = self._opened.results, self._opened
+        for folder in (self._folder, *([results.out] if opened.done else [])):
+            if not folder.exists():
+                raise MissingFileError(folder, "has vanished", "what was read before is still shown")
+        times = [
+            file.stat().st_mtime_ns if (file := results.folders[stage.name] / MANIFEST).is_file() else 0
+            for stage in STAGES
+        ]
+        return " ".join(map(str, times))

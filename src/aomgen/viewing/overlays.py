@@ -1,0 +1,122 @@
+"""Line drawings over the twin: colliders, scan cameras, contacts, and the joint axis with its 95 % region."""
+
+from collections.abc import Mapping
+from typing import Any, Final, NamedTuple, Protocol
+
+import mujoco
+import numpy as np
+
+from aomgen.core.camera import Camera
+from aomgen.core.episode import Episode
+from aomgen.core.motion import MotionEstimate
+from aomgen.core.transforms import apply
+from aomgen.core.values import Array
+from aomgen.report.images import axis_space
+from aomgen.twin.twin import TwinState
+from aomgen.viewing.lines import join_points, outline_camera, outline_geoms, project_segments
+
+# Length of the arrow of a contact without a measured force, and for each newton of one, [m].
+ARROW_M, ARROW_M_N = 0.05, 0.004
+# Length of the arrow of a force that is unusually large, [m].
+ARROW_MAX_M: Final = 0.2
+
+
+class Moment(NamedTuple):
+    """State and time [s] of a motion, for which an overlay is drawn, and the camera that looks at it."""
+
+    state: TwinState
+    time_s: float
+    camera: Camera
+
+
+class Overlay(Protocol):
+    """Line drawings by class name, each segments (N, 2, 3), world frame."""
+
+    def __call__(self, moment: Moment) -> Mapping[str, Array]:
+        """Draw a state."""
+        ...
+
+
+class Colliders:
+    """Outlines of the shapes that physics sees."""
+
+    def __init__(self, model: mujoco.MjModel, qpos: Any) -> None:
+        """Prepare a model; `qpos` turns a `TwinState` into its generalised positions (nq,)."""
+        self._data, self._model, self._qpos = mujoco.MjData(model), model, qpos
+        self._outlines = outline_geoms(model)
+
+    def __call__(self, moment: Moment) -> Mapping[str, Array]:
+        """Draw the shapes in a state."""
+        self._data.qpos[:] = self._qpos(moment.state)
+        mujoco.mj_kinematics(self._model, self._data)
+        segments = [
+            segments @ self._data.geom_xmat[geom].reshape(3, 3).T + self._data.geom_xpos[geom]
+            for geom, segments in self._outlines
+        ]
+        return {"collider": np.concatenate(segments)}
+
+
+def outline_cameras(scan: Mapping[str, Camera], fixed: Mapping[str, Camera], size: float) -> Overlay:
+    """Pyramids, `size` deep, of scan cameras and of fixed cameras; not of the camera that one looks through."""
+
+    def draw(moment: Moment) -> Mapping[str, Array]:
+        drawn = {}
+        for name, cameras in (("scan", scan.values()), ("fixed", fixed.values())):
+            others = (item for item in cameras if np.linalg.norm(item.center - moment.camera.center) > size)
+            drawn[name] = np.concatenate(
+                [np.zeros((0, 2, 3)), *(outline_camera(item, size) for item in others)]
+            )
+        return drawn
+
+    return draw
+
+
+def outline_axis(motion: MotionEstimate, held_world: Array) -> Overlay:
+    """The axis, and circles and lines around the space that contains it with 95 %."""
+    centers, circles = axis_space(motion, held_world)
+    rings = [join_points(ring, closed=True) for ring in circles]
+    along = [join_points(line) for line in circles[:, ::2].swapaxes(0, 1)]
+    drawn = {"region": np.concatenate([*rings, *along]), "axis": join_points(centers)}
+    return lambda moment: drawn
+
+
+def outline_episode_axis(episode: Episode) -> Overlay:
+    """The axis of an episode's object, which is known exactly."""
+    joint = episode.joint
+    drawn = {"axis": joint.origin + 0.25 * joint.axis * np.array([[[-1.0], [1.0]]])}
+    return lambda moment: drawn
+
+
+def outline_patches(motion: MotionEstimate) -> Overlay:
+    """Arrows of the estimated contacts while the part moves, carried along by it."""
+
+    def draw(moment: Moment) -> Mapping[str, Array]:
+        arrows = [(item.point, item.point + ARROW_M * item.normal) for item in motion.contacts]
+        segments = np.array(arrows, np.float64).reshape(-1, 2, 3)
+        touching = motion.start_s <= moment.time_s <= motion.end_s
+        T = motion.joint.motion(moment.state.theta - float(motion.theta_at([motion.start_s])[0]))
+        moved = apply(T, segments.reshape(-1, 3)).reshape(-1, 2, 3)
+        return {"contact": moved if touching else segments[:0]}
+
+    return draw
+
+
+def outline_contacts(episode: Episode) -> Overlay:
+    """Arrows of an episode's contacts at a time, as long as their normal forces are large."""
+    log = episode.contacts
+
+    def draw(moment: Moment) -> Mapping[str, Array]:
+        now = log.frames == int(np.argmin(np.abs(episode.times_s - moment.time_s)))
+        lengths = np.minimum(ARROW_M_N * log.forces[now], ARROW_MAX_M)[:, None]
+        starts = log.points_world[now]
+        return {"contact": np.stack([starts, starts + lengths * log.normals_world[now]], 1)}
+
+    return draw
+
+
+def project_overlay(overlay: Overlay, moment: Moment) -> dict[str, list[list[float]]]:
+    """Pixels x0, y0, x1, y1 of an overlay's segments by class name."""
+    return {
+        name: project_segments(moment.camera, segments).round(1).tolist()
+        for name, segments in overlay(moment).items()
+    }

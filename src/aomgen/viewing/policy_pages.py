@@ -1,0 +1,253 @@
+"""Policies on the trials of a suite: results side by side, and where two policies first differ."""
+
+from collections import Counter
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from aomgen.api.evaluation import EVALUATION_FOLDER
+from aomgen.core.values import Array
+from aomgen.errors import InputError, MalformedFileError
+from aomgen.evaluation.evaluate import ROLLOUTS_FOLDER, VIDEOS_FOLDER, RolloutRecord, interval_95
+from aomgen.evaluation.suite import Suite, read_suite
+from aomgen.io.artifact import load_artifact, read_json
+from aomgen.report.episodes import place_words, reasons
+from aomgen.saved_units import REQUEST_FILE, unit_name
+from aomgen.web.page_server import PageRequest, RequestFields, Response, Route, send_file, send_json
+
+# Two trials differ from where the end effectors are this far apart, [mm], or the objects are opened by different
+# shares of the planned travel: above what other images of the same scene change in the actions of a policy.
+APART_MM, APART_SHARE = 10.0, 0.02
+# Letters by which a suite's file begins; other files next to a run may be large.
+_SUITE_HEAD: Final = '"type": "Suite"'
+_HEAD_BYTES: Final = 40
+# Digits of plotted values.
+DIGITS: Final = 4
+
+
+class SuiteRequest(RequestFields):
+    """Request of one suite by its number in the list of all."""
+
+    suite: int
+
+
+class TrialRequest(RequestFields):
+    """Request of a trial of two policies by their numbers in the list of the suite."""
+
+    suite: int
+    trial: int
+    first: int
+    second: int
+
+
+class FailureRequest(RequestFields):
+    """Request of the video of a failed trial of a policy."""
+
+    suite: int
+    policy: int
+    trial: int
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Evaluation:
+    """Stored rollouts of one policy in a suite.
+
+    Attributes:
+        folder: Of its rollouts and videos.
+        policy, visuals, action_space: As requested.
+        records: Of the trials that are done, by number.
+        filmed: Numbers of the trials that have a video.
+    """
+
+    folder: Path
+    policy: str
+    visuals: str
+    action_space: str
+    records: Mapping[int, RolloutRecord]
+    filmed: frozenset[int]
+
+
+class PolicyRoutes:
+    """Routes of the policies that were evaluated in the run in a folder."""
+
+    def __init__(self, out: Path) -> None:
+        self.out = out
+
+    def list_routes(self) -> dict[str, Route]:
+        """Return all routes by method and path."""
+        return {
+            "GET /policies": send_file("aomgen.viewing", "policies.html"),
+            "GET /policies.js": send_file("aomgen.viewing", "policies.js"),
+            "GET /policies/suites": self.send_suites,
+            "GET /policies/suite": self.send_suite,
+            "GET /policies/trial": self.send_trial,
+            "GET /policies/video": self.send_video,
+        }
+
+    def send_suites(self, request: PageRequest) -> Response:
+        """Send the names of all suites of the run, how many policies each has, and what is damaged."""
+        suites, problems = find_suites(self.out)
+        shown = [
+            {"name": path.stem, "trials": len(suite.trials), "policies": len(find_evaluations(path, suite))}
+            for path, suite in suites
+        ]
+        return send_json({"suites": shown, "problems": problems})
+
+    def send_suite(self, request: PageRequest) -> Response:
+        """Send all trials of a suite and the results of all policies."""
+        suite, found = self._find(request.parse(SuiteRequest).suite)
+        return send_json(
+            {
+                "trials": [
+                    {
+                        "asset": suite.assets[trial.asset],
+                        "place": place_words({name: getattr(trial.variation, name) for name in ("x", "y", "yaw")}),
+                        "setting": trial.setting.name,
+                    }
+                    for trial in suite.trials
+                ],
+                "policies": [_describe_policy(item) for item in found],
+                "meanings": reasons(),
+            }
+        )  # fmt: skip
+
+    def send_trial(self, request: PageRequest) -> Response:
+        """Send the course of a trial of two policies, and where they first differ."""
+        asked = request.parse(TrialRequest)
+        suite, found = self._find(asked.suite)
+        chosen = [_choose(found, number) for number in (asked.first, asked.second)]
+        records = [item.records.get(asked.trial) for item in chosen]
+        first, second = records
+        both = (first, second) if first is not None and second is not None else None
+        return send_json(
+            {
+                "fps": suite.fps,
+                "courses": [_describe_course(record) for record in records],
+                "filmed": [asked.trial in item.filmed for item in chosen],
+                "apart_mm": distances_mm(*both).round(2).tolist() if both else [],
+                "differs": first_difference(*both) if both else None,
+            }
+        )
+
+    def send_video(self, request: PageRequest) -> Response:
+        """Send the video of a failed trial."""
+        asked = request.parse(FailureRequest)
+        chosen = _choose(self._find(asked.suite)[1], asked.policy)
+        if asked.trial not in chosen.filmed:
+            raise ValueError(f"trial {asked.trial} has no video")
+        path = chosen.folder / VIDEOS_FOLDER / f"{unit_name(asked.trial)}.mp4"
+        return Response("video/mp4", path.read_bytes())
+
+    def _find(self, number: int) -> tuple[Suite, list[Evaluation]]:
+        suites, _ = find_suites(self.out)
+        if not 0 <= number < len(suites):
+            raise ValueError(f"there is no suite {number}")
+        path, suite = suites[number]
+        return suite, find_evaluations(path, suite)
+
+
+def find_suites(out: Path) -> tuple[list[tuple[Path, Suite]], list[str]]:
+    """Suites of a run in its folder of evaluations and next to the run's folder; and sentences about damaged suites."""
+    places = (out / EVALUATION_FOLDER, out.resolve().parent)
+    suites, problems = [], []
+    for path in (path for place in places for path in sorted(place.glob("*.json")) if _is_suite(path)):
+        try:
+            suite = read_suite(path)
+        except InputError as error:
+            problems.append(str(error))
+            continue
+        if (path.parent / suite.run).resolve() == out.resolve():
+            suites.append((path, suite))
+    return suites, problems
+
+
+def find_evaluations(path: Path, suite: Suite) -> list[Evaluation]:
+    """Evaluations of a suite whose folders are next to its file, by name."""
+    found = []
+    for place in sorted(path.parent.glob(f"*/{ROLLOUTS_FOLDER}/{REQUEST_FILE}")):
+        request = read_json(place)
+        if not isinstance(request, dict) or request.get("suite") != suite.digest:
+            continue
+        folder = place.parent
+        try:
+            found.append(
+                Evaluation(
+                    folder=folder.parent,
+                    policy=request["policy"],
+                    visuals=request["visuals"],
+                    action_space=request["action_space"] or suite.action_space,
+                    records={
+                        int(file.stem): load_artifact(folder, file.stem, RolloutRecord)
+                        for file in sorted(folder.glob("[0-9]*.json"))
+                    },
+                    filmed=frozenset(
+                        int(file.stem) for file in (folder.parent / VIDEOS_FOLDER).glob("[0-9]*.mp4")
+                    ),
+                )
+            )
+        except KeyError as error:
+            raise MalformedFileError(place, f"lacks {error}", "evaluate the policy again") from error
+    return found
+
+
+def distances_mm(first: RolloutRecord, second: RolloutRecord) -> Array:
+    """Distance of the end effectors after each action that both have taken (F,), [mm]."""
+    count = min(first.frames, second.frames)
+    return 1000 * np.linalg.norm(first.ee_world[:count] - second.ee_world[:count], axis=1)
+
+
+def first_difference(first: RolloutRecord, second: RolloutRecord) -> dict[str, Any] | None:
+    """The first action after which two trials differ, see `APART_MM`; None where they end alike."""
+    apart_mm = distances_mm(first, second)
+    count = len(apart_mm)
+    openings = first.opening_shares[:count] - second.opening_shares[:count]
+    differing = np.flatnonzero((apart_mm > APART_MM) | (np.abs(openings) > APART_SHARE))
+    if len(differing):
+        frame = int(differing[0])
+        return {"frame": frame, "mm": float(apart_mm[frame]), "opening": float(openings[frame])}
+    if first.fail_reason != second.fail_reason:
+        return {"frame": count - 1, "mm": float(apart_mm[-1]), "opening": float(openings[-1])}
+    return None
+
+
+def _is_suite(path: Path) -> bool:
+    with path.open("rb") as file:
+        return _SUITE_HEAD in file.read(_HEAD_BYTES).decode("utf-8", "replace")
+
+
+def _choose(found: list[Evaluation], number: int) -> Evaluation:
+    if not 0 <= number < len(found):
+        raise ValueError(f"there is no policy {number}")
+    return found[number]
+
+
+def _describe_policy(item: Evaluation) -> dict[str, Any]:
+    records = item.records.values()
+    failures = Counter(record.fail_reason for record in records if record.fail_reason)
+    successes = len(records) - failures.total()
+    return {
+        "name": item.policy,
+        "sees": f"{item.visuals}, {item.action_space}",
+        "done": len(records),
+        "successes": successes,
+        "interval": interval_95(successes, len(records)) if records else [0.0, 1.0],
+        "failures": dict(failures.most_common()),
+        "trials": {number: _describe_result(record) for number, record in item.records.items()},
+    }
+
+
+def _describe_result(record: RolloutRecord) -> dict[str, Any]:
+    return {
+        "fail_reason": record.fail_reason,
+        "opening": round(record.opening_share, DIGITS),
+        "frames": record.frames,
+    }
+
+
+def _describe_course(record: RolloutRecord | None) -> dict[str, Any] | None:
+    if record is None:
+        return None
+    return _describe_result(record) | {"openings": record.opening_shares.round(DIGITS).tolist()}

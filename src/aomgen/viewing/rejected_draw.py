@@ -1,0 +1,110 @@
+"""A draw without an episode, planned again for the twin page: planning is deterministic, and its states are not stored."""
+
+import json
+from dataclasses import asdict
+
+import numpy as np
+
+from aomgen.core.demonstration import SceneTrajectory, Trajectory
+from aomgen.core.episode import ContactLog, Episode
+from aomgen.core.plan import EpisodePlan, Rejection
+from aomgen.episodes.factory import EpisodeFactory
+from aomgen.episodes.ledger import unit_of
+from aomgen.io.episode_folder import CommittedEpisode, episode_folder
+from aomgen.results import Results
+from aomgen.viewing.draw_list import Draw
+
+# Key of a draw's verdict that holds a sentence for the person who looks at it.
+NOTE = "note"
+
+
+def replan_draw(results: Results, draw: Draw) -> CommittedEpisode:
+    """Plan a rejected draw again, and show what is known of its motion as an episode without videos.
+
+    The motion is the whole plan where the simulation has refused it; else the sample in which the attempt that came
+    farthest breaks its limit most; else the arm at the demonstrated start.
+
+    Args:
+        results: Of a run whose stage "replacement" has finished.
+        draw: With the outcome "rejected" or "skipped".
+
+    Returns:
+        An episode whose verdict holds the variation and a sentence `NOTE`.
+    """
+    folder = results.folders["episodes"]
+    factory, unit = EpisodeFactory(results, folder), unit_of(draw.number)
+    variation, screened = factory.screen(unit)
+    opened = factory.asset(unit.asset)
+    fitted, _ = opened.sized(variation.scale)
+    planned = screened or factory.plan(opened, variation)
+    shown: Trajectory = results.demonstration[:1]
+    if isinstance(planned, EpisodePlan):
+        shown, what = planned, "The plan is shown; the simulation has refused it."
+    elif planned.worst is not None:
+        shown, what = (
+            planned.worst,
+            "The state is shown in which the attempt that came farthest breaks its limit most.",
+        )
+    else:
+        what = "The state of the arm is not known: it is shown at its start."
+    T_world_object, robot = variation.place_at(fitted), results.robot
+    path = SceneTrajectory(
+        times_s=np.arange(len(shown)) / results.fps,
+        joints=shown.joints,
+        gripper=shown.gripper,
+        thetas=shown.thetas,
+        T_world_object=T_world_object,
+    )
+    reason = _state_reason(planned, draw)
+    episode = Episode(
+        index=draw.number,
+        seed=variation.seed,
+        instruction="",
+        robot=robot.name,
+        asset=draw.asset,
+        asset_usd="",
+        joint_names=robot.joint_names,
+        fps=round(results.fps),
+        times_s=path.times_s,
+        joints=path.joints,
+        gripper=path.gripper,
+        thetas=path.thetas,
+        T_world_object=T_world_object,
+        action_joints=path.joints,
+        action_gripper=path.gripper,
+        Ts_world_ee=path.ee_poses(robot),
+        Ts_world_ee_action=path.ee_poses(robot),
+        phases=np.zeros(len(path), np.int64),
+        contacts=_NO_CONTACTS,
+        joint=fitted.asset.joint.move(T_world_object),
+        cameras=factory.place.views(variation, fitted),
+        # As a committed episode's is read from its file.
+        verdict=json.loads(json.dumps({"variation": asdict(variation)})) | {"bolted": factory.params.bolted, NOTE: f"Draw {draw.number} gave no episode: {reason}. {what}"},
+        simulation={},
+    )  # fmt: skip
+    return CommittedEpisode(
+        folder=episode_folder(folder, draw.number),
+        episode=episode,
+        videos={},
+        sha256={},
+        codec="h264",
+        color_counts={},
+        images={},
+    )
+
+
+def _state_reason(planned: EpisodePlan | Rejection, draw: Draw) -> str:
+    """Reason of a draw; that of this planning where it differs, after a parameter or AOMGen has changed."""
+    stated = f"{draw.reason.replace('_', ' ')}, {draw.detail}"
+    if not isinstance(planned, Rejection) or planned.reason == draw.reason:
+        return stated
+    return f"{stated}; planned again it gives {planned.reason.replace('_', ' ')}, {planned.detail}"
+
+
+_NO_CONTACTS = ContactLog(
+    frames=np.zeros(0, np.int64),
+    fingers=np.zeros(0, np.int64),
+    points_world=np.zeros((0, 3)),
+    normals_world=np.zeros((0, 3)),
+    forces=np.zeros(0),
+)
