@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Final
 
 from aomgen.errors import BackendError, ConfigError, UnknownNameError
-from aomgen.exports.scene_motion import first_episode, open_motion
+from aomgen.exports.scene_motion import SceneMotion, first_episode, open_motion
 from aomgen.io.usd import SUFFIXES as USD_SUFFIXES
 from aomgen.pipeline.stages import require_stage
 from aomgen.results import Results
@@ -57,6 +57,21 @@ def export_twin(
         episode = first_episode(results)
     require_stage(results, "replacement" if writes_physics or episode is not None else "twin")
     motion = open_motion(results, episode)
+    write_motion(results, motion, path, joint=joint, time_s=time_s)
+    what = "the recorded demonstration" if episode is None else f"episode {episode}"
+    return f"{what}, {len(motion.trajectory)} frames, {len(motion.twin.gaussians)} Gaussians"
+
+
+def write_motion(
+    results: Results,
+    motion: SceneMotion,
+    path: Path,
+    *,
+    joint: float | None = None,
+    time_s: float | None = None,
+) -> None:
+    """Write a motion in the format of a known suffix; arguments as in `export_twin`."""
+    suffix = path.suffix.lower()
     if suffix in GAUSSIAN_SUFFIXES:
         from aomgen.exports.posed_gaussians import write_posed_gaussians
 
@@ -77,8 +92,6 @@ def export_twin(
         from aomgen.exports.mcap_recording import write_mcap
 
         write_mcap(motion, path)
-    what = "the recorded demonstration" if episode is None else f"episode {episode}"
-    return f"{what}, {len(motion.trajectory)} frames, {len(motion.twin.gaussians)} Gaussians"
 
 
 def _require_package(suffix: str) -> None:

@@ -108,7 +108,8 @@ def _send_poses(recording: Any, entity: str, Ts: Array, times_s: Array) -> None:
 def _time_column(times_s: Array) -> Any:
     import rerun as rr
 
-    return rr.TimeColumn(TIMELINE, duration=np.asarray(times_s, np.float64))
+    stamps = np.round(np.asarray(times_s, np.float64) * 1e9).astype("timedelta64[ns]")
+    return rr.TimeColumn(TIMELINE, duration=stamps)
 
 
 def _log_cameras(recording: Any, motion: SceneMotion) -> None:

@@ -61,7 +61,8 @@ def write_usd_scene(results: Results, motion: SceneMotion, path: Path) -> None:
     stage.SetDefaultPrim(UsdGeom.Xform.Define(stage, WORLD).GetPrim())
     prims = _add_bodies(stage, path, motion)
     joints = add_physics(stage, scene, _rigid_bodies(scene, prims))
-    demo_cameras = _add_cameras(stage, {**dict(results.scan_cameras), **motion.cameras}, motion)
+    scan = {f"scan_{name}": camera for name, camera in results.scan_cameras.items()}
+    moving = _add_cameras(stage, {**scan, **motion.cameras}, motion)
     variants = stage.GetDefaultPrim().GetVariantSets().AddVariantSet(VARIANTS)
     for name in (PHYSICS, DEMONSTRATION):
         variants.AddVariant(name)
@@ -69,8 +70,8 @@ def write_usd_scene(results: Results, motion: SceneMotion, path: Path) -> None:
         with variants.GetVariantEditContext():
             frames = range(len(motion.trajectory)) if name == DEMONSTRATION else None
             _animate(stage, motion, prims, frames)
-            for camera, Ts in demo_cameras.items():
-                _place(stage.GetPrimAtPath(camera), Ts if frames else Ts[:1], frames)
+            for camera, Ts in moving.items():
+                _place(stage.GetPrimAtPath(camera), Ts, frames)
             if frames:
                 _make_kinematic(stage)
     _command(stage, motion, scene, joints)
@@ -114,15 +115,15 @@ def _animate(stage: Any, motion: SceneMotion, prims: Mapping[str, str], frames: 
 
 
 def _place(prim: Any, Ts_world: Array, frames: range | None) -> None:
-    """Set the poses (T, 4, 4) of a prim whose operations are a translation and an orientation."""
+    """Set the poses (T, 4, 4) of a prim whose operations are a translation and an orientation; by default the first."""
     from pxr import Gf, Usd, UsdGeom
 
     translate, orient = UsdGeom.Xformable(prim).GetOrderedXformOps()
     quats = quat_from_matrix(Ts_world[:, :3, :3])
     # Neighbouring quaternions of one sign are interpolated along the shorter arc.
     flips = np.cumprod(np.append(1.0, np.where((quats[1:] * quats[:-1]).sum(1) < 0, -1.0, 1.0)))
-    for frame in frames or range(1):
-        time = Usd.TimeCode(frame) if frames else Usd.TimeCode.Default()
+    for time in (Usd.TimeCode.Default(), *map(Usd.TimeCode, frames or ())):
+        frame = 0 if time.IsDefault() else int(time.GetValue())
         translate.Set(Gf.Vec3d(*Ts_world[frame, :3, 3].tolist()), time)
         orient.Set(Gf.Quatd(*(flips[frame] * quats[frame]).tolist()), time)
 
