@@ -86,7 +86,9 @@ def test_rank_violations_by_hand() -> None:
     # The second and the third are swapped: each is off by 0.4.
     assert mean_maximum_rank_violation([0.1, 0.5, 0.9], [0.2, 0.7, 0.6]) == pytest.approx(0.8 / 3)
     # The best is taken for the worst.
-    assert mean_maximum_rank_violation([0.1, 0.5, 0.9], [0.5, 0.6, 0.1]) == pytest.approx((0.8 + 0.4 + 0.8) / 3)
+    assert mean_maximum_rank_violation([0.1, 0.5, 0.9], [0.5, 0.6, 0.1]) == pytest.approx(
+        (0.8 + 0.4 + 0.8) / 3
+    )
 
 
 def test_correlation() -> None:

@@ -1,9 +1,5 @@
 """A verified opening of a drawer in a small twin, as the exporters get it."""
 
-from dataclasses import replace
-from pathlib import Path
-from typing import Any
-
 import numpy as np
 import pytest
 
@@ -23,11 +19,10 @@ from toy_run import ToyResults, toy_run
 class SmallResults(ToyResults):
     """A toy run whose scan had one camera."""
 
-    scan_cameras: Any = {
-        "0001.jpg": Camera(
-            fx=70, fy=75, cx=30, cy=25, width=64, height=48, T_world_cam=look_at((0, -1, 1), (0.8, 0, 0))
-        )
-    }
+    @property
+    def scan_cameras(self) -> dict[str, Camera]:
+        pose = look_at((0, -1, 1), (0.8, 0, 0))
+        return {"0001.jpg": Camera(fx=70, fy=75, cx=30, cy=25, width=64, height=48, T_world_cam=pose)}
 
 
 @pytest.fixture(scope="session")

@@ -35,7 +35,9 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
         (("twin.xml",), 3, ("holds no committed episode", "aomgen run")),
     ],
 )
-def test_refusals(run: Path, tmp_path: Path, words: tuple[str, ...], code: int, parts: tuple[str, ...]) -> None:
+def test_refusals(
+    run: Path, tmp_path: Path, words: tuple[str, ...], code: int, parts: tuple[str, ...]
+) -> None:
     one_sentence(aomgen("export", run, *words, folder=tmp_path), code, *parts)
     assert list(tmp_path.iterdir()) == []
 
