@@ -64,8 +64,9 @@ policy-gpu: policy-env
 	  .venv-policy/bin/python -m benchmarks policy $(POLICIES) --cells gpu; \
 	else echo "skipped: PyTorch sees no GPU in .venv-policy"; fi
 
-# The libraries that people train with read a finished run's episodes in every format, each in an environment of its own.
-READERS := policy lerobot-v21 tfds robomimic
+# The libraries that people train with read a finished run's episodes in every format, and other makers' checkers judge our
+# files, each in an environment of its own.
+READERS := policy lerobot-v21 tfds robomimic judges
 environments: $(READERS:%=.venv-%/installed.stamp)
 
 datasets-test: $(VENV)/dev.stamp environments
@@ -137,7 +138,7 @@ weights: $(VENV)/demo.stamp
 	@$(BIN)/python -m aomgen.segmentation.weights
 
 .venv-lerobot-v21/installed.stamp: .venv-policy/installed.stamp
-.venv-robomimic/installed.stamp: $(VENV)/dev.stamp
+.venv-robomimic/installed.stamp .venv-judges/installed.stamp: $(VENV)/dev.stamp
 .venv-%/installed.stamp: $(wildcard requirements/*) pyproject.toml
 	PYTHON=$(PYTHON) sh requirements/environments.sh $*
 	@touch $@

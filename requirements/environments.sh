@@ -5,6 +5,7 @@
 #   .venv-lerobot-v21   lerobot 0.3.3, which reads format v2.1; torch and the rest are those of .venv-policy
 #   .venv-tfds          TensorFlow Datasets, as OpenVLA reads with
 #   .venv-robomimic     robomimic; torch and h5py are those of .venv
+#   .venv-judges        programs of others that check what we write: lerobot-doctor, and splat-transform of PlayCanvas (npm)
 #   .venv-blender       Blender as a Python package, run as a program of its own: traces the rooms of `python -m benchmarks replace`
 set -eu
 cd "$(dirname "$0")/.."
@@ -48,6 +49,11 @@ for name in "$@"; do
   robomimic)
     create $venv .venv
     $venv/bin/pip $alone robomimic==0.3.0 termcolor tqdm
+    ;;
+  judges)
+    create $venv .venv
+    $venv/bin/pip $alone lerobot-doctor==0.2.0
+    npm install --silent --no-audit --no-fund --ignore-scripts --prefix $venv @playcanvas/splat-transform@3.7.0
     ;;
   blender)
     create $venv

@@ -20,15 +20,16 @@ from aomgen.core.demonstration import Demonstration
 from aomgen.core.motion import MotionEstimate
 from aomgen.core.plan import FittedAsset
 from aomgen.core.project import Project
-from aomgen.errors import ConfigError, EstimationError, MissingFileError, OutdatedRunError
+from aomgen.errors import ConfigError, EstimationError
+from aomgen.exports.formats import export_twin
 from aomgen.io.episode_folder import CommittedEpisode, list_committed, read_episode
 from aomgen.io.schema import complaint
 from aomgen.motion.estimates_file import forget_refusal
-from aomgen.pipeline.manifest import RunRecord, read_manifest, save_record
+from aomgen.pipeline.manifest import RunRecord, save_record
 from aomgen.pipeline.preflight import new_project
 from aomgen.pipeline.rendering import list_cameras, open_twin
 from aomgen.pipeline.runner import Display, results_of, stage_states
-from aomgen.pipeline.stages import REPORT_FILE, STAGES, find_project, run_pipeline
+from aomgen.pipeline.stages import REPORT_FILE, STAGES, find_project, require_stage, run_pipeline
 from aomgen.report.motion_section import write_refusal
 from aomgen.report.page import write_report
 from aomgen.results import Results
@@ -146,6 +147,38 @@ class Run:
         """
         return [read_episode(folder) for folder in list_committed(self.results.folders["episodes"])]
 
+    def export(
+        self,
+        file: str | Path,
+        *,
+        episode: int | None = None,
+        joint: float | None = None,
+        time_s: float | None = None,
+    ) -> Path:
+        """Write the twin and a motion to a file that other programs open; an existing file is replaced.
+
+        Args:
+            file: Its suffix chooses the format: .usda, .usdc, .usdz, .xml (MJCF), .ply, .splat, .spz, .glb, .rrd, .mcap.
+            episode: Number of an episode; None takes the recorded demonstration, and an .xml the first episode.
+            joint: Value of the object's joint, [rad] or [m]; for files of Gaussians.
+            time_s: Time of the motion whose state is written; for files of Gaussians.
+
+        Returns:
+            The file.
+
+        Raises:
+            UnknownNameError: Another suffix, or no such episode; lists the known ones.
+            MissingFileError: A stage has not finished.
+            BackendError: A package is missing.
+
+        Example:
+            >>> run = ag.Run.open("out")
+            >>> run.export("half_open.ply", joint=0.5).name
+            'half_open.ply'
+        """
+        export_twin(self.results, Path(file), episode=episode, joint=joint, time_s=time_s)
+        return Path(file)
+
     def require_stage(self, name: str) -> None:
         """Refuse a run whose stage has not finished, or was made by another version.
 
@@ -153,14 +186,7 @@ class Run:
             MissingFileError: The stage has not finished.
             OutdatedRunError: Another version made it; the sentence says which command brings it up to date.
         """
-        stage = next(stage for stage in STAGES if stage.name == name)
-        manifest = read_manifest(self.results.folders[name])
-        if manifest is None:
-            raise MissingFileError(
-                self.folder, f"has no result of stage '{name}'", f"finish it with `aomgen run {self.folder}`"
-            )
-        if manifest.version != stage.version:
-            raise OutdatedRunError(self.folder, name, manifest.version, stage.version)
+        require_stage(self.results, name)
 
     def __repr__(self) -> str:
         return f"Run({str(self.folder)!r})"

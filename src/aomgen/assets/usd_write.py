@@ -24,6 +24,7 @@ from aomgen.core.asset import ArticulatedAsset, AssetLink, BoxCollider
 from aomgen.core.mesh import NORMAL_MAP, NUMBERS, Mesh
 from aomgen.core.transforms import quat_from_matrix
 from aomgen.core.values import Array
+from aomgen.errors import ConfigError
 from aomgen.io.atomic import write_bytes
 from aomgen.io.images import encode_png
 from aomgen.io.usd import export_stage, new_stage
@@ -50,8 +51,9 @@ def write_usd(asset: ArticulatedAsset, path: Path) -> None:
     """
     from pxr import Sdf, UsdGeom, UsdPhysics
 
+    if path.suffix == ".usdz":
+        raise ConfigError(path, "would hold no textures", "choose one of .usda, .usdc")
     stage = new_stage(path)
-
     UsdPhysics.SetStageKilogramsPerUnit(stage, 1.0)
     root = UsdGeom.Xform.Define(stage, f"/{_identifier(asset.name)}")
     stage.SetDefaultPrim(root.GetPrim())
@@ -199,8 +201,8 @@ class _Writer:
         material.CreateDynamicFrictionAttr(sliding)
         material.CreateRestitutionAttr(0.0)
         prim.AddAppliedSchema("MjcMaterialAPI")
-        _set(prim, "mjc:torsionalfriction", torsional)
-        _set(prim, "mjc:rollingfriction", rolling)
+        set_attribute(prim, "mjc:torsionalfriction", torsional)
+        set_attribute(prim, "mjc:rollingfriction", rolling)
 
     def joint(self, asset: ArticulatedAsset, static: str, moving: str) -> None:
         from pxr import Gf, UsdPhysics
@@ -214,7 +216,7 @@ class _Writer:
         item.CreateAxisAttr("X")
         item.CreateLowerLimitAttr(float(joint.lower * unit))
         item.CreateUpperLimitAttr(float(joint.upper * unit))
-        quat = Gf.Quatf(*(float(c) for c in _quat_from_x(joint.axis)))
+        quat = Gf.Quatf(*(float(c) for c in quat_from_x(joint.axis)))
         position = Gf.Vec3f(*(float(c) for c in joint.origin))
         for create_position, create_rotation in (
             (item.CreateLocalPos0Attr, item.CreateLocalRot0Attr),
@@ -222,10 +224,10 @@ class _Writer:
         ):
             create_position(position)
             create_rotation(quat)
-        _set_resistance(item.GetPrim(), asset)
+        set_resistance(item.GetPrim(), asset)
 
 
-def _set_resistance(prim: Any, asset: ArticulatedAsset) -> None:
+def set_resistance(prim: Any, asset: ArticulatedAsset) -> None:
     """Damping, dry friction and armature of a joint prim for MuJoCo, PhysX and the record.
 
     PhysX counts turning speeds in degrees. Its older `physxJoint:jointFriction` is a coefficient
@@ -235,11 +237,11 @@ def _set_resistance(prim: Any, asset: ArticulatedAsset) -> None:
     frictions = [friction + holding for _, friction in tried]
     dampings = [damping for damping, _ in tried]
     prim.AddAppliedSchema("MjcJointAPI")
-    _set(prim, "mjc:damping", dampings[0])
-    _set(prim, "mjc:frictionloss", frictions[0])
-    _set(prim, "mjc:armature", ARMATURE)
+    set_attribute(prim, "mjc:damping", dampings[0])
+    set_attribute(prim, "mjc:frictionloss", frictions[0])
+    set_attribute(prim, "mjc:armature", ARMATURE)
     if holding:
-        _set(prim, "mjc:solimpfriction", HOLDING_SOLIMP)
+        set_attribute(prim, "mjc:solimpfriction", HOLDING_SOLIMP)
     revolute = asset.joint.type == "revolute"
     axis = "angular" if revolute else "linear"
     prim.AddAppliedSchema(f"PhysxJointAxisAPI:{axis}")
@@ -249,23 +251,25 @@ def _set_resistance(prim: Any, asset: ArticulatedAsset) -> None:
         ("viscousFrictionCoefficient", dampings[0] * (np.pi / 180 if revolute else 1.0)),
         ("armature", ARMATURE),
     ):
-        _set(prim, f"physxJointAxis:{axis}:{name}", value)
-    _set(prim, f"{NAMESPACE}:verified_damping", dampings)
-    _set(prim, f"{NAMESPACE}:verified_frictionloss", frictions)
+        set_attribute(prim, f"physxJointAxis:{axis}:{name}", value)
+    set_attribute(prim, f"{NAMESPACE}:verified_damping", dampings)
+    set_attribute(prim, f"{NAMESPACE}:verified_frictionloss", frictions)
 
 
-def _set(prim: Any, name: str, value: float | Sequence[float]) -> None:
-    """Write an attribute of a schema that usd-core does not know: floats for PhysX, uniform doubles else."""
+def set_attribute(prim: Any, name: str, value: float | bool | Sequence[float]) -> None:
+    """Write an attribute of a schema that usd-core does not know: floats for PhysX, uniform doubles else, and flags."""
     from pxr import Sdf
 
     kinds, physx = Sdf.ValueTypeNames, name.startswith("physx")
     single = kinds.Float if physx else kinds.Double
-    kind = single if isinstance(value, float) else kinds.DoubleArray
+    kind = (
+        kinds.Bool if isinstance(value, bool) else single if isinstance(value, float) else kinds.DoubleArray
+    )
     variability = Sdf.VariabilityVarying if physx else Sdf.VariabilityUniform
     prim.CreateAttribute(name, kind, name.startswith(NAMESPACE), variability).Set(value)
 
 
-def _quat_from_x(axis: Array) -> Array:
+def quat_from_x(axis: Array) -> Array:
     """Quaternion wxyz (4,) that turns the x axis into a unit direction (3,)."""
     other = np.eye(3)[np.argmin(np.abs(axis))]
     second = np.cross(axis, other)

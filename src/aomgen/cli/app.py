@@ -8,26 +8,26 @@ from typing import Annotated
 import typer
 
 from aomgen.cli.evaluate_commands import evaluate_app
+from aomgen.cli.export_commands import audit, export
 from aomgen.cli.import_commands import import_app
 from aomgen.cli.model_commands import assets_app, robot_app
 from aomgen.cli.prompting import prompts
-from aomgen.cli.run import COMMAND_LINE, run_command, run_project, sample_capture
+from aomgen.cli.run import COMMAND_LINE, RunFolder, run_command, run_project, sample_capture
 from aomgen.cli.splat import splat
 from aomgen.cli.view import view
-from aomgen.errors import ConfigError, CorruptArtifactError, MissingFileError
+from aomgen.errors import ConfigError
 from aomgen.version import __version__
 
-RunFolder = Annotated[Path, typer.Argument(help="Folder of a run, or its project file.")]
 # Interval of `aomgen status --watch`, [s].
 WATCH_S = 2.0
-# Number of differences that `aomgen audit` prints.
-SHOWN_FAULTS = 10
 
 app = typer.Typer(**COMMAND_LINE)
 app.add_typer(assets_app, name="assets")
 app.add_typer(evaluate_app, name="evaluate")
 app.add_typer(import_app, name="import")
 app.add_typer(robot_app, name="robot")
+app.command()(export)
+app.command()(audit)
 app.command()(prompts)
 app.command()(splat)
 app.command()(view)
@@ -265,73 +265,6 @@ def report(out: RunFolder) -> None:
     from aomgen.report.page import write_report
 
     print(write_report(find_project(out).out))
-
-
-@app.command()
-def export(
-    out: RunFolder,
-    folder: Annotated[Path, typer.Argument(help="Dataset to write; replaced if it is one of ours.")],
-    format: Annotated[str, typer.Option(help="lerobot-v3, lerobot-v2.1, rlds, rlds-array-record or hdf5.")],
-    actions: Annotated[
-        str,
-        typer.Option(help="Space of the actions: joint, ee_absolute or ee_delta; rlds has ee_delta without."),
-    ] = "",
-    media: Annotated[
-        str, typer.Option(help="LeRobot's images: video, image (PNG), or none: the object's pose instead.")
-    ] = "",
-    size: Annotated[str, typer.Option(help="WxH of the images, [px]; as rendered without.")] = "",
-    val: Annotated[
-        int | None,
-        typer.Option(
-            min=0, help="Episodes to validate on; without: a tenth for rlds and hdf5, none for LeRobot."
-        ),
-    ] = None,
-) -> None:
-    """Write the committed episodes of a run as a dataset, without those that a person has rejected in `aomgen view`."""
-    from aomgen.datasets.formats import export_dataset
-
-    made = export_dataset(
-        _episodes(out), folder.resolve(), format, actions=actions, media=media, size=size, val=val
-    )
-    print(f"wrote {folder}: {len(made.train)} + {len(made.val)} episodes, {made.frames} frames")
-
-
-@app.command()
-def audit(
-    dataset: Annotated[Path, typer.Argument(help="Folder of a dataset, in any format of `aomgen export`.")],
-    out: RunFolder,
-) -> None:
-    """Compare a dataset with the committed episodes of a run that no person has rejected."""
-    from aomgen.datasets.audit import audit_dataset
-
-    found = audit_dataset(dataset, _episodes(out))
-    splits = " + ".join(f"{count} {name}" for name, count in found.splits.items())
-    print(f"episodes  {splits} of {found.committed}, {found.frames} frames, actions {found.actions}")
-    print(f"numbers   largest difference {found.difference:.1e} ({found.differing})")
-    print(f"images    lowest PSNR {found.psnr_db:.1f} dB ({found.least_like})")
-    for fault in found.faults[:SHOWN_FAULTS]:
-        print(f"fault     {fault}")
-    if found.faults:
-        raise CorruptArtifactError(
-            dataset, f"differs from the episodes in {len(found.faults)} ways", "export it again"
-        )
-
-
-def _episodes(out: Path) -> list[Path]:
-    """Folders of a run's committed episodes, without the rejected ones."""
-    from aomgen.io.episode_folder import list_committed
-    from aomgen.io.review import REVIEW_FILE, leave_out_rejected
-    from aomgen.pipeline.stages import STAGES, find_project
-
-    project = find_project(out)
-    folder = project.out / next(stage.folder for stage in STAGES if stage.name == "episodes")
-    found = list_committed(folder)
-    if not found:
-        raise MissingFileError(folder, "holds no committed episode", "run the project first")
-    kept = leave_out_rejected(project.out, found)
-    if len(kept) < len(found):
-        print(f"left out {len(found) - len(kept)} of {len(found)} episodes: {REVIEW_FILE} rejects them")
-    return kept
 
 
 @app.command()

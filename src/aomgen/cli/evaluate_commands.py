@@ -7,22 +7,27 @@ from typing import Annotated, Any
 
 import typer
 
-from aomgen.errors import UnknownNameError
+from aomgen.errors import MissingFileError, UnknownNameError
 
 DEFAULT_COMMAND = "policy"
+REAL_OPTION = "--real"
 
 
 class _PolicyByDefault(typer.core.TyperGroup):
-    """`aomgen evaluate SUITE` means `aomgen evaluate policy SUITE`."""
+    """`aomgen evaluate SUITE` means `aomgen evaluate policy SUITE`, and `--real FILE` means `real FILE`."""
 
     def parse_args(self, ctx: typer.Context, args: list[str]) -> list[str]:
+        if args and args[0] == REAL_OPTION:
+            args = [REAL_OPTION.strip("-"), *args[1:]]
         if args and args[0] not in self.commands and not args[0].startswith("-"):
             args = [DEFAULT_COMMAND, *args]
         return super().parse_args(ctx, args)
 
 
 evaluate_app = typer.Typer(
-    cls=_PolicyByDefault, no_args_is_help=True, help="Judge policies in the twin: SUITE --policy NAME."
+    cls=_PolicyByDefault,
+    no_args_is_help=True,
+    help="Judge policies in the twin: SUITE --policy NAME; beside the real robot: --real trials.csv.",
 )
 Workers = Annotated[int, typer.Option(min=0, help="Processes; 0 for one a processor.")]
 
@@ -100,12 +105,73 @@ def evaluate_policy(
         write_json(json_file, figures)
 
 
-def _table(figures: dict[str, Any]) -> str:
+@evaluate_app.command("real")
+def evaluate_real(
+    trials: Annotated[
+        Path, typer.Argument(help="CSV of trials on the real robot: policy, success and, if known, trial.")
+    ],
+    figures: Annotated[
+        list[Path] | None,
+        typer.Argument(
+            help="Figures of the same policies in the twin (--json); without, those next to the CSV."
+        ),
+    ] = None,
+    json_file: Annotated[Path | None, typer.Option("--json", help="Write the figures here.")] = None,
+) -> None:
+    """Compare trials on the real robot with the twin: rates, rank violations, and intervals that use both."""
+    from aomgen.evaluation.real_trials import (
+        compare_with_reality,
+        is_evaluation,
+        read_real_trials,
+        read_twin_trials,
+    )
+    from aomgen.io.artifact import read_json
+    from aomgen.io.atomic import write_json
+
+    real = read_real_trials(trials)
+    files = figures or [
+        path for path in sorted(trials.parent.glob("*.json")) if is_evaluation(read_json(path))
+    ]
+    if not files:
+        remedy = "give files of `aomgen evaluate SUITE --policy P --json F`"
+        raise MissingFileError(trials.parent, "holds no figures of the twin", remedy)
+    compared = compare_with_reality(real, read_twin_trials(files), trials)
+    print(_real_table(compared))
+    if json_file:
+        write_json(json_file, compared)
+
+
+def _real_table(compared: dict[str, Any]) -> str:
+    lines = []
+    for policy, item in compared["policies"].items():
+        lines.append(policy)
+        for kind in ("real", "twin"):
+            lines.append(
+                f"  {kind:12} {_share(item[kind])}, {item[kind]['successes']} of {item[kind]['trials']}"
+            )
+        combined = item["combined"]
+        share = _share({"success_rate": combined["estimate"], "interval_95": combined["interval_95"]})
+        saved = (
+            f"as {combined['saved_trials']:.0f} more real trials" if item["pairs"] else "no trial is named"
+        )
+        lines.append(f"  {'real by both':12} {share}, {item['pairs']} pairs, {saved}")
+    correlation = compared["pearson_r"]
+    count = len(compared["policies"])
+    shown = "undefined" if correlation is None else f"{correlation:.3f}"
+    lines.append(f"Pearson's r    {shown} over {count} policies")
+    lines.append(f"MMRV           {compared['mmrv']:.3f}")
+    return "\n".join(lines)
+
+
+def _share(figures: dict[str, Any]) -> str:
     low, high = figures["interval_95"]
-    share = f"{figures['success_rate']:.1%} ({low:.1%} to {high:.1%})"
+    return f"{figures['success_rate']:.1%} ({low:.1%} to {high:.1%})"
+
+
+def _table(figures: dict[str, Any]) -> str:
     lines = [
         ("policy", f"{figures['policy']}, {figures['action_space']}, {figures['visuals']}"),
-        ("success", f"{share}, {figures['successes']} of {figures['trials']}"),
+        ("success", f"{_share(figures)}, {figures['successes']} of {figures['trials']}"),
         *((f"  {reason}", str(count)) for reason, count in figures["failures"].items()),
         ("redrawn", json.dumps(figures["redrawn"])),
     ]

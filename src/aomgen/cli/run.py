@@ -12,7 +12,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from types import TracebackType
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Annotated, Any, Final
 
 import typer
 
@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 
 # Name of the bundled recording, in `aomgen.samples`.
 SAMPLE = "microwave-a"
+RunFolder = Annotated[Path, typer.Argument(help="Folder of a run, or its project file.")]
 INTERRUPTED = "interrupted; run the same command again to continue\n"
 # Back to the line's start, delete it, show the cursor: a progress bar hides it.
 LEAVE_BAR = "\r\x1b[2K\x1b[?25h"

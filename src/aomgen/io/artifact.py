@@ -66,6 +66,15 @@ def load_artifact(folder: Path, name: str, kind: type[T]) -> T:
         raise MalformedFileError(path, f"holds no {kind.__name__} ({error})", remedy) from error
 
 
+def restore(kind: type[T], data: Any) -> T:
+    """The value of a class that plain JSON values describe, as `save_artifact` or `asdict` leaves them without arrays.
+
+    Raises:
+        TypeError, ValueError: They describe something else.
+    """
+    return _unpack(kind, data, {})
+
+
 def _pack(value: Any, key: str, arrays: dict[str, NDArray[Any]]) -> Any:
     if isinstance(value, np.ndarray):
         # Infinities and empty shapes have no JSON.

@@ -20,7 +20,7 @@ from aomgen.errors import (
     MissingFileError,
     NonFiniteError,
 )
-from aomgen.io import ply, usd
+from aomgen.io import gltf, ply, spz, usd
 from aomgen.io.atomic import write_bytes
 from aomgen.io.ply import MAX_GAUSSIANS, check_readable
 
@@ -104,25 +104,27 @@ def _bytes(values: NDArray[np.floating]) -> NDArray[np.uint8]:
 
 
 F = TypeVar("F")
-_READERS = {".ply": ply.read_gaussians, ".splat": read_splat}
-_WRITERS = {".ply": ply.write_gaussians, ".splat": write_splat}
+_READERS = {".ply": ply.read_gaussians, ".splat": read_splat, ".spz": spz.read_spz, ".glb": gltf.read_glb}
+_WRITERS = {".ply": ply.write_gaussians, ".splat": write_splat, ".spz": spz.write_spz, ".glb": gltf.write_glb}
+# Formats whose coordinates are y up; readers and writers here leave them as they are.
+Y_UP_SUFFIXES = (".spz", ".glb")
 # Suffixes that `write_gaussians` accepts.
 WRITTEN_SUFFIXES = (*_WRITERS, *usd.SUFFIXES)
 
 
 def read_gaussians(path: Path, *, max_gaussians: int = MAX_GAUSSIANS) -> Gaussians:
-    """Read a 3DGS `.ply` or a `.splat` file.
+    """Read a 3DGS `.ply`, a `.splat`, a `.spz`, or a `.glb` of KHR_gaussian_splatting.
 
     Raises:
         ConfigError: Another suffix.
         MissingFileError, LimitExceededError, MalformedFileError, NonFiniteError: See
-            `ply.read_gaussians` and `read_splat`.
+            `ply.read_gaussians`, `read_splat`, `spz.read_spz` and `gltf.read_glb`.
     """
     return _choose(path, _READERS, "read")(path, max_gaussians=max_gaussians)
 
 
 def write_gaussians(path: Path, gaussians: Gaussians, *, meters_per_unit: float = 1.0) -> None:
-    """Write a 3DGS `.ply` (exact), a `.splat` (8 bits, one color), or a `.usda` or `.usdc` (exact, z up).
+    """Write a 3DGS `.ply`, `.glb`, `.usda` or `.usdc` (exact, USD z up), a `.spz` (8 bits) or a `.splat` (8 bits, one color).
 
     Args:
         path: Its suffix chooses the format.
@@ -132,6 +134,7 @@ def write_gaussians(path: Path, gaussians: Gaussians, *, meters_per_unit: float 
     Raises:
         ConfigError: Another suffix.
         NonFiniteError: A value is NaN or infinite, or a quaternion is zero.
+        LimitExceededError: A position does not fit into a `.spz`.
         StorageError: The disk refuses.
     """
     if path.suffix.lower() in usd.SUFFIXES:

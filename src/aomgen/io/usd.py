@@ -21,20 +21,20 @@ from aomgen.io.ply import check_readable
 PRIM: Final = "/Gaussians"
 # Radius of a Gaussian's extent in standard deviations, as the kernel's schema suggests.
 REACH: Final = 3.0
-SUFFIXES: Final = (".usda", ".usdc")
+SUFFIXES: Final = (".usda", ".usdc", ".usdz")
 
 
 def new_stage(path: Path, meters_per_unit: float = 1.0) -> Any:
     """Create an empty stage in memory, Z up, of the format that the suffix of `path` names.
 
     Raises:
-        ConfigError: A suffix other than .usda (text) and .usdc (binary).
+        ConfigError: A suffix other than .usda (text), .usdc (binary) and .usdz (packed).
     """
     from pxr import Usd, UsdGeom
 
     if path.suffix not in SUFFIXES:
         raise ConfigError(path, f"has suffix {path.suffix!r}", f"choose one of {', '.join(SUFFIXES)}")
-    stage = Usd.Stage.CreateInMemory(f"stage{path.suffix}")
+    stage = Usd.Stage.CreateInMemory(f"stage{path.suffix.replace('z', 'c')}")
     UsdGeom.SetStageMetersPerUnit(stage, meters_per_unit)
     UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.z)
     return stage
@@ -46,12 +46,18 @@ def export_stage(stage: Any, path: Path) -> None:
     Raises:
         StorageError: The disk refuses.
     """
-    from pxr import Tf
+    from pxr import Sdf, Tf
 
     try:
+        path.parent.mkdir(parents=True, exist_ok=True)
         with scratch_folder(path.parent) as folder:
-            stage.GetRootLayer().Export(str(folder / path.name))
-            content = (folder / path.name).read_bytes()
+            file = folder / path.name.replace(".usdz", ".usdc")
+            stage.GetRootLayer().Export(str(file))
+            if path.suffix == ".usdz":
+                layer, file = file, folder / path.name
+                with Sdf.ZipFileWriter.CreateNew(str(file)) as package:
+                    package.AddFile(str(layer), layer.name)
+            content = file.read_bytes()
     except (OSError, Tf.ErrorException) as error:
         # USD's messages are many lines long, with positions in its sources.
         why = error.strerror if isinstance(error, OSError) else "USD was refused by the disk"
@@ -64,10 +70,8 @@ def export_stage(stage: Any, path: Path) -> None:
 def write_gaussians(path: Path, gaussians: Gaussians, *, meters_per_unit: float = 1.0) -> None:
     """Write Gaussians as the default prim of a new USD file; exact in float32.
 
-    Colors stay sRGB, as in 3DGS files; the schema names no color space.
-
     Args:
-        path: Ends in .usda (text) or .usdc (binary).
+        path: Ends in .usda (text), .usdc (binary) or .usdz (packed).
         gaussians: Their coordinates are not changed; Z is up.
         meters_per_unit: Length of their unit, [m].
 
@@ -76,12 +80,20 @@ def write_gaussians(path: Path, gaussians: Gaussians, *, meters_per_unit: float 
         NonFiniteError: A value is NaN or infinite, or a quaternion is zero.
         StorageError: The disk refuses.
     """
-    from pxr import UsdVol, Vt
-
     check_readable(path, gaussians)
     stage = new_stage(path, meters_per_unit)
-    field = UsdVol.ParticleField3DGaussianSplat.Define(stage, PRIM)
-    stage.SetDefaultPrim(field.GetPrim())
+    stage.SetDefaultPrim(define_gaussians(stage, PRIM, gaussians))
+    export_stage(stage, path)
+
+
+def define_gaussians(stage: Any, prim_path: str, gaussians: Gaussians) -> Any:
+    """Define Gaussians on a stage, in the frame of the parent prim, and return their prim.
+
+    Colors stay sRGB, as in 3DGS files; the schema names no color space.
+    """
+    from pxr import UsdVol, Vt
+
+    field = UsdVol.ParticleField3DGaussianSplat.Define(stage, prim_path)
     field.CreatePositionsAttr(Vt.Vec3fArray.FromNumpy(gaussians.means))
     quats_xyzw = np.ascontiguousarray(xyzw_from_wxyz(gaussians.quats.astype(np.float64)), np.float32)
     field.CreateOrientationsAttr(Vt.QuatfArray.FromNumpy(quats_xyzw))
@@ -97,7 +109,7 @@ def write_gaussians(path: Path, gaussians: Gaussians, *, meters_per_unit: float 
     field.CreateExtentAttr(Vt.Vec3fArray.FromNumpy(extent(gaussians)))
     field.CreateProjectionModeHintAttr("perspective")
     field.CreateSortingModeHintAttr("zDepth")
-    export_stage(stage, path)
+    return field.GetPrim()
 
 
 def extent(gaussians: Gaussians) -> NDArray[np.float32]:

@@ -44,6 +44,22 @@ def render_state(
     return replace(rendered, rgb=illuminate_srgb(rendered.rgb, received).astype(np.float32))
 
 
+def pose_with_shadow(twin: TwinModel, robot: RobotModel, state: TwinState) -> Gaussians:
+    """All Gaussians in the world frame, in the twin's order; those of the surface are darkened by the state's shadow."""
+    Ts, lamp = body_poses(twin, robot, state), twin.directional_light
+    world = pose_bodies(twin, Ts)
+    if lamp is None:
+        return world
+    means = world.means.astype(np.float64)
+    share = surface_share(lamp.T_world_plane, means) * (twin.bodies == 0)
+    on_it = np.flatnonzero(share)
+    casters = select_casters(twin, robot)
+    blocked = np.zeros(len(means))
+    light = measure_blocked_light(casters, Ts[None], lamp.T_world_plane, lamp.directions, means[on_it])[0]
+    blocked[on_it] = share[on_it] * light
+    return world.illuminate(1 - blocked[:, None] * lamp.share)
+
+
 def observe_shadow(
     twin: TwinModel,
     lamp: DirectionalLight,

@@ -13,11 +13,11 @@ from aomgen.capture.scan_poses import SCAN_POSES_FILE
 from aomgen.core.progress import Progress
 from aomgen.core.project import Project, split_light
 from aomgen.core.recording import Recording
-from aomgen.errors import ConfigError, MissingFileError, suggest
+from aomgen.errors import ConfigError, MissingFileError, OutdatedRunError, suggest
 from aomgen.executors import require_cluster
 from aomgen.io.review import read_reviews
 from aomgen.io.schema import override
-from aomgen.pipeline.manifest import files_digest, text_digest
+from aomgen.pipeline.manifest import files_digest, read_manifest, text_digest
 from aomgen.pipeline.preflight import preflight
 from aomgen.pipeline.project_file import read_project, write_project
 from aomgen.pipeline.runner import Display, Stage, StageFunction, lock, run_stages
@@ -211,6 +211,23 @@ def run_pipeline(project: Project, display: Display, *, until: str = "", **machi
     with lock(project.out):
         write_project(project.out / PROJECT_FILE, project)
     return run_stages(project, STAGES, display, inputs=inputs | review, until=until, **machine)
+
+
+def require_stage(results: Results, name: str) -> None:
+    """Refuse a run whose stage has not finished, or was made by another version.
+
+    Raises:
+        MissingFileError: The stage has not finished.
+        OutdatedRunError: Another version made it; the sentence says which command brings it up to date.
+    """
+    stage = next(stage for stage in STAGES if stage.name == name)
+    manifest = read_manifest(results.folders[name])
+    if manifest is None:
+        raise MissingFileError(
+            results.out, f"has no result of stage '{name}'", f"finish it with `aomgen run {results.out}`"
+        )
+    if manifest.version != stage.version:
+        raise OutdatedRunError(results.out, name, manifest.version, stage.version)
 
 
 def find_project(path: Path) -> Project:

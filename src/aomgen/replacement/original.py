@@ -99,13 +99,13 @@ def _as_boxes(
         panel[1, 1] = min(panel[1, 1], panel[0, 1] + DOOR_M)
     body = np.quantile(static, QUANTILES, axis=0)
     body[0, 2] = 0.0
-    around = {f"body_{k}": box for k, box in enumerate(_without(body, panel))}
+    around = {f"body_{k}": box for k, box in enumerate(subtract_box(body, panel))}
     return clear_path(
         ArticulatedAsset(
             name=ORIGINAL,
             category=category,
-            static=_link("body", around),
-            moving=_link("part", {PANEL: panel, "handle_bar": handle}),
+            static=box_link("body", around),
+            moving=box_link("part", {PANEL: panel, "handle_bar": handle}),
             joint=joint,
             handle_point=handle.mean(0),
             handle_axis=np.eye(3)[bar],
@@ -164,7 +164,7 @@ def _part_boxes(moving: Array, held: Array, bar: int, across: int) -> tuple[Arra
     return panel, handle
 
 
-def _without(box: Array, hole: Array) -> list[Array]:
+def subtract_box(box: Array, hole: Array) -> list[Array]:
     """Boxes (2, 3) that fill a box around a hole."""
     rest, pieces = box.copy(), []
     hole = hole + GAP_M * np.array([[-1.0], [1.0]])
@@ -179,7 +179,7 @@ def _without(box: Array, hole: Array) -> list[Array]:
     return pieces
 
 
-def _link(name: str, boxes: Mapping[str, Array]) -> AssetLink:
+def box_link(name: str, boxes: Mapping[str, Array]) -> AssetLink:
     """A link that is seen as its colliders (2, 3), for those who use the asset without its Gaussians."""
     shapes = {key: AlignedBox(lower=tuple(low), upper=tuple(high)) for key, (low, high) in boxes.items()}
     colliders = tuple(shape.collider(key) for key, shape in shapes.items())

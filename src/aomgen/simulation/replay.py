@@ -1,7 +1,6 @@
 """The simulator: an arm tracks commands in MuJoCo; the object's joint is passive and moves by contact alone."""
 
 import copy
-import math
 from collections.abc import Iterator
 from dataclasses import dataclass, fields, replace
 from typing import Final
@@ -15,14 +14,18 @@ from aomgen.core.plan import Rejection
 from aomgen.core.transforms import transform
 from aomgen.core.values import Array
 from aomgen.core.verdict import Setting
+from aomgen.simulation.controls import (
+    SETTLE_S,
+    Commands,
+    divide_frame,
+    ignore_hand_on_hand,
+    ramp,
+    servo_controls,
+)
 from aomgen.simulation.scene import Scene
 from aomgen.simulation.settings import apply_setting
 from aomgen.simulation.touches import RawContacts, Touches, find_touches, read_contacts
 
-# Rate of a UR5e's controller, [1/s]; a frame lasts a whole number of control ticks, so the rate used is a little higher.
-CONTROL_HZ: Final = 125.0
-# The arm rests at its first configuration for this long before the episode begins.
-SETTLE_S: Final = 0.2
 DIVERGENCE: Final = [
     int(kind)
     for kind in (
@@ -35,15 +38,6 @@ DIVERGENCE: Final = [
 ]
 # All that later steps depend on.
 STATE: Final = mujoco.mjtState.mjSTATE_INTEGRATION
-
-
-@dataclass(frozen=True, slots=True)
-class Commands:
-    """Commands at every control tick (N): joints and their velocities (N, J), gripper (N,), 0..1."""
-
-    joints: Array
-    velocities: Array
-    gripper: Array
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -99,12 +93,10 @@ class Simulation:
         resumed: tuple[int, Array] | None = None,
     ) -> None:
         """Let the arm rest at a target (J + 1,), joints and gripper; or resume from an `untouched` state."""
-        self._ticks = math.ceil(CONTROL_HZ / fps)
-        self._steps = math.ceil(1 / (fps * self._ticks * scene.model.opt.timestep))
         self._fps, self._scene, self._setting = fps, scene, setting
         self._model = model = copy.copy(scene.model)
-        model.opt.timestep = 1 / (fps * self._ticks * self._steps)
-        _ignore_hand_on_hand(scene, model)
+        self._ticks, self._steps, model.opt.timestep = divide_frame(fps, model.opt.timestep)
+        ignore_hand_on_hand(scene, model)
         if setting is not None:
             apply_setting(scene, model, setting, initial_theta)
         self._target = target
@@ -114,7 +106,7 @@ class Simulation:
         self._tick, self._near = 0, resumed is not None
         if resumed is None:
             start = scene.qpos(target[None, :-1], target[-1], initial_theta)[0]
-            self.data = stand(scene, model, start, _ramp(target, target, fps, 1), SETTLE_S)
+            self.data = stand(scene, model, start, ramp(target, target, fps, 1), SETTLE_S)
             self.untouched = _state_of(model, self.data, 0)
         else:
             self._tick, self.untouched, self.data = resumed[0], resumed, mujoco.MjData(model)
@@ -122,7 +114,7 @@ class Simulation:
 
     def follow(self, target: Array) -> None:
         """Command a linear motion from the last target to this one (J + 1,), which is reached a frame later."""
-        commands = _ramp(self._target, target, self._fps, self._ticks)
+        commands = ramp(self._target, target, self._fps, self._ticks)
         first = self._tick
         for _ in track(self._scene, self._model, self.data, commands, self._steps):
             contacts = self._read()
@@ -217,7 +209,7 @@ def stand(
     data = mujoco.MjData(model)
     data.qpos[:] = start
     still = Commands(commands.joints[:1], np.zeros_like(commands.joints[:1]), commands.gripper[:1])
-    data.ctrl[:] = _servo_controls(scene, still)[0]
+    data.ctrl[:] = servo_controls(scene, still)[0]
     mujoco.mj_step(model, data, round(settle_s / model.opt.timestep))
     return data
 
@@ -241,36 +233,10 @@ def track(
         commands: At every tick.
         steps_a_tick: Steps of the model from one tick to the next.
     """
-    for control in _servo_controls(scene, commands):
+    for control in servo_controls(scene, commands):
         yield data
         data.ctrl[:] = control
         mujoco.mj_step(model, data, steps_a_tick)
-
-
-def _ramp(start: Array, target: Array, fps: float, ticks: int) -> Commands:
-    """Commands at the ticks of one frame straight from joints and gripper (J + 1,) to others, which the next begins with."""
-    step = target - start
-    samples = start + (np.arange(ticks) / ticks)[:, None] * step
-    return Commands(samples[:, :-1], np.tile(fps * step[:-1], (ticks, 1)), samples[:, -1])
-
-
-def _servo_controls(scene: Scene, commands: Commands) -> Array:
-    """Actuator controls (N, nu) of commands (N)."""
-    arm, (opened, closed) = scene.arm, scene.gripper.control_range
-    controls = np.zeros((len(commands.joints), scene.model.nu))
-    controls[:, arm.actuators] = commands.joints + arm.kv / arm.kp * commands.velocities
-    controls[:, scene.gripper.actuator] = opened + commands.gripper * (closed - opened)
-    return controls
-
-
-def _ignore_hand_on_hand(scene: Scene, model: mujoco.MjModel) -> None:
-    """Leave out contacts between shapes of the gripper other than its pads.
-
-    Where the shapes of a gripper's links are meshes, looking for contacts among them takes a sixth of all time.
-    """
-    shell = scene.roles.gripper & (scene.roles.finger < 0)
-    model.geom_contype[shell] |= model.geom_conaffinity[shell]
-    model.geom_conaffinity[shell] = 0
 
 
 def _state_of(model: mujoco.MjModel, data: mujoco.MjData, tick: int) -> tuple[int, Array]:

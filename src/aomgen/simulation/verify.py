@@ -16,8 +16,9 @@ from aomgen.core.plan import EpisodePlan, Rejection, VerifiedEpisode
 from aomgen.core.values import Array
 from aomgen.core.verdict import Check, Setting, SettingOutcome, Verdict
 from aomgen.simulation.collision_check import KinematicLimits
+from aomgen.simulation.controls import CONTROL_HZ, SETTLE_S
 from aomgen.simulation.judge import PassRule, judge
-from aomgen.simulation.replay import CONTROL_HZ, SETTLE_S, SimulatedRun, simulate
+from aomgen.simulation.replay import SimulatedRun, simulate
 from aomgen.simulation.scene import Scene
 from aomgen.simulation.settings import draw_settings
 from aomgen.version import __version__

@@ -124,10 +124,10 @@ def test_writers_refuse_what_readers_would(tmp_path: Path, file: str, name: str,
 
 
 def test_unknown_suffix(tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match=r"'\.spz', \.ply, \.splat can be read"):
-        gaussian_files.read_gaussians(tmp_path / "a.spz")
+    with pytest.raises(ConfigError, match=r"'\.sog', \.ply, \.splat, \.spz, \.glb can be read"):
+        gaussian_files.read_gaussians(tmp_path / "a.sog")
     with pytest.raises(ConfigError, match="written"):
-        gaussian_files.write_gaussians(tmp_path / "a.spz", make_gaussians())
+        gaussian_files.write_gaussians(tmp_path / "a.sog", make_gaussians())
 
 
 @settings(

@@ -109,14 +109,14 @@ def test_no_gaussians(tmp_path: Path) -> None:
     assert len(gaussians_in(splat.GetPrim())) == 0
 
 
-@pytest.mark.parametrize("name", ["a.usdz", "a.ply"])
+@pytest.mark.parametrize("name", ["a.usd", "a.ply"])
 def test_refused(tmp_path: Path, name: str) -> None:
     with pytest.raises(ConfigError):
         write_gaussians(tmp_path / name, make_gaussians())
     assert not list(tmp_path.iterdir())
 
 
-@pytest.mark.parametrize("suffix", [".usda", ".usdc"])
+@pytest.mark.parametrize("suffix", [".usda", ".usdc", ".usdz"])
 def test_a_full_disk_is_one_sentence(tmp_path: Path, suffix: str) -> None:
     usual = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (100, usual[1]))

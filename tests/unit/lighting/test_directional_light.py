@@ -14,7 +14,14 @@ from aomgen.io.artifact import load_artifact, read_json, save_artifact
 from aomgen.io.atomic import write_json
 from aomgen.lighting.directional_light import find_directional_light
 from aomgen.lighting.plane_shadow import measure_blocked_light, select_casters
-from aomgen.lighting.shadowed_twin import EDGE_M, remove_baked_shadow, remove_shadow, render_state
+from aomgen.lighting.shadowed_twin import (
+    EDGE_M,
+    pose_with_shadow,
+    remove_baked_shadow,
+    remove_shadow,
+    render_state,
+)
+from aomgen.splatting.rasterizer import render
 from aomgen.twin.twin import PosedImages, TwinModel, body_poses, pose_twin
 
 # Share of the light that the shadow lacks, and the sRGB color of mid-grey in shadow over that in light, roughly.
@@ -184,6 +191,19 @@ def test_the_base_throws_no_shadow_that_moves(toy_scene):
     assert base not in moving.bodies
     # Right under the base only the base is in the way.
     assert block(toy_scene, lamp, np.array([[-0.02, 0.0, 0.0]]))[0] < 0.2
+
+
+def test_gaussians_of_a_state_hold_its_shadow(toy_scene):
+    lamp, rest = lamp_from(0.2, -0.3), toy_scene.twin.scan_state
+    twin = replace(toy_scene.twin, directional_light=lamp)
+    state = replace(rest, joints=rest.joints + np.array([0.5, 0.3, -0.3, 0, 0.2, 0]))
+    wanted = render_state(twin, toy_scene.robot, state, toy_scene.camera).rgb
+    found = render(pose_with_shadow(twin, toy_scene.robot, state), toy_scene.camera).rgb
+    without = render_state(toy_scene.twin, toy_scene.robot, state, toy_scene.camera).rgb
+    shadow = wanted.mean(-1) < 0.8 * without.mean(-1)
+    assert shadow.sum() > 50
+    assert np.abs(found - wanted)[shadow].mean() < 0.3 * np.abs(without - wanted)[shadow].mean()
+    assert np.abs(found - wanted)[~shadow].mean() < 0.01
 
 
 def test_a_lamp_is_stored_with_its_twin(toy_scene, tmp_path):

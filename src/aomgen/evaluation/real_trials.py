@@ -1,0 +1,166 @@
+"""Trials of policies on the real robot beside their trials in the twin."""
+
+import csv
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, Final
+
+from aomgen.errors import (
+    ConfigError,
+    LimitExceededError,
+    MalformedFileError,
+    MissingFileError,
+    UnknownNameError,
+)
+from aomgen.evaluation.evaluate import interval_95
+from aomgen.evaluation.prediction_powered import (
+    correlate,
+    estimate_real_success,
+    mean_maximum_rank_violation,
+)
+from aomgen.io.artifact import read_json
+
+COLUMNS: Final = ("policy", "success")
+TRIAL: Final = "trial"
+WORDS: Final = {
+    **dict.fromkeys(("1", "true", "yes", "success"), 1),
+    **dict.fromkeys(("0", "false", "no", "failure"), 0),
+}
+# A trial of a real robot takes a minute; a file of this size holds more than anybody makes, [bytes].
+MAX_BYTES: Final = 4 << 20
+# Keys of the figures of `aomgen evaluate` that are read.
+FIGURES: Final = ("policy", "suite", "rollouts")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RealTrials:
+    """Real trials of a policy: results, 0 or 1, and numbers of the suite's trials; no numbers where they are unknown."""
+
+    results: tuple[int, ...]
+    trials: tuple[int, ...]
+
+
+def read_real_trials(path: Path) -> dict[str, RealTrials]:
+    """Read a CSV with the columns policy, success and, optionally, trial.
+
+    Success is 1 or 0, true or false, yes or no. A trial is the number of the suite's trial that was built up in reality.
+
+    Raises:
+        MissingFileError, LimitExceededError: No such file, or it is too large.
+        MalformedFileError: A column is missing, or a row cannot be understood; names it.
+    """
+    if not path.is_file():
+        raise MissingFileError(path, "is missing", "give a CSV with the columns policy, success and trial")
+    if not path.stat().st_size <= MAX_BYTES:
+        raise LimitExceededError(path, f"is larger than {MAX_BYTES} bytes")
+    try:
+        rows = list(csv.DictReader(path.read_text("utf-8-sig").splitlines(), skipinitialspace=True))
+    except (UnicodeDecodeError, csv.Error) as error:
+        raise MalformedFileError(path, f"is no CSV ({error})", "save it as CSV in UTF-8") from error
+    missing = [name for name in COLUMNS if not rows or name not in rows[0]]
+    if missing:
+        raise MalformedFileError(path, f"has no rows with the column {missing[0]}", "add it")
+    found: dict[str, list[tuple[int, int | None]]] = {}
+    for number, row in enumerate(rows, start=2):
+        policy, word, trial = ((row.get(name) or "").strip() for name in (*COLUMNS, TRIAL))
+        if not policy or word.lower() not in WORDS or not (trial.isdecimal() or not trial):
+            problem = f"row {number} has policy '{policy}', success '{word}', trial '{trial}'"
+            raise MalformedFileError(
+                path, problem, "want a name, 1 or 0, and a number of the suite or nothing"
+            )
+        found.setdefault(policy, []).append((WORDS[word.lower()], int(trial) if trial else None))
+    return {policy: _collect(path, policy, items) for policy, items in found.items()}
+
+
+def _collect(path: Path, policy: str, items: Sequence[tuple[int, int | None]]) -> RealTrials:
+    trials = [trial for _, trial in items if trial is not None]
+    if trials and len(trials) < len(items):
+        raise MalformedFileError(
+            path,
+            f"names the trial in {len(trials)} of {len(items)} rows of policy '{policy}'",
+            "name it in all or in none",
+        )
+    if len(set(trials)) < len(trials):
+        twice = next(trial for trial in trials if trials.count(trial) > 1)
+        raise MalformedFileError(
+            path, f"has trial {twice} of policy '{policy}' more than once", "keep the first attempt"
+        )
+    return RealTrials(results=tuple(result for result, _ in items), trials=tuple(trials))
+
+
+def read_twin_trials(paths: Sequence[Path]) -> dict[str, dict[int, int]]:
+    """Results, 0 or 1, by policy and trial of figures that `aomgen evaluate SUITE --policy P --json F` wrote.
+
+    Raises:
+        MalformedFileError: A file holds something else.
+        ConfigError: Two files judge one policy, or in different suites.
+    """
+    found: dict[str, dict[int, int]] = {}
+    homes: dict[str, Path] = {}
+    suites: dict[str, Path] = {}
+    for path in paths:
+        figures = read_json(path)
+        if not is_evaluation(figures):
+            raise MalformedFileError(path, "holds no figures of `aomgen evaluate`", "write them with --json")
+        policy = str(figures["policy"])
+        if policy in found:
+            raise ConfigError(path, f"judges policy '{policy}' as {homes[policy]} does", "give one of them")
+        suites[str(figures["suite"])] = homes[policy] = path
+        found[policy] = {int(row["trial"]): int(not row["fail_reason"]) for row in figures["rollouts"]}
+    if len(suites) > 1:
+        first, second = list(suites.values())[:2]
+        raise ConfigError(second, f"is of another suite than {first}", "judge all policies in one suite")
+    return found
+
+
+def is_evaluation(figures: Any) -> bool:
+    """Whether JSON values are figures of an evaluation in the twin."""
+    return isinstance(figures, dict) and all(key in figures for key in FIGURES)
+
+
+def compare_with_reality(
+    real: Mapping[str, RealTrials], twin: Mapping[str, Mapping[int, int]], where: Path
+) -> dict[str, Any]:
+    """Compare success rates of policies on the real robot and in the twin.
+
+    Returns:
+        `policies` by name: `real` and `twin` (`successes`, `trials`, `success_rate`, Wilson's `interval_95`), `pairs`, and
+        `combined` (see `RealSuccess`); `pearson_r` (None where it is undefined) and `mmrv` over policies.
+
+    Raises:
+        UnknownNameError: A policy was not judged in the twin.
+        ConfigError: A real trial is not one of the suite.
+    """
+    policies: dict[str, Any] = {}
+    for policy, trials in real.items():
+        if policy not in twin:
+            raise UnknownNameError(f"{where}: policy", policy, twin)
+        judged = twin[policy]
+        strange = sorted(set(trials.trials) - set(judged))
+        if strange:
+            raise ConfigError(where, f"names trial {strange[0]}, which the suite does not have", "correct it")
+        paired = [judged[trial] for trial in trials.trials]
+        rest = [result for trial, result in judged.items() if trial not in trials.trials]
+        policies[policy] = {
+            "real": _rate(trials.results),
+            "twin": _rate(list(judged.values())),
+            "pairs": len(paired),
+            "combined": asdict(estimate_real_success(trials.results, paired, rest)),
+        }
+    rates = [[item[kind]["success_rate"] for item in policies.values()] for kind in ("real", "twin")]
+    return {
+        "policies": policies,
+        "pearson_r": correlate(*rates),
+        "mmrv": mean_maximum_rank_violation(*rates),
+    }
+
+
+def _rate(results: Sequence[int]) -> dict[str, Any]:
+    successes, trials = sum(results), len(results)
+    return {
+        "successes": successes,
+        "trials": trials,
+        "success_rate": successes / trials,
+        "interval_95": interval_95(successes, trials),
+    }

@@ -1,0 +1,178 @@
+"""A motion as a Rerun recording: Gaussians by body, poses over time, joints, cameras with videos, contacts."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from aomgen.conventions import xyzw_from_wxyz
+from aomgen.core.camera import Camera
+from aomgen.core.episode import FINGERS
+from aomgen.core.gaussians import Gaussians
+from aomgen.core.transforms import quat_from_matrix
+from aomgen.core.values import Array
+from aomgen.errors import StorageError
+from aomgen.exports.scene_motion import SceneMotion
+from aomgen.io.atomic import scratch_folder, write_bytes
+
+APPLICATION: Final = "aomgen"
+# The one time axis, from the start of the motion, [s].
+TIMELINE: Final = "time"
+# Contact forces are drawn as arrows of this length, [m/N].
+FORCE_SCALE: Final = 0.005
+# Coefficients of lower degrees are stored as those of this one.
+DEGREE: Final = 3
+# Distance of the image plane that the viewer shows before a camera, [m].
+IMAGE_PLANE_M: Final = 0.2
+
+
+def write_rerun(motion: SceneMotion, path: Path) -> None:
+    """Write a motion as .rrd, which `rerun FILE` opens; needs the package `rerun-sdk`.
+
+    Entities: `world/<body>` with its Gaussians, `world/camera/<name>` with its video, `world/contacts/<finger>`,
+    `joints/<name>`, `joints/gripper` and `joints/object`. Colors are those of the first frame.
+
+    Raises:
+        StorageError: The disk refuses.
+    """
+    import rerun as rr
+
+    # Otherwise the package prints problems and leaves out what has them.
+    rr.set_strict_mode(True)
+    # The same motion gives the same recording, so that a viewer replaces it.
+    recording = rr.RecordingStream(APPLICATION, recording_id=f"{path.stem}-{motion.name}")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with scratch_folder(path.parent) as folder:
+            recording.save(folder / path.name)
+            recording.log("world", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
+            _log_bodies(recording, motion)
+            _log_cameras(recording, motion)
+            _log_joints(recording, motion)
+            _log_contacts(recording, motion)
+            recording.flush()
+            recording.disconnect()
+            write_bytes(path, (folder / path.name).read_bytes())
+    except OSError as error:
+        raise StorageError(
+            path, f"cannot be written ({error.strerror})", "free space or choose another folder"
+        ) from error
+
+
+def _log_bodies(recording: Any, motion: SceneMotion) -> None:
+    for name, gaussians in motion.body_gaussians().items():
+        recording.log(f"world/{name}", _splats(gaussians), static=True)
+        number = motion.twin.body(name)
+        Ts = motion.Ts_world_body[:, number]
+        if number and not np.array_equal(Ts[0], Ts[-1]):
+            _send_poses(recording, f"world/{name}", Ts, motion.trajectory.times_s)
+        else:
+            recording.log(f"world/{name}", _transform(Ts[0]), static=True)
+
+
+def _splats(gaussians: Gaussians) -> Any:
+    import rerun as rr
+
+    rgba = np.column_stack([gaussians.colors_srgb, gaussians.opacities])
+    return rr.GaussianSplats3D(
+        centers=gaussians.means,
+        scales=gaussians.scales,
+        quaternions=xyzw_from_wxyz(gaussians.quats.astype(np.float64)),
+        colors=np.clip(np.rint(rgba * 255), 0, 255).astype(np.uint8),
+        sh_coefficients=gaussians.with_sh_degree(DEGREE).sh[:, 1:],
+        spherical_harmonics_degree=gaussians.sh_degree,
+    )
+
+
+def _transform(T: Array) -> Any:
+    import rerun as rr
+
+    return rr.Transform3D(
+        translation=T[:3, 3], quaternion=rr.Quaternion(xyzw=xyzw_from_wxyz(quat_from_matrix(T[:3, :3])))
+    )
+
+
+def _send_poses(recording: Any, entity: str, Ts: Array, times_s: Array) -> None:
+    import rerun as rr
+
+    recording.send_columns(
+        entity,
+        [_time_column(times_s)],
+        rr.Transform3D.columns(
+            translation=Ts[:, :3, 3], quaternion=xyzw_from_wxyz(quat_from_matrix(Ts[:, :3, :3]))
+        ),
+    )
+
+
+def _time_column(times_s: Array) -> Any:
+    import rerun as rr
+
+    stamps = np.round(np.asarray(times_s, np.float64) * 1e9).astype("timedelta64[ns]")
+    return rr.TimeColumn(TIMELINE, duration=stamps)
+
+
+def _log_cameras(recording: Any, motion: SceneMotion) -> None:
+    import rerun as rr
+
+    moving: Mapping[str, Camera] = {name: item.at(0) for name, item in motion.paths.items()}
+    for name, camera in {**motion.cameras, **moving}.items():
+        entity = f"world/camera/{name}"
+        if name in moving:
+            _send_poses(recording, entity, motion.paths[name].Ts_world_cam, motion.trajectory.times_s)
+        else:
+            recording.log(entity, _transform(camera.T_world_cam), static=True)
+        pinhole = rr.Pinhole(
+            image_from_camera=camera.K,
+            resolution=[camera.width, camera.height],
+            camera_xyz=rr.ViewCoordinates.RDF,
+            image_plane_distance=IMAGE_PLANE_M,
+        )
+        recording.log(entity, pinhole, static=True)
+        if name in motion.videos:
+            _log_video(recording, entity, motion.videos[name], motion.video_starts_s[name])
+
+
+def _log_video(recording: Any, entity: str, file: Path, start_s: float) -> None:
+    """The video as it is, and a reference to a frame of it at the time of each."""
+    import rerun as rr
+
+    video = rr.AssetVideo(path=file)
+    recording.log(f"{entity}/video", video, static=True)
+    stamps_ns = np.asarray(video.read_frame_timestamps_nanos())
+    recording.send_columns(
+        f"{entity}/video",
+        [_time_column(stamps_ns * 1e-9 + start_s)],
+        rr.VideoFrameReference.columns_nanos(stamps_ns),
+    )
+
+
+def _log_joints(recording: Any, motion: SceneMotion) -> None:
+    import rerun as rr
+
+    moved, times = motion.trajectory, [_time_column(motion.trajectory.times_s)]
+    series = dict(zip(motion.robot.joint_names, moved.joints.T, strict=True))
+    for name, values in {**series, "gripper": moved.gripper, "object": moved.thetas}.items():
+        recording.send_columns(f"joints/{name}", times, rr.Scalars.columns(scalars=values))
+
+
+def _log_contacts(recording: Any, motion: SceneMotion) -> None:
+    """Contact forces on the fingers as arrows; a frame without a contact clears them."""
+    import rerun as rr
+
+    contacts = motion.contacts
+    if contacts is None:
+        return
+    for number, finger in enumerate(FINGERS):
+        entity, shown = f"world/contacts/{finger}", False
+        for frame, time_s in enumerate(motion.trajectory.times_s):
+            rows = (contacts.frames == frame) & (contacts.fingers == number)
+            recording.set_time(TIMELINE, duration=float(time_s))
+            if rows.any():
+                forces = contacts.normals_world[rows] * contacts.forces[rows, None]
+                arrows = rr.Arrows3D(origins=contacts.points_world[rows], vectors=FORCE_SCALE * forces)
+                recording.log(entity, arrows)
+            elif shown:
+                recording.log(entity, rr.Clear(recursive=False))
+            shown = bool(rows.any())
+        recording.reset_time()

@@ -1,0 +1,81 @@
+"""The physics of a motion's scene: robot, table, obstacles and object as MuJoCo simulates them."""
+
+import mujoco
+import numpy as np
+
+from aomgen.assets.mjcf import RESISTANCES
+from aomgen.core.asset import ArticulatedAsset
+from aomgen.core.boxes import QUANTILES
+from aomgen.core.plan import FittedAsset
+from aomgen.core.transforms import apply, invert
+from aomgen.episodes.factory import EpisodeFactory
+from aomgen.exports.scene_motion import SceneMotion
+from aomgen.replacement.original import DOOR_M, box_link, subtract_box
+from aomgen.replacement.stage import describe_recorded_object
+from aomgen.results import Results
+from aomgen.simulation.scene import Scene
+from aomgen.simulation.scene_spec import TABLE, scene_spec
+
+
+def simulate_motion_scene(results: Results, motion: SceneMotion) -> Scene:
+    """Compile the scene in which a motion's object was verified; a recorded object is made of boxes."""
+    fitted = motion.fitted or fit_recorded_boxes(results)
+    scene = EpisodeFactory(results, results.folders["episodes"]).build_scene(fitted)
+    return scene.place_at(motion.trajectory.T_world_object)
+
+
+def describe_nominal(results: Results, scene: Scene, motion: SceneMotion, *, visual: bool) -> mujoco.MjSpec:
+    """Describe a scene from `simulate_motion_scene` for writing, with the resistance of the nominal setting."""
+    damping, frictionloss = RESISTANCES[scene.asset.joint.type][0]
+    recorded = results.episode_scene
+    spec, _ = scene_spec(
+        scene.robot,
+        scene.asset,
+        motion.trajectory.T_world_object,
+        recorded.support,
+        obstacles=recorded.obstacles,
+        damping=damping,
+        frictionloss=frictionloss,
+        visual=visual,
+        bolted=scene.bolted,
+    )
+    # The table of a scene may be lowered, and lies about the recorded object.
+    table, compiled = spec.geom(TABLE), scene.model.geom(TABLE)
+    table.pos, table.size = compiled.pos, compiled.size
+    return spec
+
+
+def fit_recorded_boxes(results: Results) -> FittedAsset:
+    """The recorded object as boxes about the points of its parts, in the object frame of the twin."""
+    twin, points = results.twin, describe_recorded_object(results, results.episode_scene.support)
+    to_object = invert(twin.T_world_object)
+    body, part = (
+        np.quantile(apply(to_object, found), QUANTILES, axis=0)
+        for found in (points.static_points_world, points.moving_points_world)
+    )
+    if twin.joint.type == "revolute" and int(np.ptp(part, 0).argmin()) == 1:
+        # Through a door's window the scan shows what is behind it; -y points out of the front.
+        part[1, 1] = min(part[1, 1], max(part[0, 1], body[0, 1]) + DOOR_M)
+    pieces = {f"body_{number}": box for number, box in enumerate(subtract_box(body, part))}
+    middle = part.mean(0)
+    asset = ArticulatedAsset(
+        name="recorded object",
+        category=results.recorded.category,
+        static=box_link("body", pieces),
+        moving=box_link("part", {"part": part}),
+        joint=twin.joint,
+        handle_point=middle,
+        handle_axis=np.array([0.0, 0.0, 1.0]),
+    )
+    last = float(results.demonstration.thetas[-1])
+    return FittedAsset(
+        asset=asset,
+        T_world_asset=twin.T_world_object,
+        contact_asset=middle,
+        shares=np.array([0.0, 1.0]),
+        thetas=np.array([0.0, last]),
+        scale=1.0,
+        mirrored=False,
+        mode="trajectory",
+        residual_mm=0.0,
+    )

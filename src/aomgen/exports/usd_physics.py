@@ -1,0 +1,237 @@
+"""A compiled MuJoCo scene as UsdPhysics: rigid bodies, articulations, joints with limits and drives.
+
+MuJoCo's tree becomes flat: every body is an Xform of its own, and a joint binds it to its parent. What UsdPhysics does
+not define (self-collisions, gravity compensation, joint resistance) is written by the names of PhysX's schemas, which
+usd-core does not bring.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Final
+
+import mujoco
+import numpy as np
+
+from aomgen.assets.usd_write import quat_from_x, set_attribute, set_resistance
+from aomgen.core.transforms import matrix_from_quat, quat_multiply
+from aomgen.core.values import Array
+from aomgen.exports.usd_colliders import add_colliders, exclude_contacts
+from aomgen.io.mujoco_model import LEAST_MASS
+from aomgen.simulation.scene import Scene
+
+ROBOT, OBJECT, PHYSICS_SCENE = "/World/Robot", "/World/Object", "/World/PhysicsScene"
+DEGREES: Final = 180 / np.pi
+# Smallest principal inertia that USD's validator accepts, [kg m^2].
+LEAST_INERTIA: Final = 1e-7
+
+
+@dataclass(frozen=True, slots=True)
+class Drive:
+    """A joint's position servo: stiffness and damping [N m/rad, N m s/rad; N/m, N s/m], largest torque or force."""
+
+    stiffness: float
+    damping: float
+    largest: float
+
+
+def add_physics(stage: Any, scene: Scene, bodies: Mapping[int, str]) -> dict[int, str]:
+    """Write the physics of a scene onto the prims of its bodies.
+
+    Args:
+        stage: Holds an Xform for every body.
+        scene: Compiled, the object at its pose.
+        bodies: Prim path of each body (id) except the world.
+
+    Returns:
+        Prim path of each joint (id).
+    """
+    from pxr import Gf, UsdPhysics
+
+    model = scene.model
+    physics = UsdPhysics.Scene.Define(stage, PHYSICS_SCENE)
+    physics.CreateGravityDirectionAttr(Gf.Vec3f(0, 0, -1))
+    physics.CreateGravityMagnitudeAttr(float(-model.opt.gravity[2]))
+    for path in (ROBOT, OBJECT):
+        root = stage.GetPrimAtPath(path)
+        UsdPhysics.ArticulationRootAPI.Apply(root)
+        root.AddAppliedSchema("PhysxArticulationAPI")
+        # The links of a gripper overlap by design.
+        set_attribute(root, "physxArticulation:enabledSelfCollisions", False)
+    for body, path in bodies.items():
+        _add_body(stage.GetPrimAtPath(path), model, body)
+    joints = {}
+    for body, path in bodies.items():
+        joints |= _bind_to_parent(stage, model, body, bodies, path.rpartition("/")[0])
+    _close_loops(stage, model, bodies)
+    for joint, drive in find_drives(scene).items():
+        _add_drive(stage.GetPrimAtPath(joints[joint]), model, joint, drive)
+    set_resistance(stage.GetPrimAtPath(joints[model.joint(scene.names.joint).id]), scene.asset)
+    add_colliders(stage, model, bodies)
+    exclude_contacts(stage, model, bodies)
+    return joints
+
+
+def find_drives(scene: Scene) -> dict[int, Drive]:
+    """Position servos by joint (id): of the arm, of what closes the gripper, and springs of its links.
+
+    An actuator that pulls a tendon drives every joint of the tendon by the joint's coefficient.
+    """
+    model, arm = scene.model, scene.arm
+    drives = {}
+    for joint in range(model.njnt):
+        stiffness = float(model.jnt_stiffness[joint])
+        if stiffness > 0:
+            damping = float(model.dof_damping[model.jnt_dofadr[joint]])
+            drives[joint] = Drive(stiffness, damping, np.inf)
+    for row, actuator in enumerate(arm.actuators):
+        joint = int(model.actuator_trnid[actuator, 0])
+        drives[joint] = Drive(float(arm.kp[row]), float(arm.kv[row]), float(arm.torques[row]))
+    number = scene.gripper.actuator
+    shares = actuated_joints(model, number)
+    total = sum(shares.values())
+    kp, kv = -model.actuator_biasprm[number, 1], -model.actuator_biasprm[number, 2]
+    limited = model.actuator_forcelimited[number]
+    most = float(model.actuator_forcerange[number, 1]) if limited else np.inf
+    for joint, share in shares.items():
+        drives[joint] = Drive(float(share * total * kp), float(share * total * kv), abs(share) * most)
+    return drives
+
+
+def actuated_joints(model: mujoco.MjModel, actuator: int) -> dict[int, float]:
+    """Joints (id) that an actuator moves, with their share of its length."""
+    target = int(model.actuator_trnid[actuator, 0])
+    if model.actuator_trntype[actuator] != mujoco.mjtTrn.mjTRN_TENDON:
+        return {target: 1.0}
+    start = int(model.tendon_adr[target])
+    wraps = range(start, start + int(model.tendon_num[target]))
+    return {int(model.wrap_objid[wrap]): float(model.wrap_prm[wrap]) for wrap in wraps}
+
+
+def _add_body(prim: Any, model: mujoco.MjModel, body: int) -> None:
+    from pxr import Gf, UsdPhysics
+
+    UsdPhysics.RigidBodyAPI.Apply(prim)
+    mass = UsdPhysics.MassAPI.Apply(prim)
+    # A mass of zero means "unknown" to USD, and MuJoCo's models have links without mass.
+    mass.CreateMassAttr(max(float(model.body_mass[body]), LEAST_MASS))
+    mass.CreateCenterOfMassAttr(_vec3f(model.body_ipos[body]))
+    mass.CreateDiagonalInertiaAttr(_vec3f(np.maximum(model.body_inertia[body], LEAST_INERTIA)))
+    mass.CreatePrincipalAxesAttr(Gf.Quatf(*(float(x) for x in model.body_iquat[body])))
+    if model.body_gravcomp[body] > 0:
+        prim.AddAppliedSchema("PhysxRigidBodyAPI")
+        set_attribute(prim, "physxRigidBody:disableGravity", True)
+
+
+def _bind_to_parent(
+    stage: Any, model: mujoco.MjModel, body: int, bodies: Mapping[int, str], group: str
+) -> dict[int, str]:
+    """Define the joint of a body; angles and limits count from the pose in which MuJoCo's model was described."""
+    from pxr import UsdPhysics
+
+    path, parent = bodies[body], bodies.get(int(model.body_parentid[body]), "")
+    count, joint = int(model.body_jntnum[body]), int(model.body_jntadr[body])
+    if count > 1:
+        raise ValueError(f"body {model.body(body).name} has {count} joints, and USD binds two bodies by one")
+    if count and model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_FREE:
+        return {}
+    anchor, turn = np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0])
+    if not count:
+        item = UsdPhysics.FixedJoint.Define(stage, f"{group}/joints/{path.rpartition('/')[2]}_fixed")
+    else:
+        slides = model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_SLIDE
+        kind = UsdPhysics.PrismaticJoint if slides else UsdPhysics.RevoluteJoint
+        item = kind.Define(stage, f"{group}/joints/{_identifier(model.joint(joint).name)}")
+        item.CreateAxisAttr("X")
+        if model.jnt_limited[joint]:
+            start = model.qpos0[model.jnt_qposadr[joint]]
+            low, high = (model.jnt_range[joint] - start) * (1.0 if slides else DEGREES)
+            item.CreateLowerLimitAttr(float(low))
+            item.CreateUpperLimitAttr(float(high))
+        anchor, turn = model.jnt_pos[joint], quat_from_x(model.jnt_axis[joint])
+    R = matrix_from_quat(model.body_quat[body])
+    sides = (
+        (item.CreateBody0Rel, parent, model.body_pos[body] + R @ anchor, quat_multiply(model.body_quat[body], turn)),
+        (item.CreateBody1Rel, path, anchor, turn),
+    )  # fmt: skip
+    _set_frames(item, sides)
+    if not count:
+        return {}
+    axis = drive_axis(item.GetPrim())
+    item.GetPrim().AddAppliedSchema(f"PhysxJointAxisAPI:{axis}")
+    armature = float(model.dof_armature[model.jnt_dofadr[joint]])
+    set_attribute(item.GetPrim(), f"physxJointAxis:{axis}:armature", armature)
+    return {joint: str(item.GetPath())}
+
+
+def _close_loops(stage: Any, model: mujoco.MjModel, bodies: Mapping[int, str]) -> None:
+    """Points of two links that coincide, as in a gripper's linkage, become ball joints outside of the articulation."""
+    from pxr import UsdPhysics
+
+    for number in np.flatnonzero(model.eq_type == mujoco.mjtEq.mjEQ_CONNECT):
+        if model.eq_objtype[number] == mujoco.mjtObj.mjOBJ_SITE:
+            sites = (int(model.eq_obj1id[number]), int(model.eq_obj2id[number]))
+            ends = [(int(model.site_bodyid[site]), model.site_pos[site]) for site in sites]
+        else:
+            data = model.eq_data[number]
+            ends = [(int(model.eq_obj1id[number]), data[:3]), (int(model.eq_obj2id[number]), data[3:6])]
+        group = bodies[ends[0][0]].rpartition("/")[0]
+        item = UsdPhysics.SphericalJoint.Define(stage, f"{group}/joints/loop_{number}")
+        item.CreateExcludeFromArticulationAttr(True)
+        straight = np.array([1.0, 0.0, 0.0, 0.0])
+        sides = zip((item.CreateBody0Rel, item.CreateBody1Rel), ends, strict=True)
+        _set_frames(
+            item, [(create, bodies.get(body, ""), point, straight) for create, (body, point) in sides]
+        )
+
+
+def _set_frames(item: Any, sides: Any) -> None:
+    """Write bodies and frames (position, quaternion wxyz) of both sides; a body without prim is the world."""
+    from pxr import Gf
+
+    creators = (
+        (item.CreateLocalPos0Attr, item.CreateLocalRot0Attr),
+        (item.CreateLocalPos1Attr, item.CreateLocalRot1Attr),
+    )
+    for (create_body, path, position, quat), (create_position, create_rotation) in zip(
+        sides, creators, strict=True
+    ):
+        if path:
+            create_body().SetTargets([path])
+        create_position(_vec3f(position))
+        create_rotation(Gf.Quatf(*(float(x) for x in quat)))
+
+
+def _add_drive(prim: Any, model: mujoco.MjModel, joint: int, drive: Drive) -> None:
+    """A drive whose target is where the joint's spring rests, until a motion sets another."""
+    from pxr import UsdPhysics
+
+    slides = model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_SLIDE
+    unit = 1.0 if slides else DEGREES
+    item = UsdPhysics.DriveAPI.Apply(prim, drive_axis(prim))
+    item.CreateTypeAttr("force")
+    item.CreateStiffnessAttr(drive.stiffness / unit)
+    item.CreateDampingAttr(drive.damping / unit)
+    if np.isfinite(drive.largest):
+        item.CreateMaxForceAttr(drive.largest)
+    address = model.jnt_qposadr[joint]
+    rest = float(model.qpos_spring[address] - model.qpos0[address]) if model.jnt_stiffness[joint] else 0.0
+    item.CreateTargetPositionAttr(rest * unit)
+
+
+def drive_axis(prim: Any) -> str:
+    """Name of the drive of a revolute or prismatic joint."""
+    from pxr import UsdPhysics
+
+    return "linear" if prim.IsA(UsdPhysics.PrismaticJoint) else "angular"
+
+
+def _vec3f(values: Array) -> Any:
+    from pxr import Gf
+
+    return Gf.Vec3f(*(float(x) for x in values))
+
+
+def _identifier(name: str) -> str:
+    from pxr import Tf
+
+    return str(Tf.MakeValidIdentifier(name))
