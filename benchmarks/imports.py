@@ -55,7 +55,7 @@ KEPT_DIGITS: Final = 9
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Recorded:
-    """What the writers of other formats need.
+    """Recording of a capture for the writers of other formats.
 
     Attributes:
         capture: Folder of the original.
@@ -75,7 +75,7 @@ Import = Callable[[Recorded, Path, Path], float]
 
 
 def run_imports(
-    capture: Path, folder: Path, run_project: Callable[..., None], tell: Callable[[str], None]
+    capture: Path, folder: Path, run_project: Callable[..., None], report: Callable[[str], None]
 ) -> list[dict[str, Any]]:
     """Score a capture natively and after the import of every format.
 
@@ -85,7 +85,7 @@ def run_imports(
         capture: With `truth/`, one demonstration camera, and intrinsics of the scan.
         folder: Keeps captures and runs; continued when it exists.
         run_project: Runs a project up to a stage.
-        tell: Receives the progress.
+        report: Receives the progress.
 
     Returns:
         The metrics of the native run, and of every format those minus the native ones.
@@ -97,7 +97,7 @@ def run_imports(
     reusable = {digest_scene(capture): native}
     recorded = _record(capture, native, truth)
     for name, bring in FORMATS.items():
-        tell(name)
+        report(name)
         source, imported = folder / f"{name} source", folder / f"{name} capture"
         if imported.exists():
             shutil.rmtree(imported)

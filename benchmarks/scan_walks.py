@@ -12,7 +12,7 @@ from PIL import Image, ImageDraw, ImageFont
 from aomgen.core.camera import Camera, look_at
 from aomgen.core.gaussians import Gaussians
 from aomgen.core.transforms import matrix_from_rotvec, transform
-from aomgen.gaussians.turntable import find_target
+from aomgen.core.walk import find_target
 from aomgen.pipeline.runner import results_of
 from aomgen.pipeline.stages import STAGES, find_project
 from aomgen.splatting.rasterizer import render
@@ -42,7 +42,7 @@ def draw_walks(run: Path, folder: Path) -> list[Path]:
     results = results_of(find_project(run), STAGES)
     scene, cameras = results.gaussians, list(results.scan_cameras.values())
     cameras = [camera.resize(*SIZE) for camera in cameras]
-    target = find_target(cameras)
+    target = find_target([camera.T_world_cam for camera in cameras])
     walks = {
         "walk_good.jpg": (cameras, [_draw(scene, camera) for camera in spread(cameras)], GOOD),
         "walk_one_side.jpg": _walk(scene, stay_on_one_side(cameras, target)),

@@ -44,7 +44,7 @@ def prompts(
 
 
 def _ask_about_files(capture: Path) -> None:
-    """Write a first capture.toml from what its files tell and a person confirms or corrects."""
+    """Write a first capture.toml from what its files contain and a person confirms or corrects."""
     from aomgen.importers.found_files import describe_capture, find_capture_files
 
     found = find_capture_files(capture)

@@ -1,4 +1,4 @@
-"""The files of a capture that has no capture.toml yet, what they tell about the robot, and a first capture.toml."""
+"""The files of a capture that has no capture.toml yet, what they contain about the robot, and a first capture.toml."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
