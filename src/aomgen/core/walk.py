@@ -56,7 +56,7 @@ def describe_walk(Ts_world_cam: Sequence[ArrayLike]) -> Walk:
     up = _normalize(-Ts[:, :3, 1].mean(0))
     target = find_target(Ts)
     right = _normalize(np.cross(Ts[0, :3, 2], up))
-    axes = np.stack([right, np.cross(up, right), up])
+    axes = np.array([right, np.cross(up, right), up], np.float64)
     return Walk(
         target=target,
         axes=axes,
