@@ -127,6 +127,24 @@ def alignment(
     write(figures, json_file)
 
 
+@estimate_app.command("imports")
+def imports(
+    capture: Annotated[Path, typer.Argument(help="A capture with truth/.")],
+    folder: Annotated[Path, typer.Argument(help="Keeps captures and runs; continued when it exists.")],
+    json_file: JsonFile = None,
+) -> None:
+    """Write a capture in other formats, import each, and run it up to its motion.
+
+    Errors against the truth: those of the capture itself, and of every format those minus them.
+    """
+    from benchmarks.imports import run_imports
+    from benchmarks.table import as_table
+
+    rows = run_imports(capture, folder, run_project, lambda text: print(text, flush=True))
+    print(as_table(rows))
+    write({"imports": rows}, json_file)
+
+
 @estimate_app.command("intervals")
 def intervals(
     worlds: Annotated[int, typer.Option(help="Hidden joints; half a second each.")] = 200,

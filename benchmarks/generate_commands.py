@@ -186,6 +186,18 @@ def faults(
     show(figures, json_file)
 
 
+@generate_app.command("scan-walks")
+def scan_walks(
+    run: Annotated[Path, typer.Argument(help="Folder of a run that is finished up to its alignment.")],
+    folder: Annotated[Path, typer.Argument(help="Folder of the JPEGs.")],
+) -> None:
+    """Render a good walk of a scan around the scene of a run, and three bad ones."""
+    from benchmarks.scan_walks import draw_walks
+
+    for path in draw_walks(run, folder):
+        print(path)
+
+
 @generate_app.command("style-pictures")
 def style_pictures(file: Annotated[Path, typer.Argument(help="JPEG to write.")]) -> None:
     """Render all styles of generated assets into one image, one row per category."""

@@ -24,6 +24,7 @@ JOINTS = (
     "shoulder_pan_joint", "shoulder_lift_joint", "elbow_joint", "wrist_1_joint", "wrist_2_joint", "wrist_3_joint",
 )  # fmt: skip
 EPOCH_S = 1_750_000_000.25
+RTDE_START_S = 51_234.5
 H264 = "foxglove_msgs/msg/CompressedVideo"
 H264_DEFINITION = "builtin_interfaces/Time timestamp\nstring frame_id\nuint8[] data\nstring format\n"
 
@@ -281,7 +282,7 @@ def write_rtde(path: Path, demonstration: Demonstration) -> Path:
         "output_int_register_24",
     ]
     columns = [
-        demonstration.times_s + 51_234.5, demonstration.joints, np.zeros(len(demonstration.times_s)),
+        demonstration.times_s + RTDE_START_S, demonstration.joints, np.zeros(len(demonstration.times_s)),
         255 * demonstration.gripper,
     ]  # fmt: skip
     return write_table(path, header, columns)

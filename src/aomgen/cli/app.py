@@ -121,6 +121,7 @@ def check(
             greys = {path.name: read_grey(path) for path in capture.scan_images}
             overlap = measure_overlap(greys)
             warnings += tuple(overlap.list_warnings())
+            facts += f"\n  walk   {overlap.describe_walk()}"
             if html is not None:
                 write_capture_page(html, capture, greys, overlap, facts, warnings)
         print(f"{capture.folder}: fine\n{facts}")

@@ -7,7 +7,7 @@ import typer
 
 
 def prompts(
-    capture: Annotated[Path, typer.Argument(help="Folder with a capture.toml.")],
+    capture: Annotated[Path, typer.Argument(help="Folder of a capture; capture.toml may still be missing.")],
     port: Annotated[
         int, typer.Option(min=0, max=65535, help="Port on 127.0.0.1; 0 for any free one.")
     ] = 8765,
@@ -19,13 +19,15 @@ def prompts(
 
     Click on a part, and its mask appears; shift-click what does not belong to it, or drag a box. Each part
     wants a box on two images. "Save" replaces the [[prompts]] of capture.toml and nothing else; "Done" ends the
-    command.
+    command. Where there is no capture.toml, robot and columns of the log are asked for first.
     """
     import webbrowser
 
     from aomgen.prompting.server import PromptServer
     from aomgen.prompting.session import PromptSession, find_missing
 
+    if capture.is_dir() and not (capture / "capture.toml").exists():
+        _ask_about_files(capture)
     session = PromptSession(capture)
     if session.no_masks:
         print(f"warning: there are no masks: {session.no_masks}")
@@ -39,3 +41,17 @@ def prompts(
         print(f"  missing: {part} on {count} more image{'s' if count > 1 else ''}")
     if not missing:
         print(f"all parts are marked; next: aomgen check {capture}")
+
+
+def _ask_about_files(capture: Path) -> None:
+    """Write a first capture.toml from what its files contain and a person confirms or corrects."""
+    from aomgen.importers.found_files import describe_capture, find_capture_files
+
+    found = find_capture_files(capture)
+    print(f"{capture} has no capture.toml; confirm or correct what was recognised")
+    robot = typer.prompt("robot: a known name, or a URDF or MJCF file in the folder", found.robot or None)
+    print(f"columns of the log: {', '.join(found.columns)}")
+    joints = typer.prompt("joints of the arm, from base to flange", ", ".join(found.joints) or None)
+    gripper = typer.prompt("gripper", found.gripper or None)
+    listed = [name.strip() for name in joints.split(",")]
+    print(f"wrote {describe_capture(capture, found, robot, listed, gripper)}")

@@ -33,7 +33,7 @@ class DensifyParams:
 
     Attributes:
         target_points: Requested points on surfaces; the result is within a few percent.
-        width: Width the images are reduced to, [px].
+        long_side: Long side the images are reduced to, [px]: upright and sideways photos cost the same.
         planes: Depth hypotheses a pixel, evenly spaced in inverse depth from infinity on.
         sources: Neighbours a view is matched with.
         shell_points: At most this many on the far sphere, where it was seen.
@@ -41,7 +41,7 @@ class DensifyParams:
     """
 
     target_points: int = 78_000
-    width: int = 320
+    long_side: int = 320
     planes: int = 128
     sources: int = 4
     shell_points: int = 12_000
@@ -86,7 +86,9 @@ def densify(
     Not checked: mirrors and glass, which give points at the mirrored place.
     """
     names = [name for name in structure.cameras_recon if name in images_srgb]
-    views = [_limit_width(structure.cameras_recon[name], images_srgb[name], params.width) for name in names]
+    views = [
+        reduce_view(structure.cameras_recon[name], images_srgb[name], params.long_side) for name in names
+    ]
     neighbours = choose_neighbours(structure, names, params.sources)
     nearest = nearest_depth(structure, names)
     grays = [luma_from_srgb(image) for _, image in views]
@@ -184,10 +186,12 @@ def nearest_depth(structure: Structure, names: list[str]) -> Array:
     return result
 
 
-def _limit_width(camera: Camera, image: NDArray[np.uint8], width: int) -> tuple[Camera, NDArray[np.uint8]]:
-    if width >= camera.width:
+def reduce_view(camera: Camera, image: NDArray[np.uint8], long_side: int) -> tuple[Camera, NDArray[np.uint8]]:
+    """Reduce an image (H, W, 3) and its camera to a long side, [px]; smaller ones stay."""
+    share = long_side / max(camera.width, camera.height)
+    if share >= 1.0:
         return camera, image
-    small = camera.narrow(width)
+    small = camera.resize(round(share * camera.width), round(share * camera.height))
     return small, resize(image, small.width, small.height)
 
 

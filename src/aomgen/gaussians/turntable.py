@@ -3,10 +3,10 @@
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from aomgen.core.camera import Camera, look_at
 from aomgen.core.values import Array
+from aomgen.core.walk import Walk, describe_walk
 
 # A gap between the directions of the scan's cameras that is wider is not crossed, [rad].
 MAX_GAP_RAD: Final = np.pi / 2
@@ -27,48 +27,23 @@ def plan_turntable(cameras: list[Camera], frames: int) -> list[Camera]:
     Returns:
         Cameras with the optics of the first one, in the same frame.
     """
-    ups = -np.array([camera.T_world_cam[:3, 1] for camera in cameras])
-    up = _normalize(ups.mean(0))
-    target = find_target(cameras)
-    right = _normalize(np.cross(cameras[0].T_world_cam[:3, 2], up))
-    forward = np.cross(up, right)
-    offsets = np.array([camera.center for camera in cameras]) - target
-    heights, x, y = offsets @ up, offsets @ right, offsets @ forward
-    radius, height = float(np.median(np.hypot(x, y))), float(np.median(heights))
-    angles = _spread_angles(np.arctan2(y, x), frames)
-    eyes = (
-        target + radius * (np.cos(angles)[:, None] * right + np.sin(angles)[:, None] * forward) + height * up
+    walk = describe_walk([camera.T_world_cam for camera in cameras])
+    x, y, heights = walk.positions.T
+    radius = float(np.median(np.hypot(x, y)))
+    angles = _spread_angles(walk, frames)
+    path = np.stack(
+        [radius * np.cos(angles), radius * np.sin(angles), np.full(frames, np.median(heights))], 1
     )
-    return [cameras[0].move(look_at(eye, target, up)) for eye in eyes]
+    eyes = walk.target + path @ walk.axes
+    return [cameras[0].move(look_at(eye, walk.target, walk.axes[2])) for eye in eyes]
 
 
-def find_target(cameras: list[Camera]) -> Array:
-    """Return the point (3,) nearest to all optical axes, world frame."""
-    axes = np.array([camera.T_world_cam[:3, 2] for camera in cameras])
-    centers = np.array([camera.center for camera in cameras])
-    projections = np.eye(3) - axes[:, :, None] * axes[:, None, :]
-    # Axes that are nearly parallel determine a point at any distance; the smallest shift is taken.
-    middle = centers.mean(0)
-    return (
-        middle
-        + np.linalg.lstsq(
-            projections.sum(0), np.einsum("nij,nj->i", projections, centers - middle), rcond=1e-6
-        )[0]
-    )
-
-
-def _spread_angles(taken: Array, frames: int) -> Array:
-    """Angles of a closed path, [rad]: once around, or there and back between the ends of `taken`."""
-    ordered = np.sort(taken)
-    gaps = np.diff(np.append(ordered, ordered[0] + 2 * np.pi))
+def _spread_angles(walk: Walk, frames: int) -> Array:
+    """Angles of a closed path, [rad]: once around, or there and back between the ends of the walk."""
     shares = np.arange(frames) / frames
-    if gaps.max() <= MAX_GAP_RAD:
+    gap_rad, _, first = walk.find_gap()
+    if gap_rad <= MAX_GAP_RAD:
         return 2 * np.pi * shares
-    first = int(np.argmax(gaps)) + 1
-    unwrapped = np.sort((taken - ordered[first % len(ordered)]) % (2 * np.pi))
-    low, high = np.quantile(unwrapped, [MARGIN, 1 - MARGIN]) + ordered[first % len(ordered)]
+    start = walk.azimuths[first]
+    low, high = np.quantile((walk.azimuths - start) % (2 * np.pi), [MARGIN, 1 - MARGIN]) + start
     return low + (high - low) * 0.5 * (1 - np.cos(2 * np.pi * shares))
-
-
-def _normalize(vector: NDArray[np.floating]) -> Array:
-    return np.asarray(vector / np.linalg.norm(vector), np.float64)

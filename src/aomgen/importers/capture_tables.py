@@ -24,7 +24,7 @@ instruction = {instruction}           # {instruction_note}
 
 {robot}
 [scan]
-images = "scan"                       # TODO: folder of 40 to 100 stills from a walk around the scene, or a video
+images = {scan}                       # TODO: folder of 40 to 100 stills from a walk around the scene, or a video
 # intrinsics = [fx, fy, cx, cy]       # optional, in px
 
 {demo}
@@ -37,9 +37,9 @@ images = "scan"                       # TODO: folder of 40 to 100 stills from a 
 """
 ROBOT: Final = """\
 [robot]
-model = {model}
+{source} = {model}
 joints = {joints}
-gripper = "gripper"                   # 0 open .. 1 closed
+gripper = {gripper}                   # 0 open .. 1 closed
 scan_state = "first_row"              # TODO: the joint values during the scan, unless the log starts in that state
 """
 
@@ -60,16 +60,20 @@ class DemoTables:
         cameras: Names of the cameras; each has the video `demo/NAME.mp4`.
         clock_offset_s: Time of the first frame on the clock of the log by the stamps of the recording, [s]; None where
             it is unknown. The latency of the camera is not part of it, so it becomes a comment.
-        robot_model: Robot known by name, of a file without a table [robot].
+        robot_model: Robot known by name, or URDF or MJCF file in the capture, of a capture.toml without a table [robot].
         joints: Names of the robot's joints.
         instruction: Language instruction, or "".
+        gripper: Column of the gripper.
+        scan: Folder of the scan images, or scan video.
     """
 
     cameras: Sequence[str]
     clock_offset_s: float | None
     robot_model: str
     joints: Sequence[str]
-    instruction: str
+    instruction: str = ""
+    gripper: str = "gripper"
+    scan: str = "scan"
 
 
 def read_robot_table(path: Path) -> RobotSection | None:
@@ -90,6 +94,7 @@ def write_new_capture(name: str, tables: DemoTables) -> str:
         instruction=format_toml_value(tables.instruction or PLACEHOLDER),
         instruction_note=known if tables.instruction else f"TODO: {known}",
         robot=_write_robot(tables),
+        scan=format_toml_value(tables.scan),
         demo=_write_demo(tables, {}),
     )
 
@@ -144,8 +149,12 @@ def _read_camera(path: Path, block: str) -> dict[str, str]:
 
 
 def _write_robot(tables: DemoTables) -> str:
+    source = {".urdf": "urdf", ".xml": "mjcf"}.get(Path(tables.robot_model).suffix.lower(), "model")
     return ROBOT.format(
-        model=format_toml_value(tables.robot_model), joints=format_toml_value(list(tables.joints))
+        source=source,
+        model=format_toml_value(tables.robot_model),
+        joints=format_toml_value(list(tables.joints)),
+        gripper=format_toml_value(tables.gripper),
     )
 
 

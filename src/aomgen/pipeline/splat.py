@@ -2,7 +2,7 @@
 
 import tempfile
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 
 from aomgen.core.progress import Progress, part
 from aomgen.core.project import Project
-from aomgen.errors import MissingFileError
+from aomgen.core.structure import Structure
+from aomgen.errors import MissingFileError, ReconstructionError
 from aomgen.gaussians.stage import METRICS_FILE, train_in
 from aomgen.gaussians.train import GaussiansParams
 from aomgen.gaussians.turntable import plan_turntable
@@ -128,9 +129,7 @@ def _reconstruct(results: Results, folder: Path, progress: Progress) -> dict[str
         intrinsics=scan.intrinsics,
         Ts_scan_cam=scan.poses.Ts_scan_cam if scan.poses else {},
     )
-    found = reconstruct_structure(
-        photographs, StructureParams(max_features=MAX_FEATURES), part(progress, 0.0, 0.97)
-    )
+    found = reconstruct_scan(photographs, scan, part(progress, 0.0, 0.97))
     if found.scan_lens is not None:
         write_undistorted(images, found.scan_lens, folder, part(progress, 0.97, 1.0))
     save_artifact(folder, "structure", found)
@@ -141,6 +140,17 @@ def _reconstruct(results: Results, folder: Path, progress: Progress) -> dict[str
         "points": len(found.points_recon),
         "warnings": list_pose_warnings(found),
     }
+
+
+def reconstruct_scan(photographs: Photographs, scan: WrittenScan, progress: Progress) -> Structure:
+    """Reconstruct large images without doubling them first, and with it where that does not suffice."""
+    params = StructureParams(max_features=MAX_FEATURES)
+    if max(scan.width, scan.height) >= LONG_SIDE:
+        try:
+            return reconstruct_structure(photographs, replace(params, first_octave=0), progress)
+        except ReconstructionError as error:
+            progress(0.0, f"again with finer features: {error.problem}")
+    return reconstruct_structure(photographs, params, progress)
 
 
 def _train(results: Results, folder: Path, progress: Progress) -> dict[str, Any]:
@@ -185,7 +195,7 @@ SPLAT_STAGES: Final = (
         folder="structure",
         title="structure from motion",
         needs=("scan",),
-        version=1,
+        version=2,
         weight=60,
         function=_reconstruct,
         incremental=True,
@@ -195,7 +205,7 @@ SPLAT_STAGES: Final = (
         folder="gaussians",
         title="training Gaussians",
         needs=("scan", "structure"),
-        version=1,
+        version=2,
         weight=120,
         function=_train,
         incremental=True,

@@ -10,15 +10,21 @@ from PIL import Image, ImageDraw
 
 from aomgen.capture.scan_images import BLURRED, blur
 from aomgen.core.recording import Prompt, Recording
+from aomgen.core.walk import describe_walk
 from aomgen.io.atomic import write_text
 from aomgen.io.images import read_image, resize
 from aomgen.report.html import jpeg_url, page, paragraph, picture, section, table, text
-from aomgen.structure.overlap import ScanOverlap
+from aomgen.structure.overlap import MIN_WALK, ScanOverlap
 
 # Three thumbnails fit into the width of the page, [px].
 THUMBNAIL_PX: Final = 320
 # Approximate width of the overlap matrix; pairs of 64 images then have 7 px, [px].
 MATRIX_PX: Final = 480
+# Side of the plan of the walk, [px], over twice the distance of the farthest camera.
+PLAN_PX: Final = 420
+PLAN_MARGIN: Final = 1.15
+# Points on the rim of the sector without images.
+SECTOR_POINTS: Final = 24
 # Matches from which a pair is drawn as bright as can be.
 MANY_MATCHES: Final = 100
 # Parts have the colors that they have in `aomgen prompts`.
@@ -51,6 +57,14 @@ def write_capture_page(
         f"<pre>{text(facts)}</pre>",
         section("Warnings", *(paragraph(sentence) for sentence in warnings or ("There are none.",))),
         section(
+            "Walk",
+            paragraph(
+                "The scan from above: each dot is an image, its line the direction of the camera, red where something is "
+                "wrong with it. From the shaded sector nothing was recorded: surfaces that face it are unobserved."
+            ),
+            _draw_walk(overlap),
+        ),
+        section(
             "Overlap",
             paragraph(
                 f"Each pixel is a pair of scan images in the order of their names, white where geometry confirms "
@@ -68,6 +82,38 @@ def write_capture_page(
         ),
     ]
     write_text(path, page(f"Capture {capture.name}", body))
+
+
+def _draw_walk(overlap: ScanOverlap) -> str:
+    """SVG of the cameras from above; a sentence where there are too few."""
+    names = list(overlap.Ts_recon_cam)
+    if len(names) < MIN_WALK:
+        return paragraph(overlap.describe_walk())
+    walk = describe_walk(list(overlap.Ts_recon_cam.values()))
+    radius = float(np.hypot(*walk.positions[:, :2].T).max())
+    # Rows of an image go down, forward on the plan goes up.
+    to_px = np.array([1.0, -1.0]) * PLAN_PX / (2 * PLAN_MARGIN * radius)
+    dots, ends = (
+        walk.positions[:, :2] * to_px,
+        (walk.positions + 0.15 * radius * walk.directions)[:, :2] * to_px,
+    )
+    gap_rad, before, _ = walk.find_gap()
+    sector = walk.azimuths[before] + np.linspace(0, gap_rad, SECTOR_POINTS)
+    rim = np.stack([np.cos(sector), np.sin(sector)], 1) * to_px * radius
+    outline = " ".join(f"{x:.1f},{y:.1f}" for x, y in [(0.0, 0.0), *rim.tolist()])
+    half = PLAN_PX // 2
+    parts = [
+        f'<svg viewBox="{-half} {-half} {PLAN_PX} {PLAN_PX}" style="max-width:{PLAN_PX}px" role="img" '
+        f'aria-label="cameras from above"><polygon points="{outline}" class="span"/>'
+    ]
+    bad = {name for which in overlap.problems.values() for name in np.array(overlap.names)[which].tolist()}
+    for name, (x, y), (u, v) in zip(names, dots.tolist(), ends.tolist(), strict=True):
+        color = "#b3261e" if name in bad else "#1f6f8b"
+        parts.append(
+            f'<line x1="{x:.1f}" y1="{y:.1f}" x2="{u:.1f}" y2="{v:.1f}" stroke="{color}"/>'
+            f'<circle cx="{x:.1f}" cy="{y:.1f}" r="4" fill="{color}"><title>{text(name)}</title></circle>'
+        )
+    return f"{''.join(parts)}</svg>{paragraph(overlap.describe_walk())}"
 
 
 def _draw_card(

@@ -46,12 +46,14 @@ class Workspace:
         images: Iterable[tuple[str, NDArray[np.uint8]]],
         intrinsics: Intrinsics | None,
         max_features: int,
+        first_octave: int = -1,
     ) -> None:
         """Write SIFT features of a group of images into the database; the group becomes one camera.
 
         Args:
             images: Pairs of name and (H, W, 3) uint8, all of one size.
             intrinsics: Known intrinsics, or None to estimate one focal length.
+            max_features, first_octave: See `StructureParams`.
 
         Raises:
             ReconstructionError: The images differ in size.
@@ -69,6 +71,7 @@ class Workspace:
         options = pycolmap.FeatureExtractionOptions(num_threads=self.threads)
         options.sift.max_num_features = max_features
         options.sift.peak_threshold = PEAK_THRESHOLD
+        options.sift.first_octave = first_octave
         reader = pycolmap.ImageReaderOptions(camera_model="SIMPLE_PINHOLE")
         if intrinsics is not None:
             params = (

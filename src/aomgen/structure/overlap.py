@@ -1,4 +1,4 @@
-"""Measure which scan images see the same surfaces, by a match of small images before any reconstruction."""
+"""Measure which scan images see the same surfaces, and from where, by a match of small images."""
 
 import tempfile
 from collections.abc import Mapping
@@ -12,6 +12,7 @@ from scipy.sparse.csgraph import connected_components
 
 from aomgen.conventions import linear_from_srgb
 from aomgen.core.values import Array, freeze_arrays
+from aomgen.core.walk import describe_walk
 from aomgen.structure.mapping import Workspace
 from aomgen.structure.outlier_rejection import duplicates
 from aomgen.structure.sparse_model import Pair
@@ -30,6 +31,10 @@ MAX_EXPOSURE_EV: Final = 0.5
 DARK, BRIGHT = 12.0, 243.0
 # Sweeps over all images, in which exposures settle.
 SWEEPS: Final = 10
+# Share of the images that a quick reconstruction has to contain, so that the walk is known.
+ENOUGH_MAPPED: Final = 0.9
+# Fewer images do not surround anything.
+MIN_WALK: Final = 3
 # Names in one sentence.
 SHOWN_NAMES = 5
 # Predicate of a warning about each kind of problem, and the remedy.
@@ -53,12 +58,14 @@ class ScanOverlap:
         matches: (N, N) confirmed matches of each pair, symmetric.
         exposures_ev: (N,) brightness of the same surfaces against that in the other images, [EV].
         repeated: Images that show nothing but what another one shows, and that one.
+        Ts_recon_cam: Approximate poses (4, 4) of the images that a quick reconstruction contains, by name.
     """
 
     names: tuple[str, ...]
     matches: Annotated[NDArray[np.int32], "N N"]
     exposures_ev: Annotated[Array, "N"]
     repeated: dict[str, str]
+    Ts_recon_cam: dict[str, Array]
 
     __post_init__ = freeze_arrays
 
@@ -84,6 +91,17 @@ class ScanOverlap:
         _, groups = connected_components(self.matches >= MIN_MATCHES, directed=False)
         return groups != np.bincount(groups).argmax()
 
+    def describe_walk(self) -> str:
+        """Return a sentence about the directions from which the scene was recorded."""
+        names = list(self.Ts_recon_cam)
+        if len(names) < MIN_WALK:
+            return f"{len(names)} of {len(self.names)} images in a quick reconstruction, too few to show the walk"
+        gap_rad, before, after = describe_walk(list(self.Ts_recon_cam.values())).find_gap()
+        return (
+            f"{len(names)} of {len(self.names)} images in a quick reconstruction; the widest sector without images is "
+            f"{np.degrees(gap_rad):.0f} degrees, between {names[before]} and {names[after]}"
+        )
+
     def list_warnings(self) -> list[str]:
         """Return a sentence for each kind of problem that some images have."""
         return [
@@ -106,9 +124,9 @@ def measure_overlap(images: Mapping[str, NDArray[np.float32]]) -> ScanOverlap:
         images: Grey levels (H, W) by name, all of one size, see `scan_images.read_grey`.
 
     Returns:
-        Confirmed matches of each pair; pairs of a long scan that were not tried count as none.
+        Confirmed matches of each pair, and approximate poses; pairs of a long scan that were not tried count as none.
 
-    Not checked: whether matches lead to a reconstruction; a mirror or a repeated pattern connects images as well.
+    Not checked: wrong matches; a mirror or a repeated pattern connects images as well.
     """
     names, greys = tuple(images), list(images.values())
     with tempfile.TemporaryDirectory(prefix="aomgen-overlap-") as folder:
@@ -118,6 +136,7 @@ def measure_overlap(images: Mapping[str, NDArray[np.float32]]) -> ScanOverlap:
         work.extract("scan", items, None, MAX_FEATURES)
         work.match(EXHAUSTIVE_LIMIT)
         pairs = work.pairs("scan", work.lens("scan"))
+        Ts_recon_cam = _map_quickly(work, len(names))
     order = {name: index for index, name in enumerate(names)}
     matches = np.zeros((len(names), len(names)), np.int32)
     ratios = np.full(matches.shape, np.nan)
@@ -132,7 +151,20 @@ def measure_overlap(images: Mapping[str, NDArray[np.float32]]) -> ScanOverlap:
         matches=matches,
         exposures_ev=_solve_exposures(ratios),
         repeated=duplicates(pairs, set()),
+        Ts_recon_cam=Ts_recon_cam,
     )
+
+
+def _map_quickly(work: Workspace, count: int) -> dict[str, Array]:
+    """Poses by incremental mapping, or by global mapping, which takes longer, where few features join few images."""
+    found: dict[str, Array] = {}
+    for run in (work.map, work.map_globally):
+        mapped = run("scan")
+        if mapped is not None and len(mapped.Ts_recon_cam) > len(found):
+            found = dict(sorted(mapped.Ts_recon_cam.items()))
+        if len(found) >= ENOUGH_MAPPED * count:
+            break
+    return found
 
 
 def _solve_exposures(ratios_ev: Array) -> Array:

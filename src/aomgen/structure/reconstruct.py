@@ -64,10 +64,13 @@ class StructureParams:
 
     Attributes:
         max_features: SIFT features kept an image.
+        first_octave: Scale of the finest features: -1 doubles the images first, which finds about four times as many
+            features in four times the time; 0 does not.
         threads: -1 = all cores.
     """
 
     max_features: int = 8192
+    first_octave: int = -1
     seed: int = 0
     threads: int = -1
 
@@ -121,11 +124,12 @@ def _extract(work: Workspace, photographs: Photographs, params: StructureParams,
     images = photographs.images
     scan = ((name, read_image(images[name])) for name in sorted(images))
     progress(0.0, "finding features")
-    work.extract("scan", scan, photographs.intrinsics, params.max_features)
+    effort = params.max_features, params.first_octave
+    work.extract("scan", scan, photographs.intrinsics, *effort)
     for index, (name, view) in enumerate(photographs.demo.items(), 1):
         progress(0.2 * index / (1 + len(photographs.demo)), "finding features")
         stills = [("first", view.first_srgb), ("median", view.median_srgb)]
-        work.extract(f"demo:{name}", stills, view.intrinsics, params.max_features)
+        work.extract(f"demo:{name}", stills, view.intrinsics, *effort)
 
 
 def _check_given_poses(work: Workspace, Ts_scan_cam: dict[str, Array], names: set[str]) -> PoseCheck | None:

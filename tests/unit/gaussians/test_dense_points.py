@@ -17,7 +17,7 @@ from aomgen.gaussians.background import (
     explain,
     far_shell,
 )
-from aomgen.gaussians.dense_points import DensePoints, nearest_depth
+from aomgen.gaussians.dense_points import DensePoints, nearest_depth, reduce_view
 from aomgen.gaussians.depth_fusion import DepthMap, Samples, count_confirmations, plane_sweep, thin
 from aomgen.gaussians.train import initial_gaussians
 from aomgen.structure.mapping import choose_pairs
@@ -213,3 +213,12 @@ def test_sweeps_begin_before_the_nearest_points_of_a_view():
     assert nearest_depth(structure, ["a"])[0] == pytest.approx(0.7 * 2, rel=0.02)
     with pytest.raises(ReconstructionError, match=r"b.*sees no point"):
         nearest_depth(structure, ["a", "b"])
+
+
+def test_upright_and_sideways_images_are_reduced_alike():
+    camera = Camera(fx=700, fy=700, cx=270, cy=480, width=540, height=960, T_world_cam=np.eye(4))
+    small, image = reduce_view(camera, np.zeros((960, 540, 3), np.uint8), 320)
+    assert image.shape == (320, 180, 3)
+    assert (small.width, small.height, small.cx, small.cy) == (180, 320, 90, 160)
+    kept, _ = reduce_view(camera, np.zeros((960, 540, 3), np.uint8), 960)
+    assert kept is camera

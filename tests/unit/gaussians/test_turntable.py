@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from aomgen.core.camera import Camera, look_at
-from aomgen.gaussians.turntable import find_target, plan_turntable
+from aomgen.core.walk import find_target
+from aomgen.gaussians.turntable import plan_turntable
 
 TARGET = np.array([0.3, -0.2, 0.5])
 
@@ -23,7 +24,9 @@ def azimuths(path: list[Camera]) -> np.ndarray:
 
 
 def test_target_is_where_the_axes_meet() -> None:
-    np.testing.assert_allclose(find_target(cameras(np.linspace(0, 2, 9))), TARGET, atol=1e-6)
+    np.testing.assert_allclose(
+        find_target([camera.T_world_cam for camera in cameras(np.linspace(0, 2, 9))]), TARGET, atol=1e-6
+    )
 
 
 def test_scan_from_all_sides_gives_a_circle() -> None:

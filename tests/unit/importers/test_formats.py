@@ -19,6 +19,7 @@ from aomgen.io.video import encode_video, read_video
 from foreign_recordings import (
     EPOCH_S,
     JOINTS,
+    RTDE_START_S,
     BagWriter,
     Demonstration,
     read_annex_b,
@@ -224,7 +225,7 @@ def test_rtde_with_a_video_file(short: Demonstration, tmp_path: Path):
     import_demo(write_rtde(tmp_path / "record.csv", short), tmp_path / "capture", 0, options)
     compare(tmp_path / "capture", short, IDENTICAL_DB)
     assert (tmp_path / "capture/demo/front.mp4").read_bytes() == short.video.read_bytes()
-    assert read_log(tmp_path / "capture").times_s[0] == 51_234.5
+    assert read_log(tmp_path / "capture").times_s[0] == RTDE_START_S
 
 
 def test_tags_of_a_video_in_another_encoding(short: Demonstration, tmp_path: Path):
