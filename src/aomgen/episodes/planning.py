@@ -39,11 +39,9 @@ from aomgen.simulation.collision_check import (
 )
 from aomgen.simulation.scene import Scene
 
-# Distance kept between the object and the arm without its gripper, [m]: a lid that resists lags behind its
-# plan.
+# Distance kept between the object and the arm without its gripper, [m]: a lid that resists lags behind.
 CLEARANCE_M = 0.003
-# Number of bisections between two grasps, to an eighth of their difference; largest
-# difference of these, [rad].
+# Number of bisections between two grasps, to an eighth of their difference; largest difference, [rad].
 HALVINGS: Final = 3
 MAX_APART_RAD: Final = np.pi / 2
 # A motion that is too fast is slowed down by this factor more than needed: sampling shifts its peaks.
