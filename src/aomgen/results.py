@@ -1,4 +1,4 @@
-"""What a run has found so far: every value is read once, when somebody asks for it."""
+"""Values of a run by stage, each read once, on first use."""
 
 import os
 from collections.abc import Mapping
@@ -30,7 +30,7 @@ from aomgen.robots.loading import choose_robot
 from aomgen.robots.robot import RobotConfiguration, RobotModel
 from aomgen.twin.twin import TwinModel, TwinState
 
-# Where stages leave their values: `save_artifact(folder, <name of the stage>, value)`, and these files.
+# Stages store their values by `save_artifact(folder, <name of the stage>, value)` and in these files.
 GAUSSIANS_FILE = "gaussians.ply"
 T = TypeVar("T")
 ASSETS_FOLDER, FITTED, ASSET_USD = "assets", "fitted", "asset.usda"
@@ -193,7 +193,7 @@ class Results:
 
     @cached_property
     def motion(self) -> MotionEstimate:
-        """When, where and how the part moved."""
+        """Start, end, contact, joint and joint values of the demonstration."""
         return load_artifact(self.folders["motion"], "motion", MotionEstimate)
 
     @cached_property
@@ -207,7 +207,7 @@ class Results:
         return resample_demonstration(self.motion, self.demo_log, self.robot, self.fps)
 
     def states_at(self, times_s: ArrayLike, T_world_object: ArrayLike) -> tuple[TwinState, ...]:
-        """What robot and part did at video times (N,), for an object at a pose (4, 4)."""
+        """Interpolate states of robot and part at video times (N,), for an object at a pose (4, 4)."""
         times = np.asarray(times_s, np.float64)
         joints, gripper = self.demo_log.at(times)
         pose = np.asarray(T_world_object, np.float64)
@@ -229,7 +229,7 @@ class Results:
         return load_artifact(self.folders["replacement"], "scene", EpisodeScene)
 
     def asset_folder(self, index: int) -> Path:
-        """Where the fit, USD and twin of one of the fitted assets lie."""
+        """Folder of the fit, USD and twin of one fitted asset."""
         return self.folders["replacement"] / ASSETS_FOLDER / f"{index:02d}"
 
     @cached_property

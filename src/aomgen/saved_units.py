@@ -19,7 +19,7 @@ class SavedUnits(Generic[T]):
 
     Args:
         folder: Of the values; it belongs to one request.
-        request: Plain JSON values that say what the units are made from.
+        request: JSON values that the units are made from.
         kind: Class of the values.
 
     Raises:

@@ -1,4 +1,4 @@
-"""What a revolute and a prismatic joint predict of the hand's path, as residuals of their unknowns."""
+"""Revolute and prismatic models of an end effector path, as residuals of their unknowns."""
 
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -12,17 +12,17 @@ from aomgen.motion.ee_path import EePath
 # Distance of handles from hinges, [m]: from lids of boxes to doors at the end of an arm's reach, 0.1 to
 # 1.2 m with 95 %; and the spread of its logarithm.
 RADIUS_M, RADIUS_SPREAD = 0.35, 0.6
-# Of an arc that is nearly straight, as first guess.
+# First guess of the radius of a nearly straight arc, [m].
 _LARGE_RADIUS_M = 2.0
 # A hinge is on the object; its size is known to this share, as spread of the logarithm.
 REACH_SPREAD = 0.1
-# Turn of the hand over turn of the part: most hands follow, some handles turn in them freely.
+# Turn of the end effector over turn of the part: most grippers follow, some handles turn in them freely.
 RATIO, RATIO_SD = 0.7, 0.4
 
 
 @dataclass(frozen=True, kw_only=True)
 class JointModel:
-    """A joint that explains a hand's path.
+    """A joint that explains an end effector path.
 
     The first four unknowns are the axis: its tilt against `start` (2), and its place across `start` from the path's
     middle (2). Without further ones nothing is assumed beforehand.
@@ -96,7 +96,7 @@ class JointModel:
 
 @dataclass(frozen=True, kw_only=True)
 class Revolute(JointModel):
-    """The held point goes round an axis and the hand turns with it by a steady share.
+    """The held point rotates about an axis, and the end effector turns by a constant share of its angle.
 
     Further unknowns (6): radius and height of the held point (2), held point against its first guess (3), share of
     the turn.
@@ -161,7 +161,7 @@ class Revolute(JointModel):
 
 @dataclass(frozen=True, kw_only=True)
 class Prismatic(JointModel):
-    """The held point goes straight and the hand does not turn; there are no further unknowns.
+    """The held point moves on a line, and the end effector does not turn; there are no further unknowns.
 
     Fingers hold the part in the direction in which they close, and it slips along their pads. So a path
     strays less along the closing direction, as far as that is across the way, than across it.
@@ -209,10 +209,10 @@ def _cross(a: Array, b: Array) -> Array:
 
 
 def make_models(path: EePath, reach_m: float) -> tuple[list[Revolute], Prismatic]:
-    """A door about each of the axes that the path suggests, and a drawer along its chord.
+    """Make a door about each of the axes that the path suggests, and a drawer along its chord.
 
-    A door's axes are the rotation axis of the hand, and four directions across the chord: a short or unsteady arc
-    hardly tells its plane, so its plane is not trusted. No hinge is farther than `reach_m` from the path's middle.
+    A door's axes are the rotation axis of the end effector, and four directions across the chord: a short or noisy arc
+    hardly determines its plane. No hinge is farther than `reach_m` from the path's middle.
     """
     turning = np.linalg.svd(path.turns_world)[2][0]
     along, second, third = np.linalg.svd(path.points_world - path.points_world.mean(0))[2]
@@ -224,7 +224,7 @@ def make_models(path: EePath, reach_m: float) -> tuple[list[Revolute], Prismatic
 def fit_circle(flat: Array, turn: float) -> tuple[Array, float]:
     """Algebraic circle through points (K, 2): center (2,) and radius, [m].
 
-    Source: Kasa, 1976. A nearly straight path gets a circle whose arc equals the hand's turn, [rad].
+    Source: Kasa, 1976. A nearly straight path gets a circle whose arc equals the end effector's turn, [rad].
     """
     A = np.column_stack([2 * flat, np.ones(len(flat))])
     (x, y, c), *_ = np.linalg.lstsq(A, (flat**2).sum(1), rcond=None)

@@ -69,7 +69,7 @@ class Reading:
 
 
 # Limits: what the gates of the stages ask for is passed by every finished stage, so "good" is stricter.
-# Where the README's table of measured metrics gives a requirement, that is the limit.
+# A limit that docs/results.md states as required is used here as well.
 FIGURES: Final[dict[str, dict[str, Figure]]] = {
     "structure": {
         # Every image that is left out leaves a gap in the scan; the gate is 0.8.

@@ -17,13 +17,13 @@ NEGLIGIBLE: Final = 1e-3
 BLOCK: Final = 8192
 # Steps of linear light, of which the darkest is a tenth of a grey level.
 LEVELS: Final = 1 << 14
-# Where the views' weights add up to less than this, the residual fades out.
+# The residual fades out if the views' weights add up to less than this.
 FULL_WEIGHT: Final = 0.6
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ResidualAppearance:
-    """How a body's surfaces looked in orientations that were seen, beyond what diffuse light explains.
+    """Residual colors of a body's surfaces in observed orientations, beyond diffuse light.
 
     Specular light, and the shadow that one link throws on the next, return where the body comes back to an
     orientation and fade out away from it.
@@ -77,7 +77,7 @@ class Relit:
             require_indices(residual.rows, len(self.indices))
 
     def select(self, which: NDArray[np.bool_]) -> "Relit":
-        """What is left when a twin keeps a part of its N Gaussians, boolean mask (N,)."""
+        """Select the residuals of a part of the twin's N Gaussians, boolean mask (N,)."""
         kept = which[self.indices]
         row = np.cumsum(kept) - 1
         residuals = []
