@@ -39,8 +39,8 @@ from aomgen.simulation.collision_check import (
 )
 from aomgen.simulation.scene import Scene
 
-# Distance kept between the object and the arm without its gripper, [m]: a lid that resists lags behind its
-# plan.
+# Distance kept between the object and the arm without its gripper, [m]: a lid
+# that resists lags behind its plan.
 CLEARANCE_M = 0.003
 # Number of bisections between two grasps, to an eighth of their difference; largest
 # difference of these, [rad].
