@@ -158,8 +158,8 @@ def _joint(estimates: dict[str, Any], truth: Truth) -> dict[str, Any]:
         "joint.axis_deg": float(np.degrees(angle_between(joint["axis"], truth.joint.axis))),
     }
     if truth.joint.type == "revolute":
-        # The error is the distance of the true axis point nearest the first contact from the estimated axis
-        # line.
+        # The error is the distance of the true axis point nearest the first
+        # contact from the estimated axis line.
         contact = next((frame[0]["point"] for frame in truth.contacts if frame), truth.joint.origin)
         along = (np.array(contact) - truth.joint.origin) @ truth.joint.axis
         point = truth.joint.origin + along * truth.joint.axis

@@ -21,8 +21,8 @@ def replay_exported(
 ) -> None:
     """Replay exported actions in a scene made of the exported USD alone, by category.
 
-    This is repeated with the object 8 cm farther along the gripper's approach, where the same actions must
-    fail.
+    This is repeated with the object 8 cm farther along the gripper's approach,
+    where the same actions must fail.
     """
     from benchmarks.replay_exported import run_replay
 

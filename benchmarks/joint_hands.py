@@ -72,8 +72,8 @@ def _slips(
 ) -> Array:
     """Draw the slow slip (T, 3) of the gripper along the part, [m].
 
-    The directions `ways` are outwards or along the pads, along the bar, and the fingers' closing direction
-    (3,).
+    The directions `ways` are outwards or along the pads, along the bar, and the
+    fingers' closing direction (3,).
     """
     worst = rng.uniform(0.2, 1.0, 2) * min(0.015, MAX_SLIP_RATE * length_m)
     if joint_type == "revolute":

@@ -69,8 +69,7 @@ class Upstream:
             colors. Measured: 4-5 % of the solid ones of a part are further than 10 mm from all of its object.
         floaters_mm: Their mean distance.
         border_mm, border_local_mm: Displacement of the border between the labels moving and static, as a
-            whole
-            and locally. Measured: 0-24 % of the moving part's solid Gaussians are labelled static
+            whole and locally. Measured: 0-24 % of the moving part's solid Gaussians are labelled static
             (0-8 % of those further than 10 mm from the static part), 1-6 % of the static part's moving.
         strip_share: Probability that a strip of the other part along half of the border is included;
             measured: 6 % of the solid Gaussians labelled moving are further than 10 mm from the part on

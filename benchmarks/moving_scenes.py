@@ -52,8 +52,8 @@ class MovingScene:
 def objects_scene(count: int, camera: Camera, share: float) -> MovingScene:
     """Make the table-top scene, in which the round objects nearest to the camera sway.
 
-    The number of moving objects is chosen so that they are visible in a share of the tiles, as nearly as
-    possible.
+    The number of moving objects is chosen so that they are visible in a share of
+    the tiles, as nearly as possible.
     """
     gaussians, surfaces = table_top_surfaces(count, 3)
     objects = np.unique(surfaces[surfaces >= FIRST_OBJECT])

@@ -19,8 +19,8 @@ from aomgen.io.atomic import remove_folder
 from benchmarks.policy_data import PolicyData
 from benchmarks.policy_tables import Kind, Training
 
-# Settings of every training: AdamW steps, batch size, and steps between checkpoints, from which a killed
-# training continues.
+# Settings of every training: AdamW steps, batch size, and steps between checkpoints,
+# from which a killed training continues.
 STEPS, BATCH, SAVE_EVERY = 5000, 32, 1000
 QUICK_STEPS: Final = 3
 # LeRobot's own policies would download the weights of an encoder from its hub.
@@ -55,7 +55,7 @@ class Trainer:
         if not self.command.is_file():
             raise BackendError(
                 "lerobot-train",
-                "is not beside this python",
+                "is not installed next to this python",
                 "make policy-env; .venv-policy/bin/python -m benchmarks policy ...",
             )
 

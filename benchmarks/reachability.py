@@ -49,8 +49,8 @@ def can_hold(
 
     Args:
         scene: Scene with the object at its pose.
-        start_joints: Arm joints of the demonstration (J,), at which the robot's colliders may touch one
-            another.
+        start_joints: Arm joints of the demonstration (J,), at which the robot's
+            colliders may touch one another.
         rng: Generator of arms and grasps.
         restarts: Number of restarts.
 

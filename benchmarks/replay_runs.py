@@ -17,8 +17,8 @@ from benchmarks.replay import BEYOND, PAPER, Sweep, measure, summary, worst_ik
 CATEGORIES: Final = ("microwave", "toolbox", "laptop", "drawer", "cabinet")
 # Number of processes, each on one thread: the reference machine has two cores.
 WORKERS: Final = 2
-# Largest number of draws per attempt of a sweep; attempts beyond the paper's ranges for each sweep, as a
-# share.
+# Largest number of draws per attempt of a sweep; attempts beyond the paper's
+# ranges for each sweep, as a share.
 MAX_DRAWS, BEYOND_SHARE = 20, 0.1
 # Key of the metrics of demonstrations that close their object, and the folder in which they are kept.
 CLOSING: Final = "closing"

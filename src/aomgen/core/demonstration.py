@@ -195,7 +195,7 @@ class EpisodeScene:
     Attributes:
         support: The table for the objects.
         obstacles: Other objects within the robot's reach.
-        T_world_plane: Pose of its surface (4, 4), on which shadows fall.
+        T_world_plane: Pose of the table's surface (4, 4), on which shadows fall.
         light: Light on new objects.
         light_source: Description of the light's origin.
         cameras: Cameras of the episodes' images, world frame, by name.

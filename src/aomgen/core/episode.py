@@ -44,8 +44,8 @@ class Episode(SceneTrajectory):
     """Everything about one demonstration except its images.
 
     T frames at a constant rate, J arm joints. The plain fields are the states that the robot has
-    reached at frame t; an "action" at frame t is its target for frame t + 1, and at the last frame the
-    target at which it stays.
+    reached at frame t; an "action" at frame t is the robot's target for frame t + 1, and at the last
+    frame the target at which it stays.
 
     Attributes:
         index: Number of the variation that this episode renders; names its folder.

@@ -65,7 +65,7 @@ class ResidualTerm(Generic[StateT]):
         return float(np.sum(costs / np.square(self.sd)))
 
     def normal(self, residuals: Array, J: Array) -> tuple[Array, Array]:
-        """Compute the information (d, d) and the gradient (d,) of a step."""
+        """Compute the information (d, d) and right-hand side (d,) of the normal equations of a step."""
         weights = np.ones_like(residuals) if self.kernel is None else self.kernel.weights(residuals)
         weighted = J.T * (weights / np.square(self.sd))
         return weighted @ J, -weighted @ residuals
@@ -73,7 +73,7 @@ class ResidualTerm(Generic[StateT]):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Solution(Generic[StateT]):
-    """State at the optimum, and information (d, d) and gradient (d,) of each term there, by its name."""
+    """State at the optimum, and normal equations (d, d), (d,) of each term there, by its name."""
 
     state: StateT
     normals: dict[str, tuple[Array, Array]]
@@ -152,7 +152,7 @@ def _linearize(
     retract: Callable[[StateT, Array], StateT],
     dimension: int,
 ) -> list[tuple[Array, Array]]:
-    """Compute information and gradient of each term; a moved state is shared by all numeric derivatives."""
+    """Compute the normal equations of each term; numeric derivatives share the moved states."""
     Js = [
         np.zeros((len(own), dimension)) if term.jacobian is None else term.jacobian(state)
         for term, own in zip(terms, residuals, strict=True)

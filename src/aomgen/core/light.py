@@ -118,8 +118,8 @@ def spread_directions(direction: ArrayLike, width: float) -> Array:
 def light_from_harmonics(radiance_sh: ArrayLike) -> Light:
     """Make light from everywhere whose radiance has the harmonics (9, 3); negative where these are."""
     directions = sphere_directions(DIRECTIONS)
-    # The smallest radiance with exactly these harmonics, which equals their value except for quadrature
-    # errors.
+    # The smallest radiance with exactly these harmonics, which equals their
+    # value except for quadrature errors.
     weights = np.linalg.pinv(np.pi * sh_basis(directions, 2).T)
     return Light(directions=directions, radiance=weights @ np.asarray(radiance_sh, np.float64))
 

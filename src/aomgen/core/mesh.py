@@ -27,8 +27,8 @@ class Mesh:
         texture_srgb: (H, W, 3) uint8; empty (0, 0, 3) without, then `color_srgb` holds.
         color_srgb: Base color (3,), 0..1.
         roughness, metallic, opacity: UsdPreviewSurface's parameters, 0..1; the mean where there is a map.
-        maps: Images uint8 by name: (H, W) for `NUMBERS`, (H, W, 3) for `NORMAL_MAP`, which holds (normal + 1)
-            / 2.
+        maps: Images uint8 by name: (H, W) for `NUMBERS`, (H, W, 3) for
+            `NORMAL_MAP`, which holds (normal + 1) / 2.
     """
 
     name: str

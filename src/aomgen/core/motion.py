@@ -84,8 +84,8 @@ class MotionEstimate:
         slip_m: Slip of the grasped point along the part since the start (T,), [m]; 0 outside the motion.
         pivot_rad: Rotation of the end effector relative to the part since the start (T,), [rad]; likewise.
         direction: "opening" when the part ends more open than it was scanned, else "closing".
-        part_odds: Likelihood ratio of the prompted part over any other as the moving one, from contact and
-            video.
+        part_odds: Likelihood ratio of the prompted part over any other as the
+            moving one, from contact and video.
     """
 
     clock_offset_s: float

@@ -69,8 +69,8 @@ class Parts:
         method: "boxes" (two boxes explain the evidence), "masks" (no part resembles a panel)
             or another method's name.
         box_misfit: Distance of the labels' extents from the prompts' boxes, see `box_misfit`.
-        static_agreement, moving_agreement: IoU of the rendered part with its masks in the prompted images,
-            0..1.
+        static_agreement, moving_agreement: IoU of the rendered part with its
+            masks in the prompted images, 0..1.
     """
 
     labels: Annotated[NDArray[np.uint8], "N"]

@@ -11,6 +11,6 @@ def normal_points(count: int, size: int) -> Array:
     """Return low-discrepancy points (count, size) of the standard normal distribution, equal at every call.
 
     Source: Halton, 1960. The error of their means decreases almost as 1 / count, that of
-    random samples as its root.
+    random samples as 1 / sqrt(count).
     """
     return np.asarray(ndtri(qmc.Halton(size, scramble=False).random(count + 1)[1:]), np.float64)

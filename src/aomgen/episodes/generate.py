@@ -139,7 +139,7 @@ def generate(
         tried = sum(quota.begun for quota in quotas)
         total = request.episodes * len(quotas)
         name = request.assets[done.unit.asset]
-        progress(made / total, f"{made} of {total} committed, {tried - made} tried besides ({name})")
+        progress(made / total, f"{made} of {total} committed, {tried - made} other attempts ({name})")
     _remove_staging(folder)  # of workers that have died meanwhile
     _forget_others(folder, quotas)
     write_draws(folder, _outcomes(folder, request, quotas, committed))

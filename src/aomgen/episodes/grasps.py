@@ -31,8 +31,8 @@ RIM_OVERLAPS_M = (0.006, 0.004)
 MAX_ALONG_BAR, MIN_ACROSS_RIM = 0.6, 0.7
 # A square orientation is tried only if it differs by more than this.
 MIN_LEVELLED_RAD = np.deg2rad(5.0)
-# Rotation ratio for an end effector that cannot rotate as far as the door: the bar rotates between its
-# fingers.
+# Rotation ratio for an end effector that cannot rotate as far as the door: the
+# bar rotates between its fingers.
 LOOSE_RATIO = 0.7
 
 
@@ -92,8 +92,8 @@ def orientations(
 def grasp_depths(asset: ArticulatedAsset, demonstrated_depth: float, robot: RobotModel) -> tuple[float, ...]:
     """Return distances of the held handle beyond the end effector point, the best first, [m].
 
-    A bar is held at the recorded distance; a rim is held by the fingertips, whatever was held in the
-    recording.
+    A bar is held at the recorded distance; a rim is held by the fingertips,
+    whatever was held in the recording.
     """
     if not (robot.pads and held_at_rim(asset)):
         return (float(np.clip(demonstrated_depth, *DEPTHS_M)),)

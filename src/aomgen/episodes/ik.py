@@ -32,8 +32,8 @@ MAX_STEP = 0.5
 SMOOTHNESS = 3e-8
 # Regularization of its least-squares step, [m^2]: only keeps it solvable.
 STIFFNESS = 1e-6
-# A smooth path has converged below this step, [rad]; number of updates of the weights; share of a limit to
-# aim at.
+# A smooth path has converged below this step, [rad]; number of updates of the
+# weights; share of a limit to aim at.
 SETTLED, ROUNDS, RESERVE = 1e-3, 5, 0.95
 # Number of poses between the demonstrated grasp and the new one: near enough to each other
 # to stay on the branch.
@@ -154,8 +154,8 @@ def solve_smoothly(
 ) -> Array | Rejection:
     """Solve a path from joints near the solution (T, J), as smoothly as the residual limits allow.
 
-    Near a singular pose, where exact joints would jump, the end effector deviates by up to those limits
-    instead.
+    Near a singular pose, where exact joints would jump, the end effector
+    deviates by up to those limits instead.
     """
     low, high = solver.robot.joint_limits.T
     joints, count = np.clip(guesses, low, high), len(guesses)

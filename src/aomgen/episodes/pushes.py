@@ -16,8 +16,8 @@ from aomgen.episodes.retarget import CONTACT
 
 # Duration of a push, and the least time between its end and the beginning of the contact, [s].
 PUSH_S, CALM_S = 1.0, 0.5
-# Damping of the pseudo-inverse from end effector displacement to joints, [m]: near singular poses it moves
-# less.
+# Damping of the pseudo-inverse from end effector displacement to joints, [m]:
+# near singular poses it moves less.
 DAMPING: Final = 0.05
 
 

@@ -43,8 +43,8 @@ TURN_WEIGHT_M = 0.15
 # Before the contact the fingers are open by this much more than on the handle, as a share of their stroke:
 # the handle is a few millimeters off the center.
 ROOM = 0.09
-# Number of poses per interval between two marks at which inverse kinematics is solved first: about 5 cm
-# apart.
+# Number of poses per interval between two marks at which inverse kinematics
+# is solved first: about 5 cm apart.
 KNOTS = 16
 # The intervals between the marks of a demonstration, and the phase of each.
 FREE, NEAR, CLOSE, MOVE, OPEN, LEAVE = range(6)

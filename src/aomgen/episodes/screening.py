@@ -74,7 +74,7 @@ class Place:
         """Find why a pose is unusable: "outside_area", "off_table", "blocked" or "out_of_reach"."""
         T = variation.place_at(fitted)
         if self.ranges.polygon and not inside(self.ranges.polygon, np.array([variation.x, variation.y])):
-            return Rejection(reason="outside_area", detail="the place lies beside the area given")
+            return Rejection(reason="outside_area", detail="the position is outside the given area")
         over_m = self._overhang_m(fitted, T)
         if not over_m <= OVERHANG_M:
             return Rejection(
@@ -87,7 +87,7 @@ class Place:
             x, y = covered.T_world_box[:2, 3]
             return Rejection(
                 reason="blocked",
-                detail=f"something of the scene stands there, about x = {x:.2f} m, y = {y:.2f} m",
+                detail=f"an obstacle of the scene is there, at about x = {x:.2f} m, y = {y:.2f} m",
             )
         far_m = float(np.linalg.norm(_held(fitted, T) - self.reach.shoulder_world, axis=1).max())
         if not far_m <= USEFUL_REACH * self.reach.reach_m:

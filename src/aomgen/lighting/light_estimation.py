@@ -38,8 +38,8 @@ POINTS_PER_BODY: Final = 3000
 # Least sine of the angle between surface and view, least share of views above it, and least
 # share of open sky above it.
 FACING, MIN_EYES, MIN_OPEN = 0.2, 0.15, 0.25
-# Share of light that paint and plastic reflect in addition to their color: normal incidence, refractive index
-# 1.5.
+# Share of light that paint and plastic reflect in addition to their color:
+# normal incidence, refractive index 1.5.
 REFLECTED: Final = 0.04
 # Errors of colors beyond this are outliers: highlights, wrong links, sRGB.
 OUTLIER: Final = 0.05
@@ -48,8 +48,8 @@ OUTLIER: Final = 0.05
 BAND_SD, TONE_SD, PRIOR_COLORS = (0.6, 0.4), 0.3, 1e-4
 # Upper limits of shoulder and color loss.
 MAX_TONE: Final = (2.0, 0.95)
-# A cell of the table has the weight of this number of colors of the robot: its grain differs from cell to
-# cell.
+# A cell of the table has the weight of this number of colors of the robot: its
+# grain differs from cell to cell.
 TABLE: Final = 4.0
 # Nearly black surfaces show reflections rather than light; below the second number they show both, linear.
 MIN_ALBEDO, BRIGHT = 0.05, 0.1

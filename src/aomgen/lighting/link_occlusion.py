@@ -18,8 +18,8 @@ STATES: Final = (0.0, 0.5, 1.0)
 # Occlusion is computed at every THINNED-th disc and averaged over the NEAR closest of these, where a
 # difference of direction counts as this distance, [m].
 THINNED, NEAR, ALIKE_M = 2, 8, 0.2
-# Surfaces open to less than this share of the sky in every state are hidden: faces of a gap, interior
-# surfaces.
+# Surfaces open to less than this share of the sky in every state are hidden:
+# faces of a gap, interior surfaces.
 CLOSED: Final = 0.02
 
 

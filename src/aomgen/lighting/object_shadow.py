@@ -19,8 +19,8 @@ from aomgen.twin.twin import OBJECT, PART, TwinModel
 CELL: Final = 0.015
 # Soft shadow is computed up to this distance from the object, and fades out over the last third, [m].
 REACH: Final = 0.35
-# Number of directions of soft light on the sphere, half of them above the plane; the map is smoothed
-# afterwards.
+# Number of directions of soft light on the sphere, half of them above the
+# plane; the map is smoothed afterwards.
 SKY_DIRECTIONS: Final = 160
 # Number of joint values, from limit to limit, for which soft shadow is computed; others are interpolated.
 STATES: Final = 9

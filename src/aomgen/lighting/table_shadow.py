@@ -24,8 +24,8 @@ from aomgen.lighting.visibility import BODY_CELLS, Occluders, estimate_transfer
 
 # Cells of the top view per cell of the shadow, along a side: a shadow is smoother than the grain of wood.
 COARSER: Final = 3
-# Number of directions on the sphere; those with a smaller sine of the elevation than this hardly light a
-# table.
+# Number of directions on the sphere; those with a smaller sine of the
+# elevation than this hardly light a table.
 DIRECTIONS, MIN_SINE = 240, 0.12
 # Weight of the prior that the light is uniform, as a share of the evidence.
 EVEN: Final = 0.02

@@ -157,8 +157,8 @@ def measure_slip(
         grasp_ee: Held point (3,), end-effector frame, [m].
         reference: Index of the moment at which slip and rotation are zero.
 
-    Not checked: that the gripper touches the part. The result depends on the gripper's path as far as
-    `thetas` do.
+    Not checked: that the gripper touches the part. The result depends on the
+    gripper's path as far as `thetas` do.
     """
     Ts_part_ee = invert(joint.motion(thetas)) @ Ts_world_ee
     points, rotations = apply(Ts_part_ee, grasp_ee), Ts_part_ee[:, :3, :3]

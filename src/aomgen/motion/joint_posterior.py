@@ -126,7 +126,7 @@ class PathNoise:
         return course + np.diag((white * self.inflation) ** 2)
 
     def whiten(self, kinds: Sequence[str], steps: Array, closing_alignment: float) -> tuple[Array, float]:
-        """Compute matrices (C, K, K) that whiten these kinds of residuals, and the sum of their log dets."""
+        """Compute whitening matrices (C, K, K) of residuals by kind, and the sum of log determinants."""
         scales = self.prior.scales(steps)
         factors = np.linalg.cholesky([self.covariance(kind, scales, closing_alignment) for kind in kinds])
         logs = np.log(np.diagonal(factors, axis1=1, axis2=2))

@@ -106,8 +106,8 @@ def measure_change_fractions(
     """Compare every frame of the touch with the two states at its ends.
 
     Args:
-        frames_srgb, robot: Small frames (T, H, W, 3) of one exposure, and the robot's masks (T, H, W) in
-            them.
+        frames_srgb, robot: Small frames (T, H, W, 3) of one exposure, and the
+            robot's masks (T, H, W) in them.
         region: The part's pixels (H, W) at its scanned pose.
         touch: Interval in which the gripper can move the part. The two states are taken from its ends, so
             that the shadow of the arriving gripper is in both images.
@@ -191,8 +191,8 @@ def detect_onset(
     clean = clean - float(np.median(clean[:2]))
     middle = int(np.argmax(clean >= _EARLY * clean.max()))
     early = slice(0, min(max(middle, 2), len(times_s) - 1) + 1)
-    # A gripper that holds nothing approaches sideways: its distance from the first position is not the
-    # travel.
+    # A gripper that holds nothing approaches sideways: its distance from the
+    # first position is not the travel.
     travel = way.travel if held else way.length
     along = np.interp(times_s[early], way.times_s, travel)
     offsets = np.linspace(0.0, float(along[-1]), _CANDIDATES)
@@ -214,8 +214,8 @@ def detect_offset(
 ) -> float:
     """Estimate when the part reaches its last pose, [s], as `detect_onset` of the reversed video.
 
-    Args: as in `detect_onset`, but `ahead` (T,): share of the part's pixels that differ from its last
-    appearance.
+    Args: as in `detect_onset`, but `ahead` (T,): share of the part's pixels that
+    differ from its last appearance.
     """
     return -detect_onset(way.reverse(), -times_s[::-1], ahead[::-1], noise, pixel_m, held=held)
 

@@ -194,8 +194,8 @@ def _draw_features(renderer: PartRenderer, features: NDArray, parts: RigidParts 
 def find_interior(view: PartRendering, hidden: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """Find pixels (H, W) that are certainly inside the textured part and not hidden by the robot.
 
-    The part's outline in the scan is the edge of a label, with an error of a pixel or two; its interior is
-    exact.
+    The part's outline in the scan is the edge of a label, with an error of a
+    pixel or two; its interior is exact.
     """
     sure = ndimage.binary_opening((view.alpha > 0.9) & (view.painted > 0.8 * view.alpha))
     return np.asarray(ndimage.binary_erosion(sure, iterations=_RIM_PX) & ~hidden, bool)

@@ -21,8 +21,8 @@ from aomgen.core.transforms import apply, matrix_from_rotvec
 from aomgen.core.values import Array, Vector3, freeze_arrays
 from aomgen.motion.joint_models import make_tangent_basis
 
-# Prior probability that a joint lies along a side of the part; is parallel to its edges, but elsewhere;
-# neither.
+# Prior probability that a joint lies along a side of the part; is parallel to
+# its edges, but elsewhere; neither.
 P_ON_EDGE, P_ALONG_EDGE, P_FREE = 0.75, 0.15, 0.1
 # Direction of a reconstructed box relative to the object: alignment tilts by 0.3 deg, yaw of a partly seen
 # footprint has an error of 0.2 to 1.5 deg.
@@ -33,8 +33,8 @@ SIDE_SD_M = 0.01
 _CLEARLY = 0.75
 # The walls of a body are at most this far outside the sides of its door or drawer, [m].
 _BESIDE_M = 0.02
-# A part that leaves the body protrudes by at least this share of its travel; one that slides within it does
-# not.
+# A part that leaves the body protrudes by at least this share of its travel;
+# one that slides within it does not.
 _LEAVING_SHARE = 0.2
 # Number of cells of a sliding panel along its longer side.
 _CELLS = 12
@@ -222,13 +222,13 @@ def infer_direction(joint: Joint, theta: float, points_static: Array, points_mov
     front, and closes by covering an opening.
 
     Args:
-        joint, theta: Joint with value 0 at the scan, world frame; value at the end of the motion, [rad] or
-            [m].
+        joint, theta: Joint with value 0 at the scan, world frame; value at the
+            end of the motion, [rad] or [m].
         points_static, points_moving: Points of the body (N, 3) and of the part as scanned
             (M, 3), world frame, [m].
 
-    Not checked: a door that swings from half a turn open to a quarter stays at the same distance from the
-    body.
+    Not checked: a door that swings from half a turn open to a quarter stays at
+    the same distance from the body.
     """
     ends = (points_moving, apply(joint.motion(theta), points_moving))
     if joint.type == "revolute":

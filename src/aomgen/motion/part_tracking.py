@@ -60,7 +60,8 @@ def compute_log_likelihood_ratio(demo: MotionInput, motion: MotionEstimate) -> A
 
     `motion`: Estimate made with the present labels.
 
-    Not checked: that the motion is right. A wrong one moves nothing that looks alike elsewhere.
+    Not checked: that the motion is right. With a wrong one, no Gaussian is found to move unless the scene
+    looks similar at its moved position.
     """
     with robot_masks(demo.robot, demo.camera, demo.log) as masks_at:
         log_ratio = track_log_likelihood_ratio(demo, motion.joint, motion.thetas, motion.start_s, masks_at)
