@@ -21,7 +21,7 @@ class RealSuccess:
     Attributes:
         estimate: Success rate, 0..1.
         interval_95: Its interval.
-        weight: Of the twin's results: 0 where they say nothing about the real ones, 1 where they can replace them.
+        weight: Weight of the twin's results: 0 where they do not depend on the real ones, 1 where they can replace them.
         saved_trials: Further real trials without the twin that would give an equally long interval.
     """
 
