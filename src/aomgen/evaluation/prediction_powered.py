@@ -21,7 +21,7 @@ class RealSuccess:
     Attributes:
         estimate: Success rate, 0..1.
         interval_95: Its interval.
-        weight: Of the twin's results: 0 where they say nothing about the real ones, 1 where they can replace them.
+        weight: Weight of the twin's results: 0 where they do not depend on the real ones, 1 where they can replace them.
         saved_trials: Further real trials without the twin that would give an equally long interval.
     """
 
@@ -35,7 +35,8 @@ def estimate_real_success(real: ArrayLike, paired: ArrayLike, twin: ArrayLike) -
     """Combine real trials, the twin's results of the same trials, and further trials in the twin.
 
     The twin's rate over all its trials is corrected by what the pairs show of its errors. Its weight minimizes the variance,
-    so that a twin without any relation to reality does no harm. Coverage in simulation is at least 94 % from ten pairs on.
+    so that a twin without any relation to reality does no harm. For 10 to 50 pairs and rates of 0.3 to 0.9 the interval held
+    the rate of a simulated reality in 95.3 to 96.3 % of all draws, and in 92.5 % in the worst case.
 
     Args:
         real: Results of the real trials (n,), 0 or 1.

@@ -115,7 +115,7 @@ def read_twin_trials(paths: Sequence[Path]) -> dict[str, dict[int, int]]:
 
 
 def is_evaluation(figures: Any) -> bool:
-    """Whether JSON values are figures of an evaluation in the twin."""
+    """Return whether JSON values are figures of an evaluation in the twin."""
     return isinstance(figures, dict) and all(key in figures for key in FIGURES)
 
 

@@ -110,7 +110,7 @@ def _list_states(motion: SceneMotion) -> Iterator[Message]:
     for frame, time_s in enumerate(_times(motion)):
         stamp = _stamp(time_s)
         yield JOINTS_TOPIC, time_s, {"timestamp": stamp, "joints": _joints(names, reached[frame])}
-        # What is commanded during a frame is reached at its end.
+        # A frame's command is reached at the end of the frame.
         commands = _joints(names[:-1], motion.commands[frame + 1])
         yield COMMANDS_TOPIC, time_s, {"timestamp": stamp, "joints": commands}
         bodies = dict(zip(motion.twin.body_names[1:], motion.Ts_world_body[frame, 1:], strict=True))
@@ -146,7 +146,8 @@ def _list_images(motion: SceneMotion) -> Iterator[Message]:
             time_s = video_s + motion.video_starts_s[name] - first
             if time_s < 0:
                 continue
-            data = base64.b64encode(encode_jpeg(frame.to_ndarray(format="rgb24", threads=1))).decode()
+            image = np.asarray(frame.to_ndarray(format="rgb24", threads=1), np.uint8)
+            data = base64.b64encode(encode_jpeg(image)).decode()
             content = {
                 "timestamp": _stamp(time_s),
                 "frame_id": f"camera_{name}",

@@ -37,7 +37,7 @@ from aomgen.simulation.scene import Scene, describe_scene
 from aomgen.simulation.scene_spec import TABLE
 
 KEYFRAME: Final = "start"
-# Brightness of the lamp above the scene and of the headlight, which the viewer adds.
+# Brightness of the directional light above the scene and of the viewer's headlight.
 DIFFUSE, AMBIENT = 0.5, 0.4
 # Colors of the sky above and at the horizon.
 SKY: Final = ((0.55, 0.65, 0.75), (0.9, 0.92, 0.95))

@@ -142,7 +142,7 @@ def _log_video(recording: Any, entity: str, file: Path, start_s: float) -> None:
     stamps_ns = np.asarray(video.read_frame_timestamps_nanos())
     recording.send_columns(
         f"{entity}/video",
-        [_time_column(stamps_ns * 1e-9 + start_s)],
+        [_time_column(np.asarray(stamps_ns * 1e-9 + start_s, np.float64))],
         rr.VideoFrameReference.columns_nanos(stamps_ns),
     )
 

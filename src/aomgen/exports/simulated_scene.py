@@ -4,14 +4,15 @@ import mujoco
 import numpy as np
 
 from aomgen.assets.mjcf import RESISTANCES
+from aomgen.conventions import MOVING, STATIC
 from aomgen.core.asset import ArticulatedAsset
 from aomgen.core.boxes import QUANTILES
+from aomgen.core.parts import surface_points
 from aomgen.core.plan import FittedAsset
 from aomgen.core.transforms import apply, invert
 from aomgen.episodes.factory import EpisodeFactory
 from aomgen.exports.scene_motion import SceneMotion
 from aomgen.replacement.original import DOOR_M, box_link, subtract_box
-from aomgen.replacement.stage import describe_recorded_object
 from aomgen.results import Results
 from aomgen.simulation.scene import Scene
 from aomgen.simulation.scene_spec import TABLE, scene_spec
@@ -47,12 +48,9 @@ def describe_nominal(results: Results, scene: Scene, motion: SceneMotion, *, vis
 
 def fit_recorded_boxes(results: Results) -> FittedAsset:
     """The recorded object as boxes about the points of its parts, in the object frame of the twin."""
-    twin, points = results.twin, describe_recorded_object(results, results.episode_scene.support)
-    to_object = invert(twin.T_world_object)
-    body, part = (
-        np.quantile(apply(to_object, found), QUANTILES, axis=0)
-        for found in (points.static_points_world, points.moving_points_world)
-    )
+    twin, to_object = results.twin, invert(results.twin.T_world_object)
+    points = (surface_points(results.scene, results.parts.labels, label) for label in (STATIC, MOVING))
+    body, part = (np.quantile(apply(to_object, found), QUANTILES, axis=0) for found in points)
     if twin.joint.type == "revolute" and int(np.ptp(part, 0).argmin()) == 1:
         # Through a door's window the scan shows what is behind it; -y points out of the front.
         part[1, 1] = min(part[1, 1], max(part[0, 1], body[0, 1]) + DOOR_M)

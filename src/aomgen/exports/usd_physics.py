@@ -1,7 +1,7 @@
 """A compiled MuJoCo scene as UsdPhysics: rigid bodies, articulations, joints with limits and drives.
 
-MuJoCo's tree becomes flat: every body is an Xform of its own, and a joint binds it to its parent. What UsdPhysics does
-not define (self-collisions, gravity compensation, joint resistance) is written by the names of PhysX's schemas, which
+MuJoCo's tree becomes flat: every body is an Xform below the robot or the object, and a joint binds it to its parent. Properties
+that UsdPhysics does not define (self-collisions, gravity compensation, joint resistance) is written by the names of PhysX's schemas, which
 usd-core does not bring.
 """
 

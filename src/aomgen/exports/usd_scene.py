@@ -33,8 +33,8 @@ from aomgen.twin.twin import WORLD as WORLD_BODY
 
 WORLD, BACKGROUND, CAMERAS = "/World", "/World/Background", "/World/Cameras"
 VARIANTS, DEMONSTRATION, PHYSICS = "motion", "demonstration", "physics"
-# Horizontal aperture of all cameras, 36 mm film, in tenths of the scene's unit as USD has it; only its ratio to the focal
-# length matters.
+# Horizontal aperture of all cameras, 36 mm, in tenths of the scene's unit as USD has it; only its ratio to the focal length
+# matters.
 APERTURE: Final = 0.36
 CLIPPING_M: Final = (0.01, 100.0)
 # USD's cameras look along -z with y up, ours along z with y down.

@@ -1,4 +1,4 @@
-"""Controls of the arm and the gripper: what the drives are told at every control tick of a commanded motion."""
+"""Controls of arm and gripper at every control tick of a commanded motion."""
 
 import math
 from dataclasses import dataclass

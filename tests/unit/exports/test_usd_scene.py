@@ -1,5 +1,6 @@
 """The USD scene, read back: images, poses over time, joints and limits, masses, cameras, and USD's own validators."""
 
+import importlib.util
 from pathlib import Path
 
 import mujoco
@@ -144,3 +145,22 @@ def test_cameras(stage: Usd.Stage, motion: SceneMotion, results: Results) -> Non
         for key in ("fx", "fy", "cx", "cy"):
             np.testing.assert_allclose(getattr(found, key), getattr(wanted, key), rtol=1e-5)
         np.testing.assert_allclose(found.T_world_cam, wanted.T_world_cam, atol=1e-7)
+
+
+def test_the_example_reads_the_commands(file: Path, motion: SceneMotion) -> None:
+    name = Path(__file__).parents[3] / "examples" / "isaac_lab_twin.py"
+    spec = importlib.util.spec_from_file_location(name.stem, name)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    assert "never run in Isaac Lab" in module.__doc__
+    found = module.read_commands(file)
+    arm = [found.joints.index(joint) for joint in motion.robot.joint_names]
+    np.testing.assert_allclose(found.positions[:, arm], motion.commands[:, :-1], atol=1e-6)
+    assert set(found.joints) - set(motion.robot.joint_names) == {
+        "gripper_left_driver_joint",
+        "gripper_right_driver_joint",
+    }
+    steps = np.diff(motion.commands[:, :-1], axis=0) * found.fps
+    np.testing.assert_allclose(found.velocities[:-1, arm], steps, atol=1e-4)
