@@ -120,8 +120,10 @@ const refilm = latest(async () => {
   if (!motion || !filmed || (motion.scene && compare === "off")) return;
   const text = new URLSearchParams({motion: motion.name, camera: filmed, time: seconds()}).toString();
   if (text !== filmText) {
+    if (!filmText) say("reading the video ...");
     const answer = await fetchOrSay("/api/frame?" + text, {});
     lastFilm = await createImageBitmap(await answer.blob());
+    if (!filmText) say("");
     filmText = text;
   }
   for (const canvas of [film, $("beside")]) resizeTo(canvas, lastFilm.width, lastFilm.height).drawImage(lastFilm, 0, 0);
