@@ -4,6 +4,7 @@ from collections.abc import Mapping
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from aomgen.core.camera import Camera
 from aomgen.core.values import Array
@@ -22,7 +23,9 @@ EMPTY_SHARE: Final = 0.1
 SOLID_ALPHA: Final = 0.5
 
 
-def project_coverage(found: Survey, camera: Camera, depth: Array, *, with_robot: bool) -> list[list[float]]:
+def project_coverage(
+    found: Survey, camera: Camera, depth: NDArray[np.float32], *, with_robot: bool
+) -> list[list[float]]:
     """Rows of x, y [px] and coverage of the surveyed points that the rendered depth (H, W) [m] does not hide.
 
     The robot's points are where it stood during the scan; without `with_robot` they are left out.
@@ -46,7 +49,11 @@ def project_coverage(found: Survey, camera: Camera, depth: Array, *, with_robot:
 
 
 def describe_support(
-    camera: Camera, alpha: Array | None, scan: Mapping[str, Camera], pivot: Array, found: Survey | None
+    camera: Camera,
+    alpha: NDArray[np.float32] | None,
+    scan: Mapping[str, Camera],
+    pivot: Array,
+    found: Survey | None,
 ) -> list[str]:
     """Sentences about what an image shows although no scan image showed it.
 

@@ -63,7 +63,7 @@ LACKS: Final = {
 
 
 class OpenedRun:
-    """What a run had made when it was opened; only the list of its committed episodes changes."""
+    """Results of a run when it was opened; only the list of its committed episodes changes."""
 
     def __init__(self, results: Results, token: str) -> None:
         self.results, self.token = results, token
@@ -111,7 +111,7 @@ class OpenedRun:
 
     @property
     def has_parts(self) -> bool:
-        """Whether the parts of the scene are known and can be hidden."""
+        """True once the parts of the scene are known and can be hidden."""
         return "parts" in self.done
 
     @cached_property

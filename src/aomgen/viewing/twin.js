@@ -1,7 +1,7 @@
 // The twin page: a view that a person moves, a pose, a timeline, overlays, and the recorded video beside or over it.
 "use strict";
 const COLORS = {collider: "#35c4ff", scan: "#ffd166", fixed: "#ff6b6b", region: "#8fa8ff80", axis: "#4d7bff", contact: "#ff3df2"};
-const COVERAGE = ["#f0524b", "#f2c230", "#45b86b"], PROMPTS = {robot: "#d1495b", static: "#1f6f8b", moving: "#e8a33d"};
+const COVERAGE = ["#f0524b", "#f2c230", "#45b86b"];
 const PARTS = {background: "background", robot: "robot", static: "object's body", moving: "moving part"};
 const OVERLAYS = {colliders: "colliders", cameras: "cameras", coverage: "coverage", contacts: "contacts", axis: "joint axis"};
 const SWATCHES = {colliders: COLORS.collider, cameras: COLORS.scan, coverage: COVERAGE[2], contacts: COLORS.contact, axis: COLORS.axis};
@@ -13,7 +13,7 @@ const MOVING_MS = 120, NARROWEST = 240;
 const POLL_MS = 4000;
 
 let run, motion, home, atHome = true, T, pivot, frame = 0, pose = null, byHand = false;
-let playing = null, compare = "off", filmed, wipe = 0.5, last = null, changed = 0, movingWidth = 0, scanImage = null, drawings = 0;
+let playing = null, compare = "off", filmed, wipe = 0.5, last = null, changed = 0, movingWidth = 0, drawings = 0;
 const parts = new Set(Object.keys(PARTS)), overlays = new Set();
 const view = $("view"), over = $("over"), film = $("film");
 
@@ -35,6 +35,7 @@ function latest(work) {
 const optics = () => motion.cameras[home];
 const poseAt = (camera, index) => camera.Ts_world_cam[Math.min(index, camera.Ts_world_cam.length - 1)];
 const seconds = () => motion.times[frame];
+const nearestFrame = time => motion.times.reduce((best, value, k) => Math.abs(value - time) < Math.abs(motion.times[best] - time) ? k : best, 0);
 
 // ---- Drawing.
 
@@ -112,23 +113,6 @@ function paint() {
   $("unseen").replaceChildren(...last.notes.map(text => { const line = document.createElement("p"); line.textContent = text; return line; }));
 }
 
-// Without Gaussians the stage shows the recorded video, or a scan image with its prompts.
-function drawPlain() {
-  $("unseen").replaceChildren();
-  const image = scanImage ? scanImage.drawn : lastFilm;
-  if (!image) return;
-  layout(image.width / image.height);
-  const pen = resizeTo(view, image.width, image.height);
-  pen.drawImage(image, 0, 0);
-  if (!scanImage) return;
-  pen.lineWidth = Math.max(2, image.width / 300);
-  for (const item of scanImage.prompts) {
-    pen.strokeStyle = pen.fillStyle = PROMPTS[item.part];
-    if (item.box.length) pen.strokeRect(item.box[0], item.box[1], item.box[2] - item.box[0], item.box[3] - item.box[1]);
-    for (const [x, y, on] of item.points) { pen.beginPath(); pen.arc(x, y, 2 * pen.lineWidth, 0, 7); if (on) pen.fill(); else pen.stroke(); }
-  }
-}
-
 // ---- The recorded video.
 
 let lastFilm = null, filmText = "";
@@ -136,8 +120,10 @@ const refilm = latest(async () => {
   if (!motion || !filmed || (motion.scene && compare === "off")) return;
   const text = new URLSearchParams({motion: motion.name, camera: filmed, time: seconds()}).toString();
   if (text !== filmText) {
+    if (!filmText) say("reading the video ...");
     const answer = await fetchOrSay("/api/frame?" + text, {});
     lastFilm = await createImageBitmap(await answer.blob());
+    if (!filmText) say("");
     filmText = text;
   }
   for (const canvas of [film, $("beside")]) resizeTo(canvas, lastFilm.width, lastFilm.height).drawImage(lastFilm, 0, 0);
@@ -292,7 +278,7 @@ async function loadMotion(name, time, keep = false) {
   $("motion").value = name;
   $("scrub").max = motion.times.length - 1;
   filmed = motion.videos.includes(filmed) ? filmed : motion.videos[0];
-  frame = motion.times.reduce((best, value, k) => Math.abs(value - time) < Math.abs(motion.times[best] - time) ? k : best, 0);
+  frame = nearestFrame(time);
   if (motion.scene) {
     const stays = keep && before.T && motion.cameras[before.home];
     home = stays ? before.home : Object.keys(motion.cameras)[0];
@@ -332,86 +318,8 @@ async function poll() {
   setTimeout(poll, POLL_MS);
 }
 
-// Without a scene: images of the scan with prompts, and the checks of the capture.
-async function showCapture() {
-  try {
-    const capture = await ask("/api/capture");
-    $("strip").hidden = false;
-    $("strip").replaceChildren(...capture.images.map((name, index) => {
-      const thumb = document.createElement("button"), image = new Image(), caption = document.createElement("em");
-      const prompts = capture.prompts.filter(item => item.image === name);
-      thumb.className = "thumb"; thumb.title = name; caption.textContent = name;
-      image.src = "/api/scan?index=" + index; image.loading = "lazy"; image.alt = name; image.width = Math.round(60 * capture.size[0] / capture.size[1]);
-      thumb.append(image, caption);
-      if (prompts.length) thumb.append(document.createElement("i"));
-      thumb.onclick = async () => {
-        for (const other of $("strip").children) other.setAttribute("aria-current", other === thumb);
-        await image.decode();
-        scanImage = {drawn: image, prompts};
-        drawPlain();
-      };
-      return thumb;
-    }));
-    redraw();
-    $("checks").hidden = false;
-    const checking = document.createElement("p");
-    checking.textContent = "checking ...";
-    $("checks").append(checking);
-    const found = await ask("/api/check");
-    const facts = document.createElement("p");
-    facts.className = "facts"; facts.textContent = found.facts || "";
-    checking.replaceWith(...found.warnings.map(text => { const note = document.createElement("p"); note.className = "note"; note.textContent = text; return note; }), facts);
-  } catch (error) { say(error.message, true); }
-}
+// ---- Start.
 
-// ---- Mouse and keys.
-
-let drag = null;
-$("frame").onpointerdown = event => {
-  if (!motion || !motion.scene) return;
-  drag = {x: event.clientX, y: event.clientY, pan: event.button === 2 || event.shiftKey};
-  $("frame").setPointerCapture(event.pointerId);
-};
-$("frame").onpointermove = event => {
-  if (!drag) return;
-  const dx = event.clientX - drag.x, dy = event.clientY - drag.y, width = $("frame").clientWidth;
-  if (!dx && !dy) return;
-  drag = {...drag, x: event.clientX, y: event.clientY};
-  if (drag.pan) {
-    const meters = distanceTo(T, pivot) * optics().width / optics().fx / width;
-    moveView(...shift(T, pivot, -dx * meters, -dy * meters, 0));
-  } else moveView(orbit(T, pivot, motion.scene.up, -dx * Math.PI / width, -dy * Math.PI / width));
-};
-$("frame").onpointerup = $("frame").onpointercancel = () => { drag = null; };
-$("frame").oncontextmenu = event => event.preventDefault();
-$("frame").addEventListener("wheel", event => {
-  if (!motion || !motion.scene) return;
-  event.preventDefault();
-  moveView(zoom(T, pivot, Math.exp(Math.max(-60, Math.min(60, event.deltaY)) / 400)));
-}, {passive: false});
-$("wipe").onpointerdown = event => { event.stopPropagation(); $("wipe").setPointerCapture(event.pointerId); };
-$("wipe").onpointermove = event => {
-  if (!event.buttons) return;
-  const box = $("frame").getBoundingClientRect();
-  wipe = Math.max(0, Math.min(1, (event.clientX - box.left) / box.width));
-  refreshCompare();
-};
-// A button that was clicked keeps no focus, so that the space bar does not press it again.
-document.addEventListener("click", event => { const button = event.target.closest("button"); if (button && event.detail) button.blur(); });
-const MOVES = {w: [0, 0, 1], s: [0, 0, -1], a: [-1, 0, 0], d: [1, 0, 0], q: [0, 1, 0], e: [0, -1, 0]};
-document.addEventListener("keydown", event => {
-  const target = event.target, pressed = event.key.toLowerCase();
-  if (!motion || event.ctrlKey || event.metaKey || event.altKey || target.tagName === "SELECT") return;
-  const slider = target.type === "range" && target !== $("scrub");
-  // A key does one thing: arrows move the slider that has the focus, or else step a frame.
-  if (pressed === "arrowleft" || pressed === "arrowright") { if (!slider) { event.preventDefault(); step(pressed === "arrowleft" ? -1 : 1); } }
-  else if (pressed === " ") { if (target.tagName !== "BUTTON" && target.type !== "checkbox") { event.preventDefault(); play(); } }
-  else if (pressed === "r") goHome();
-  else if (MOVES[pressed] && motion.scene) {
-    const length = 0.04 * distanceTo(T, pivot), [x, y, z] = MOVES[pressed];
-    moveView(...shift(T, pivot, x * length, y * length, z * length));
-  }
-});
 $("play").onclick = play; $("back").onclick = () => step(-1); $("on").onclick = () => step(1);
 $("scrub").oninput = () => { playing = null; setFrame(+$("scrub").value); };
 $("motion").onchange = () => { playing = null; loadMotion($("motion").value, 0).catch(error => { say(error.message, true); if (motion) $("motion").value = motion.name; }); };
@@ -420,7 +328,7 @@ window.onresize = () => touch();
 function readTime() { const {t, episode} = readLink(); return [episode || "recording", Number(t) || 0]; }
 window.onhashchange = () => {
   const [name, time] = readTime();
-  if (motion && name === motion.name) { playing = null; setFrame(motion.times.reduce((best, value, k) => Math.abs(value - time) < Math.abs(motion.times[best] - time) ? k : best, 0)); }
+  if (motion && name === motion.name) { playing = null; setFrame(nearestFrame(time)); }
   else loadMotion(name, time).catch(error => say(error.message, true));
 };
 

@@ -30,6 +30,7 @@ from aomgen.web.page_server import (
 )
 
 PACKAGE: Final = "aomgen.viewing"
+FILES: Final = ("twin.css", "twin.js", "orbit.js", "capture.js", "keys.js")
 # Widest image that is rendered, [px]: a wider one takes longer than a person waits for.
 MAX_WIDTH: Final = 1600
 
@@ -88,9 +89,7 @@ class TwinPages:
         """Routes by method and path."""
         return {
             "GET /": send_file(PACKAGE, "twin.html"),
-            "GET /twin.js": send_file(PACKAGE, "twin.js"),
-            "GET /orbit.js": send_file(PACKAGE, "orbit.js"),
-            "GET /twin.css": send_file(PACKAGE, "twin.css"),
+            **{f"GET /{name}": send_file(PACKAGE, name) for name in FILES},
             "GET /api/run": self._get_run,
             "GET /api/motion": self._get_motion,
             "GET /api/frame": self._get_frame,
@@ -234,7 +233,7 @@ def draw(opened: OpenedRun, wanted: DrawRequest) -> dict[str, Any]:
 
 
 def _is_as_scanned(scene: ViewedScene, state: TwinState) -> bool:
-    """Whether the robot stands as it did during the scan."""
+    """Return whether the robot stands as it did during the scan."""
     if not isinstance(scene, PosableScene):
         return True
     return bool(np.abs(state.joints - scene.rest.joints).max() < AS_SCANNED_RAD)
