@@ -292,7 +292,8 @@ async function loadMotion(name, time, keep = false) {
   buildControls(); refreshNotes(); refreshCompare(); setFrame(frame);
   if (keep && before.hand) setPose(before.hand, true);
   say("");
-  if (!motion.scene && $("strip").hidden) showCapture();
+  if (motion.scene) $("strip").hidden = $("checks").hidden = true;
+  else if ($("strip").hidden) showCapture();
 }
 function refreshNotes() {
   $("notes").replaceChildren(...[...run.notes, motion && motion.note].filter(Boolean).map(text => { const note = document.createElement("p"); note.className = "note"; note.textContent = text; return note; }));
