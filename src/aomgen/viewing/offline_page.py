@@ -32,7 +32,7 @@ from aomgen.viewing.draw_list import Draw, DrawList
 from aomgen.viewing.review_pages import describe_draw
 from aomgen.viewing.thumbnails import encode_thumbnail
 
-# Images of the twin over the range of its joint: steps of some 4 degrees for a door.
+# Images of the twin over the range of its joint: steps of some 3 degrees for a door.
 STRIP_IMAGES: Final = 24
 # Quality of the embedded JPEG images and videos: a page of a few MB can still be sent by mail.
 JPEG_QUALITY, VIDEO_CRF = 85, 28

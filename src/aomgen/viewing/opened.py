@@ -34,7 +34,7 @@ from aomgen.twin.twin import TwinModel, TwinState
 from aomgen.viewing import overlays
 from aomgen.viewing.draw_list import DrawList
 from aomgen.viewing.motions import ShownMotion, read_recording, show_episode
-from aomgen.viewing.rejected_draw import NOTE, replan_draw
+from aomgen.viewing.rejected_draw import NOTE, PAIR, replan_draw
 from aomgen.viewing.scenes import (
     PosableScene,
     ScannedScene,
@@ -251,7 +251,7 @@ class OpenedRun:
         def find_qpos(state: TwinState) -> Array:
             return scene.qpos(state.joints, state.gripper, state.theta)[0]
 
-        return overlays.Colliders(scene.model, find_qpos)
+        return overlays.Colliders(scene.model, find_qpos, episode.verdict.get(PAIR, ()))
 
 
 def _is_current(results: Results, name: str) -> bool:

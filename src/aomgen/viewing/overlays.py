@@ -1,6 +1,6 @@
 """Line drawings over the twin: colliders, scan cameras, contacts, and the joint axis with its 95 % region."""
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from typing import Any, Final, NamedTuple, Protocol
 
 import mujoco
@@ -38,22 +38,33 @@ class Overlay(Protocol):
 
 
 class Colliders:
-    """Outlines of the shapes that physics sees."""
+    """Outlines of the shapes that physics sees, those of a colliding pair as a class of their own."""
 
-    def __init__(self, model: mujoco.MjModel, qpos: Any) -> None:
-        """Prepare a model; `qpos` turns a `TwinState` into its generalised positions (nq,)."""
+    def __init__(self, model: mujoco.MjModel, qpos: Any, pair: Collection[str] = ()) -> None:
+        """Prepare a model.
+
+        Args:
+            model: Bodies and shapes.
+            qpos: Turns a `TwinState` into generalised positions (nq,).
+            pair: Names of colliding bodies or shapes.
+        """
         self._data, self._model, self._qpos = mujoco.MjData(model), model, qpos
         self._outlines = outline_geoms(model)
+        names = {
+            geom: {model.geom(geom).name, model.body(model.geom_bodyid[geom]).name}
+            for geom, _ in self._outlines
+        }
+        self._in_pair = {geom for geom, known in names.items() if known & set(pair)}
 
     def __call__(self, moment: Moment) -> Mapping[str, Array]:
         """Draw the shapes in a state."""
         self._data.qpos[:] = self._qpos(moment.state)
         mujoco.mj_kinematics(self._model, self._data)
-        segments = [
-            segments @ self._data.geom_xmat[geom].reshape(3, 3).T + self._data.geom_xpos[geom]
-            for geom, segments in self._outlines
-        ]
-        return {"collider": np.concatenate(segments)}
+        drawn: dict[str, list[Array]] = {"collider": [], "pair": []}
+        for geom, segments in self._outlines:
+            placed = segments @ self._data.geom_xmat[geom].reshape(3, 3).T + self._data.geom_xpos[geom]
+            drawn["pair" if geom in self._in_pair else "collider"].append(placed)
+        return {name: np.concatenate(found) for name, found in drawn.items() if found}
 
 
 def outline_cameras(scan: Mapping[str, Camera], fixed: Mapping[str, Camera], size: float) -> Overlay:

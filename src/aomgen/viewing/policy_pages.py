@@ -4,7 +4,7 @@ from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 
@@ -16,19 +16,17 @@ from aomgen.evaluation.suite import Suite, read_suite
 from aomgen.io.artifact import load_artifact, read_json
 from aomgen.report.episodes import place_words, reasons
 from aomgen.saved_units import REQUEST_FILE, unit_name
+from aomgen.viewing.draw_page import DIGITS
 from aomgen.web.page_server import PageRequest, RequestFields, Response, Route, send_file, send_json
 
 # Two trials differ from where the end effectors are this far apart, [mm], or the objects are opened by different
 # shares of the planned travel: above what other images of the same scene change in the actions of a policy.
 APART_MM, APART_SHARE = 10.0, 0.02
 # Letters by which a suite's file begins; other files next to a run may be large.
-_SUITE_HEAD: Final = '"type": "Suite"'
-_HEAD_BYTES: Final = 40
-# Digits of plotted values.
-DIGITS: Final = 4
+_SUITE_HEAD, _HEAD_BYTES = '"type": "Suite"', 40
 
 
-class SuiteRequest(RequestFields):
+class ShownSuiteRequest(RequestFields):
     """Request of one suite by its number in the list of all."""
 
     suite: int
@@ -98,7 +96,7 @@ class PolicyRoutes:
 
     def send_suite(self, request: PageRequest) -> Response:
         """Send all trials of a suite and the results of all policies."""
-        suite, found = self._find(request.parse(SuiteRequest).suite)
+        suite, found = self._find(request.parse(ShownSuiteRequest).suite)
         return send_json(
             {
                 "trials": [

@@ -13,9 +13,10 @@ from aomgen.episodes.ledger import unit_of
 from aomgen.io.episode_folder import CommittedEpisode, episode_folder
 from aomgen.results import Results
 from aomgen.viewing.draw_list import Draw
+from aomgen.viewing.limit_readings import parse_pair
 
-# Key of a draw's verdict that holds a sentence for the person who looks at it.
-NOTE = "note"
+# Keys of a draw's verdict: a sentence for the person who looks at it, and the names of what collides.
+NOTE, PAIR = "note", "pair"
 
 
 def replan_draw(results: Results, draw: Draw) -> CommittedEpisode:
@@ -29,7 +30,7 @@ def replan_draw(results: Results, draw: Draw) -> CommittedEpisode:
         draw: With the outcome "rejected" or "skipped".
 
     Returns:
-        An episode whose verdict holds the variation and a sentence `NOTE`.
+        An episode whose verdict holds the variation, a sentence `NOTE`, and names `PAIR`.
     """
     folder = results.folders["episodes"]
     factory, unit = EpisodeFactory(results, folder), unit_of(draw.number)
@@ -55,7 +56,14 @@ def replan_draw(results: Results, draw: Draw) -> CommittedEpisode:
         thetas=shown.thetas,
         T_world_object=T_world_object,
     )
-    reason = _state_reason(planned, draw)
+    detail = planned.detail if isinstance(planned, Rejection) else ""
+    verdict = {
+        # As it is read from the file of a committed episode.
+        "variation": json.loads(json.dumps(asdict(variation))),
+        "bolted": factory.params.bolted,
+        NOTE: f"Draw {draw.number} gave no episode: {_state_reason(planned, draw)}. {what}",
+        PAIR: [name for name in parse_pair(detail).split(" and ") if name],
+    }
     episode = Episode(
         index=draw.number,
         seed=variation.seed,
@@ -78,10 +86,9 @@ def replan_draw(results: Results, draw: Draw) -> CommittedEpisode:
         contacts=_NO_CONTACTS,
         joint=fitted.asset.joint.move(T_world_object),
         cameras=factory.place.views(variation, fitted),
-        # As a committed episode's is read from its file.
-        verdict=json.loads(json.dumps({"variation": asdict(variation)})) | {"bolted": factory.params.bolted, NOTE: f"Draw {draw.number} gave no episode: {reason}. {what}"},
+        verdict=verdict,
         simulation={},
-    )  # fmt: skip
+    )
     return CommittedEpisode(
         folder=episode_folder(folder, draw.number),
         episode=episode,

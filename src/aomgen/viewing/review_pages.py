@@ -29,19 +29,19 @@ class WallRequest(RequestFields):
     version: str = ""
 
 
-class DrawRequest(RequestFields):
+class ShownDrawRequest(RequestFields):
     """Request of one draw by its number."""
 
     number: int
 
 
-class ThumbnailRequest(DrawRequest):
+class ThumbnailRequest(ShownDrawRequest):
     """Request of a small image of an episode's first camera."""
 
     frame: Literal["first", "last"]
 
 
-class VideoRequest(DrawRequest):
+class VideoRequest(ShownDrawRequest):
     """Request of an episode's video; cameras are numbered in the order of the episode."""
 
     camera: int
@@ -94,7 +94,7 @@ class ReviewRoutes:
 
     def send_draw(self, request: PageRequest) -> Response:
         """Send what the page of one draw shows."""
-        draw = self.draws.find(request.parse(DrawRequest).number)
+        draw = self.draws.find(request.parse(ShownDrawRequest).number)
         committed = draw.outcome == "committed"
         shown = describe_episode(self._folder(draw)) if committed else describe_rejected(draw)
         return send_json(describe_draw(draw, read_reviews(self.out)) | shown)

@@ -1,6 +1,6 @@
 // The twin page: a view that a person moves, a pose, a timeline, overlays, and the recorded video beside or over it.
 "use strict";
-const COLORS = {collider: "#35c4ff", scan: "#ffd166", fixed: "#ff6b6b", region: "#8fa8ff80", axis: "#4d7bff", contact: "#ff3df2"};
+const COLORS = {collider: "#35c4ff", pair: "#ff3b30", scan: "#ffd166", fixed: "#ff6b6b", region: "#8fa8ff80", axis: "#4d7bff", contact: "#ff3df2"};
 const COVERAGE = ["#f0524b", "#f2c230", "#45b86b"];
 const PARTS = {background: "background", robot: "robot", static: "object's body", moving: "moving part"};
 const OVERLAYS = {colliders: "colliders", cameras: "cameras", coverage: "coverage", contacts: "contacts", axis: "joint axis"};
@@ -103,7 +103,7 @@ function paint() {
   }
   for (const [name, lines] of Object.entries(last.lines)) {
     pen.strokeStyle = COLORS[name];
-    pen.lineWidth = ratio * (name === "axis" || name === "contact" ? 3 : 1.2);
+    pen.lineWidth = ratio * (name === "axis" || name === "contact" || name === "pair" ? 3 : 1.2);
     pen.lineCap = "round";
     pen.beginPath();
     for (const [x0, y0, x1, y1] of lines) { pen.moveTo(x0 * scale, y0 * scale); pen.lineTo(x1 * scale, y1 * scale); }
@@ -287,6 +287,8 @@ async function loadMotion(name, time, keep = false) {
     T = stays && !atHome ? before.T : poseAt(optics(), frame);
   }
   document.body.classList.toggle("plain", !motion.scene);
+  // The bodies that collide in a draw without an episode are what a person wants to see.
+  if (motion.title.startsWith("draw ")) overlays.add("colliders");
   buildControls(); refreshNotes(); refreshCompare(); setFrame(frame);
   if (keep && before.hand) setPose(before.hand, true);
   say("");

@@ -47,6 +47,8 @@ def test_colliders_move_with_their_bodies():
     colliders = Colliders(model, lambda state: np.array([state.theta]))
     shift = colliders(moment(0.5))["collider"] - colliders(moment(0.0))["collider"]
     np.testing.assert_allclose(shift, np.broadcast_to([0.5, 0, 0], shift.shape), atol=1e-12)
+    marked = Colliders(model, lambda state: np.array([state.theta]), ["b"])(moment())
+    assert (len(marked["pair"]), len(marked["pair"]) + len(marked["collider"])) == (12, len(shift))
 
 
 def test_the_own_camera_is_not_drawn():

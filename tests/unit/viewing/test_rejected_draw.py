@@ -8,7 +8,7 @@ from aomgen.core.demonstration import Trajectory
 from aomgen.core.plan import Rejection, Variation
 from aomgen.viewing import rejected_draw
 from aomgen.viewing.draw_list import Draw
-from aomgen.viewing.rejected_draw import NOTE, replan_draw
+from aomgen.viewing.rejected_draw import NOTE, PAIR, replan_draw
 from toy_drawer import fitted_drawer
 
 CAMERA = Camera(fx=80, fy=80, cx=40, cy=32, width=80, height=64, T_world_cam=look_at((1, 1, 1), (0, 0, 0)))
@@ -46,11 +46,15 @@ def plan_as(monkeypatch, planned) -> None:
 
 
 def test_the_state_of_the_collision_is_shown(results, monkeypatch) -> None:
-    plan_as(monkeypatch, Rejection(reason="collision", detail="is 3.0, limit 1.0", worst=make_motion(1, 0.2)))
+    plan_as(
+        monkeypatch,
+        Rejection(reason="collision", detail="is 3.0, limit 1.0 (wrist and door)", worst=make_motion(1, 0.2)),
+    )
     shown = replan_draw(results, DRAW)
     np.testing.assert_allclose(shown.episode.joints, np.full((1, 6), 0.2))
     np.testing.assert_allclose(shown.episode.T_world_object, VARIATION.place_at(fitted_drawer()))
     assert shown.videos == {}
+    assert shown.episode.verdict[PAIR] == ["wrist", "door"]
     assert "Draw 3 gave no episode: collision, is 3.0, limit 1.0. The state" in shown.episode.verdict[NOTE]
 
 
@@ -58,5 +62,6 @@ def test_another_reason_than_the_stored_one_is_stated(results, monkeypatch) -> N
     plan_as(monkeypatch, Rejection(reason="no_path", detail="there is none"))
     shown = replan_draw(results, DRAW)
     np.testing.assert_allclose(shown.episode.joints, np.full((1, 6), 0.5))
+    assert shown.episode.verdict[PAIR] == []
     note = shown.episode.verdict[NOTE]
     assert "planned again it gives no path, there is none. The state of the arm is not known" in note
