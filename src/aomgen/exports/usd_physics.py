@@ -5,7 +5,7 @@ that UsdPhysics does not define (self-collisions, gravity compensation, joint re
 usd-core does not bring.
 """
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from typing import Any, Final
 
@@ -74,7 +74,8 @@ def add_physics(stage: Any, scene: Scene, bodies: Mapping[int, str]) -> dict[int
 def find_drives(scene: Scene) -> dict[int, Drive]:
     """Position servos by joint (id): of the arm, of what closes the gripper, and springs of its links.
 
-    An actuator that pulls a tendon drives every joint of the tendon by the joint's coefficient.
+    An actuator that pulls a tendon drives every joint of the tendon by the joint's coefficient. A joint that is coupled
+    to a driven one, as a gripper's second finger may be, has the same drive.
     """
     model, arm = scene.model, scene.arm
     drives = {}
@@ -94,6 +95,8 @@ def find_drives(scene: Scene) -> dict[int, Drive]:
     most = float(model.actuator_forcerange[number, 1]) if limited else np.inf
     for joint, share in shares.items():
         drives[joint] = Drive(float(share * total * kp), float(share * total * kv), abs(share) * most)
+    for joint, (leader, _, _) in coupled_joints(model, shares).items():
+        drives[joint] = drives[leader]
     return drives
 
 
@@ -105,6 +108,19 @@ def actuated_joints(model: mujoco.MjModel, actuator: int) -> dict[int, float]:
     start = int(model.tendon_adr[target])
     wraps = range(start, start + int(model.tendon_num[target]))
     return {int(model.wrap_objid[wrap]): float(model.wrap_prm[wrap]) for wrap in wraps}
+
+
+def coupled_joints(model: mujoco.MjModel, driven: Collection[int]) -> dict[int, tuple[int, float, float]]:
+    """Joints (id) that equalities couple to driven ones: leader, offset and ratio of the values from the described pose."""
+    found = {}
+    for number in np.flatnonzero(model.eq_type == mujoco.mjtEq.mjEQ_JOINT):
+        follower, leader = int(model.eq_obj1id[number]), int(model.eq_obj2id[number])
+        offset, ratio = (float(value) for value in model.eq_data[number, :2])
+        if leader in driven and follower not in driven:
+            found[follower] = (leader, offset, ratio)
+        elif follower in driven and leader not in driven and leader >= 0:
+            found[leader] = (follower, -offset / ratio, 1 / ratio)
+    return found
 
 
 def _add_body(prim: Any, model: mujoco.MjModel, body: int) -> None:

@@ -23,6 +23,7 @@ from aomgen.exports.usd_physics import (
     ROBOT,
     actuated_joints,
     add_physics,
+    coupled_joints,
     drive_axis,
 )
 from aomgen.io.ply import check_readable
@@ -168,8 +169,11 @@ def _commanded_joints(motion: SceneMotion, scene: Scene) -> Iterator[tuple[int, 
         yield joint.id, motion.commands[:, row] - model.qpos0[joint.qposadr[0]]
     opened, closed = gripper.driver_range
     values = opened + motion.commands[:, -1] * (closed - opened)
-    for joint in actuated_joints(model, gripper.actuator):
-        yield joint, values - model.qpos0[model.jnt_qposadr[joint]]
+    actuated = actuated_joints(model, gripper.actuator)
+    targets = {joint: values - model.qpos0[model.jnt_qposadr[joint]] for joint in actuated}
+    for joint, (leader, offset, ratio) in coupled_joints(model, actuated).items():
+        targets[joint] = offset + ratio * targets[leader]
+    yield from targets.items()
 
 
 def _add_cameras(stage: Any, cameras: Mapping[str, Camera], motion: SceneMotion) -> dict[str, Array]:
