@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Annotated, Final
 
 import numpy as np
+import pycolmap
 from numpy.typing import NDArray
 from scipy.sparse.csgraph import connected_components
 
@@ -157,6 +158,8 @@ def measure_overlap(images: Mapping[str, NDArray[np.float32]]) -> ScanOverlap:
 
 def _map_quickly(work: Workspace, count: int) -> dict[str, Array]:
     """Poses by incremental mapping, or by global mapping, which takes longer, where few features join few images."""
+    # An unsuccessful mapping is stated by `describe_walk`; the next workspace logs errors again.
+    pycolmap.logging.minloglevel = pycolmap.logging.FATAL.value
     found: dict[str, Array] = {}
     for run in (work.map, work.map_globally):
         mapped = run("scan")
