@@ -84,7 +84,10 @@ def test_the_nearest_episode_is_replayed(world: World, toy: ToyResults) -> None:
     elsewhere = (
         open_policy(f"nearest_replay={toy.out}", world) if (toy.out / "project.toml").exists() else policy
     )
-    assert roll_out(world, elsewhere, 0) == record
+    again = roll_out(world, elsewhere, 0)
+    assert again.figures == record.figures
+    np.testing.assert_array_equal(again.ee_world, record.ee_world)
+    np.testing.assert_array_equal(again.opening_shares, record.opening_shares)
 
 
 def test_policies_that_do_not_exist_are_refused(
