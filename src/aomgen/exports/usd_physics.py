@@ -20,7 +20,7 @@ from aomgen.io.mujoco_model import LEAST_MASS
 from aomgen.simulation.scene import Scene
 
 ROBOT, OBJECT, PHYSICS_SCENE = "/World/Robot", "/World/Object", "/World/PhysicsScene"
-DEGREES: Final = 180 / np.pi
+DEGREES: Final = 180 / np.pi  # USD counts angles in degrees
 # Smallest principal inertia that USD's validator accepts, [kg m^2].
 LEAST_INERTIA: Final = 1e-7
 

@@ -24,7 +24,9 @@ EXTENSION: Final = "KHR_gaussian_splatting"
 MAGIC, JSON_CHUNK, BINARY_CHUNK, VERSION = 0x46546C67, 0x4E4F534A, 0x004E4942, 2
 # Component types of OpenGL, and the target of vertex data.
 FLOAT, UNSIGNED_BYTE, ARRAY_BUFFER = 5126, 5121, 34962
+# Mode of a primitive of points.
 POINTS: Final = 0
+# Numbers in an element of an accessor, by its type.
 COMPONENTS: Final = {"SCALAR": 1, "VEC3": 3, "VEC4": 4}
 # A header of Gaussians has some 10 kB, [bytes].
 MAX_JSON_BYTES: Final = 1 << 20

@@ -24,12 +24,12 @@ HEADER: Final = np.dtype(
     [("magic", "<u4"), ("version", "<u4"), ("count", "<u4"),
      ("degree", "u1"), ("fraction", "u1"), ("flags", "u1"), ("reserved", "u1")]
 )  # fmt: skip
-MAGIC: Final = 0x5053474E
-VERSION: Final = 3
+# "NGSP" as a little-endian integer, and the newest version that is one gzip stream.
+MAGIC, VERSION = 0x5053474E, 3
 # Positions have 23 bits and a sign. As many of them are the fraction as the farthest Gaussian leaves, at most these:
 # 15 micrometers within 128 m.
 MOST_FRACTION_BITS: Final = 16
-LARGEST: Final = (1 << 23) - 1
+LARGEST: Final = (1 << 23) - 1  # of a signed integer of 24 bits
 # Color = 0.5 + 0.15 * (coefficient of degree 0): colors up to 1.4 beyond white are kept.
 COLOR_SCALE: Final = 0.15
 # Byte of a scale: 16 (log + 10), of a harmonic: 128 + 128 h.
