@@ -94,7 +94,7 @@ def test_refusals(tmp_path):
 
 
 def test_stages_come_after_what_they_need():
-    known = {"capture", "assets"}
+    known = {"capture", "assets", "review"}
     for stage in STAGES:
         assert set(stage.needs) <= known, stage.name
         assert set(stage.settings) <= set(Project.model_fields)

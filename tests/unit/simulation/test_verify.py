@@ -28,6 +28,7 @@ from aomgen.simulation.scene import Scene, build_scene
 from aomgen.simulation.settings import apply_setting, corner_setting, draw_settings
 from aomgen.simulation.touches import Touches
 from aomgen.simulation.verify import verify_plan
+from aomgen.version import __version__
 from toy_plans import LEFT_RIGHT, SUPPORT, drawer_plan, facing_robot, microwave_plan, pulled, toy_plan
 
 TRAVEL = 0.15
@@ -110,7 +111,7 @@ def test_the_certificate_holds_all_figures_limits_and_origins(passed: VerifiedEp
     text = json.dumps(certificate, allow_nan=False)
     assert text == json.dumps(again.verdict.as_json(), allow_nan=False)
     assert json.loads(text)["versions"] == {
-        "aomgen": "0.1.0",
+        "aomgen": __version__,
         "mujoco": mujoco.__version__,
         "numpy": np.__version__,
     }
