@@ -12,7 +12,8 @@ from aomgen.core.joint import Joint
 from aomgen.core.values import Array, Vector3, freeze_arrays
 from aomgen.errors import ConfigError
 from aomgen.robots.robot import RobotModel
-from aomgen.simulation.replay import Commands, stand, track
+from aomgen.simulation.controls import Commands
+from aomgen.simulation.replay import stand, track
 from aomgen.simulation.scene import Scene
 from aomgen.simulation.touches import Touches, find_touches, read_contacts
 from synthetic.commanded_trajectory import CONTROL_STEP_S, CommandedTrajectory

@@ -13,7 +13,7 @@ from aomgen.assets.procedural.textures import make_brushed_metal
 from aomgen.core.mesh import Mesh
 from aomgen.core.transforms import quat_from_matrix
 from aomgen.core.values import Matrix4, freeze_arrays
-from aomgen.simulation.scene import TABLE
+from aomgen.simulation.scene_spec import TABLE
 from synthetic import printed_textures
 from synthetic.tabletop_objects import (
     TabletopObject,
