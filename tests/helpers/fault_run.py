@@ -35,7 +35,7 @@ NEEDED: Final = ("capture", "motion", "twin", "replacement", "review")
 # Calls of `os` that change the disk: files opened to be written, folders made, things put in place, and synced.
 OPERATIONS: Final = ("open", "mkdir", "replace", "fsync")
 # No run takes as long, not even on a busy machine, [s].
-RUN_S: Final = 120.0
+RUN_S: Final = 300.0
 
 # Called with the name and the first argument of a file operation before it is done; raises, or kills.
 Fault = Callable[[str, Any], None]
