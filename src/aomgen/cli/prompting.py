@@ -5,15 +5,13 @@ from typing import Annotated
 
 import typer
 
+from aomgen.cli.pages import OpenBrowser, PagePort, serve_pages
+
 
 def prompts(
     capture: Annotated[Path, typer.Argument(help="Folder of a capture; capture.toml may still be missing.")],
-    port: Annotated[
-        int, typer.Option(min=0, max=65535, help="Port on 127.0.0.1; 0 for any free one.")
-    ] = 8765,
-    browser: Annotated[
-        bool, typer.Option("--browser/--no-browser", help="Open the page in a browser.")
-    ] = True,
+    port: PagePort = 8765,
+    browser: OpenBrowser = True,
 ) -> None:
     """Mark the robot, the object's body and its moving part on scan images, in a browser.
 
@@ -21,8 +19,6 @@ def prompts(
     wants a box on two images. "Save" replaces the [[prompts]] of capture.toml and nothing else; "Done" ends the
     command. Where there is no capture.toml, robot and columns of the log are asked for first.
     """
-    import webbrowser
-
     from aomgen.prompting.server import PromptServer
     from aomgen.prompting.session import PromptSession, find_missing
 
@@ -32,10 +28,7 @@ def prompts(
     if session.no_masks:
         print(f"warning: there are no masks: {session.no_masks}")
     with PromptServer(session, port) as server:
-        print(f"mark the parts at {server.url}", flush=True)
-        if browser:
-            webbrowser.open(server.url)
-        server.serve_forever()
+        serve_pages(server, "mark the parts at", browser=browser)
     missing = find_missing(session.prompts)
     for part, count in missing.items():
         print(f"  missing: {part} on {count} more image{'s' if count > 1 else ''}")
