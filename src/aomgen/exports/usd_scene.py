@@ -37,7 +37,7 @@ VARIANTS, DEMONSTRATION, PHYSICS = "motion", "demonstration", "physics"
 # Horizontal aperture of all cameras, 36 mm, in tenths of the scene's unit as USD has it; only its ratio to the focal length
 # matters.
 APERTURE: Final = 0.36
-# A camera on the hand sees fingers from a few centimetres, [m].
+# A wrist camera sees the fingers from a few centimeters, [m].
 CLIPPING_M: Final = (0.01, 100.0)
 # USD's cameras look along -z with y up, ours along z with y down.
 FLIP: Final = np.diag([1.0, -1.0, -1.0, 1.0])

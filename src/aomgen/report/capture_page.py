@@ -22,6 +22,7 @@ THUMBNAIL_PX: Final = 320
 MATRIX_PX: Final = 480
 # Side of the plan of the walk, [px], over twice the distance of the farthest camera.
 PLAN_PX: Final = 420
+# The farthest camera and its sector stay visible inside the rim of the plan.
 PLAN_MARGIN: Final = 1.15
 # Points on the rim of the sector without images.
 SECTOR_POINTS: Final = 24
