@@ -10,7 +10,7 @@ from aomgen.core.gaussians import Gaussians
 from aomgen.exports.scene_motion import SceneMotion
 from aomgen.io.gaussian_files import Y_UP_SUFFIXES, write_gaussians
 from aomgen.lighting.shadowed_twin import pose_with_shadow
-from aomgen.twin.twin import TwinState
+from aomgen.twin.twin import TwinState, interpolate_state
 
 # Turns the world, z up, to the axes of formats with y up and z towards the viewer.
 Y_UP: Final = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])
@@ -37,11 +37,11 @@ def write_posed_gaussians(
 def choose_state(motion: SceneMotion, joint: float | None, time_s: float | None) -> TwinState:
     """The state at a time, or at rest, with another joint value of the object where one is given."""
     if time_s is not None:
-        state = motion.state_at(time_s)
+        state = interpolate_state(motion.trajectory, time_s)
     elif motion.fitted is None:
         state = motion.twin.scan_state
     else:
-        state = motion.state_at(float(motion.trajectory.times_s[0]))
+        state = interpolate_state(motion.trajectory, float(motion.trajectory.times_s[0]))
     return state if joint is None else replace(state, theta=joint)
 
 

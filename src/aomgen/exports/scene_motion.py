@@ -11,17 +11,22 @@ from aomgen.core.camera import Camera, CameraPath
 from aomgen.core.demonstration import SceneTrajectory
 from aomgen.core.episode import ContactLog
 from aomgen.core.gaussians import Gaussians
-from aomgen.core.plan import FittedAsset, Variation
+from aomgen.core.plan import FittedAsset
 from aomgen.core.values import Array
 from aomgen.episodes.factory import EpisodeFactory
 from aomgen.episodes.ledger import MAX_DRAWS
 from aomgen.episodes.variations import scale_fit
-from aomgen.errors import MalformedFileError, MissingFileError, UnknownNameError
-from aomgen.io.artifact import restore
-from aomgen.io.episode_folder import CommittedEpisode, episode_folder, list_committed, read_episode
+from aomgen.errors import MissingFileError, UnknownNameError
+from aomgen.io.episode_folder import (
+    CommittedEpisode,
+    episode_folder,
+    list_committed,
+    read_episode,
+    read_variation,
+)
 from aomgen.results import Results
 from aomgen.robots.robot import RobotModel
-from aomgen.twin.twin import TwinModel, TwinState, pose_bodies, trajectory_body_poses
+from aomgen.twin.twin import TwinModel, pose_bodies, trajectory_body_poses
 from aomgen.twin.variation import change_appearance, scale_object
 
 
@@ -69,16 +74,6 @@ class SceneMotion:
             self.twin, self.robot, moved.joints, moved.gripper, moved.thetas, moved.T_world_object
         )
 
-    def state_at(self, time_s: float) -> TwinState:
-        """State at a time, between two frames interpolated, outside of the motion held."""
-        now = self.trajectory.at([time_s])
-        return TwinState(
-            joints=now.joints[0],
-            gripper=float(now.gripper[0]),
-            theta=float(now.thetas[0]),
-            T_world_object=self.trajectory.T_world_object,
-        )
-
     def body_gaussians(self) -> dict[str, Gaussians]:
         """Gaussians of every body that has some, in the frame of the body; surfaces are lit as in the first frame."""
         world = pose_bodies(self.twin, self.Ts_world_body[0])
@@ -100,7 +95,7 @@ def open_motion(results: Results, episode: int | None) -> SceneMotion:
     if episode is None:
         return _open_demonstration(results)
     committed = _read_committed(results, episode)
-    made, variation = committed.episode, _variation_of(committed)
+    made, variation = committed.episode, read_variation(committed)
     opened = EpisodeFactory(results, results.folders["episodes"]).asset(made.index // MAX_DRAWS)
     twin = scale_object(opened.twin, variation.scale)
     states = np.column_stack([made.joints, made.gripper])
@@ -170,17 +165,3 @@ def _read_committed(results: Results, number: int) -> CommittedEpisode:
     if number not in known:
         raise UnknownNameError("--episode", str(number), map(str, known))
     return read_episode(episode_folder(folder, number))
-
-
-def _variation_of(committed: CommittedEpisode) -> Variation:
-    """The variation that an episode states.
-
-    Raises:
-        MalformedFileError: It states none.
-    """
-    try:
-        return restore(Variation, committed.episode.verdict["variation"])
-    except (KeyError, TypeError, ValueError) as error:
-        raise MalformedFileError(
-            committed.folder, f"states no variation ({error})", "generate the episode again"
-        ) from error

@@ -22,8 +22,9 @@ from numpy.typing import NDArray
 from aomgen.core.camera import Camera
 from aomgen.core.episode import ContactLog, Episode
 from aomgen.core.joint import Joint
+from aomgen.core.plan import Variation
 from aomgen.errors import CorruptArtifactError, MalformedFileError
-from aomgen.io.artifact import arrays_from_bytes, npz_bytes, read_json, read_npz
+from aomgen.io.artifact import arrays_from_bytes, npz_bytes, read_json, read_npz, restore
 from aomgen.io.atomic import STAGING_PREFIX, stage_folder, write_bytes, write_json
 from aomgen.io.video import Codec, decode_samples
 
@@ -71,6 +72,20 @@ class CommittedEpisode:
     codec: Codec
     color_counts: Mapping[str, NDArray[np.int64]]
     images: Mapping[ImageKind, Mapping[str, Path]]
+
+
+def read_variation(committed: CommittedEpisode) -> Variation:
+    """Read the variation that an episode states.
+
+    Raises:
+        MalformedFileError: It states none.
+    """
+    try:
+        return restore(Variation, committed.episode.verdict["variation"])
+    except (KeyError, TypeError, ValueError) as error:
+        raise MalformedFileError(
+            committed.folder, f"states no variation ({error})", "generate the episode again"
+        ) from error
 
 
 def episode_folder(root: Path, index: int) -> Path:

@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from aomgen.conventions import BACKGROUND
 from aomgen.core.camera import Camera
+from aomgen.core.demonstration import SceneTrajectory
 from aomgen.core.gaussians import SH_C0, Gaussians, concatenate
 from aomgen.core.joint import Joint
 from aomgen.core.light import DirectionalLight, Light
@@ -45,6 +46,17 @@ class TwinState:
     T_world_object: Matrix4
 
     __post_init__ = freeze_arrays
+
+
+def interpolate_state(trajectory: SceneTrajectory, time_s: float) -> TwinState:
+    """Interpolate the state at a time, [s]; before and after the trajectory it is the first and the last one."""
+    now = trajectory.at([time_s])
+    return TwinState(
+        joints=now.joints[0],
+        gripper=float(now.gripper[0]),
+        theta=float(now.thetas[0]),
+        T_world_object=trajectory.T_world_object,
+    )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -10,6 +10,7 @@ from scipy.spatial import ConvexHull
 from aomgen.core.camera import Camera
 from aomgen.core.transforms import apply
 from aomgen.core.values import Array
+from aomgen.io.geom_surface import find_colliding_geoms
 
 # Points of a circle; a collider's outline at arm's length is smooth enough.
 SIDES: Final = 24
@@ -60,7 +61,7 @@ def outline_geoms(model: mujoco.MjModel) -> list[tuple[int, Array]]:
         for number in np.unique(model.geom_dataid[model.geom_type == mujoco.mjtGeom.mjGEOM_MESH])
     }
     found = []
-    for geom in np.flatnonzero(model.geom_contype | model.geom_conaffinity):
+    for geom in np.flatnonzero(find_colliding_geoms(model)):
         # Not the number itself: it is not found among members of the enumeration.
         kind, size = mujoco.mjtGeom(int(model.geom_type[geom])), model.geom_size[geom]
         if kind == mujoco.mjtGeom.mjGEOM_MESH:

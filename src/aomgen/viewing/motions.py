@@ -132,12 +132,12 @@ def read_recording(results: Results, done: Collection[str]) -> ShownMotion:
     trajectory = None
     if "twin" in done:
         T_world_object = results.twin.T_world_object
-        states = results.states_at(times, T_world_object)
+        joints, gripper = results.demo_log.at(times)
         trajectory = SceneTrajectory(
             times_s=times,
-            joints=np.stack([state.joints for state in states]),
-            gripper=np.array([state.gripper for state in states]),
-            thetas=np.array([state.theta for state in states]),
+            joints=joints,
+            gripper=gripper,
+            thetas=results.motion.theta_at(times),
             T_world_object=T_world_object,
         )
     return ShownMotion(

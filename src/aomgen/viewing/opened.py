@@ -10,7 +10,6 @@ import numpy as np
 
 from aomgen.capture.read import read_capture
 from aomgen.core.camera import Camera, CameraPath
-from aomgen.core.plan import Variation
 from aomgen.core.project import Project
 from aomgen.core.transforms import apply
 from aomgen.core.values import Array
@@ -18,8 +17,13 @@ from aomgen.episodes.ledger import unit_of
 from aomgen.episodes.variations import scale_fit
 from aomgen.errors import InputError, MissingFileError, OutdatedRunError, UnknownNameError
 from aomgen.io.artifact import load_artifact
-from aomgen.io.episode_folder import CommittedEpisode, episode_folder, list_committed, read_episode
-from aomgen.io.schema import override
+from aomgen.io.episode_folder import (
+    CommittedEpisode,
+    episode_folder,
+    list_committed,
+    read_episode,
+    read_variation,
+)
 from aomgen.parts.stage import COVERAGE
 from aomgen.parts.survey import Survey
 from aomgen.pipeline.manifest import MANIFEST, read_manifest
@@ -30,7 +34,7 @@ from aomgen.prompting.scan_choice import ScanImages
 from aomgen.results import Results
 from aomgen.robots.robot import RobotModel
 from aomgen.simulation.episode_scene import episode_scene
-from aomgen.twin.twin import TwinModel, TwinState
+from aomgen.twin.twin import TwinModel, TwinState, interpolate_state
 from aomgen.viewing import overlays
 from aomgen.viewing.draw_list import DrawList
 from aomgen.viewing.motions import ShownMotion, read_recording, show_episode
@@ -171,19 +175,11 @@ class OpenedRun:
             aligned = "alignment" in self.done
             return ScannedScene(self.results.gaussians if aligned else self.results.gaussians_recon, None)
         episode, motion = self.episode(name).episode, self.motion(name)[0]
-        first = TwinState(
-            joints=episode.joints[0],
-            gripper=float(episode.gripper[0]),
-            theta=float(episode.thetas[0]),
-            T_world_object=episode.T_world_object,
-        )
+        first = interpolate_state(episode, float(episode.times_s[0]))
         eyes = np.stack([path.camera.center for path in motion.cameras.values()])
         asset = unit_of(episode.index).asset
-        return open_episode_scene(self.results, self.posable[1], asset, self._variation(name), first, eyes)
-
-    def _variation(self, name: str) -> Variation:
-        stated = self.episode(name).episode.verdict["variation"]
-        return override(Variation(seed=0, index=0, x=0.0, y=0.0, yaw=0.0), stated, "variation")
+        variation = read_variation(self.episode(name))
+        return open_episode_scene(self.results, self.posable[1], asset, variation, first, eyes)
 
     def _find_pivot(self, name: str) -> Array:
         """The point (3,) that the view turns about: the object, else the middle of the scan."""
@@ -241,7 +237,8 @@ class OpenedRun:
 
     def _open_episode_colliders(self, name: str) -> overlays.Overlay:
         episode, results = self.episode(name).episode, self.results
-        fitted = scale_fit(results.fitted_assets[unit_of(episode.index).asset], self._variation(name).scale)
+        scale = read_variation(self.episode(name)).scale
+        fitted = scale_fit(results.fitted_assets[unit_of(episode.index).asset], scale)
         shared, demo = results.episode_scene, results.demonstration
         bolted = bool(episode.verdict["bolted"])
         scene = episode_scene(
