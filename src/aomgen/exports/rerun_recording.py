@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
+import rerun as rr  # pyright: ignore[reportMissingImports]
 
 from aomgen.conventions import xyzw_from_wxyz
 from aomgen.core.camera import Camera
@@ -36,8 +37,6 @@ def write_rerun(motion: SceneMotion, path: Path) -> None:
     Raises:
         StorageError: The disk refuses.
     """
-    import rerun as rr
-
     # Otherwise the package prints problems and leaves out what has them.
     rr.set_strict_mode(True)
     # The same motion gives the same recording, so that a viewer replaces it.
@@ -72,8 +71,6 @@ def _log_bodies(recording: Any, motion: SceneMotion) -> None:
 
 
 def _splats(gaussians: Gaussians) -> Any:
-    import rerun as rr
-
     rgba = np.column_stack([gaussians.colors_srgb, gaussians.opacities])
     return rr.GaussianSplats3D(
         centers=gaussians.means,
@@ -86,16 +83,12 @@ def _splats(gaussians: Gaussians) -> Any:
 
 
 def _transform(T: Array) -> Any:
-    import rerun as rr
-
     return rr.Transform3D(
         translation=T[:3, 3], quaternion=rr.Quaternion(xyzw=xyzw_from_wxyz(quat_from_matrix(T[:3, :3])))
     )
 
 
 def _send_poses(recording: Any, entity: str, Ts: Array, times_s: Array) -> None:
-    import rerun as rr
-
     recording.send_columns(
         entity,
         [_time_column(times_s)],
@@ -106,15 +99,11 @@ def _send_poses(recording: Any, entity: str, Ts: Array, times_s: Array) -> None:
 
 
 def _time_column(times_s: Array) -> Any:
-    import rerun as rr
-
     stamps = np.round(np.asarray(times_s, np.float64) * 1e9).astype("timedelta64[ns]")
     return rr.TimeColumn(TIMELINE, duration=stamps)
 
 
 def _log_cameras(recording: Any, motion: SceneMotion) -> None:
-    import rerun as rr
-
     moving: Mapping[str, Camera] = {name: item.at(0) for name, item in motion.paths.items()}
     for name, camera in {**motion.cameras, **moving}.items():
         entity = f"world/camera/{name}"
@@ -135,8 +124,6 @@ def _log_cameras(recording: Any, motion: SceneMotion) -> None:
 
 def _log_video(recording: Any, entity: str, file: Path, start_s: float) -> None:
     """The video as it is, and a reference to a frame of it at the time of each."""
-    import rerun as rr
-
     video = rr.AssetVideo(path=file)
     recording.log(f"{entity}/video", video, static=True)
     stamps_ns = np.asarray(video.read_frame_timestamps_nanos())
@@ -148,8 +135,6 @@ def _log_video(recording: Any, entity: str, file: Path, start_s: float) -> None:
 
 
 def _log_joints(recording: Any, motion: SceneMotion) -> None:
-    import rerun as rr
-
     moved, times = motion.trajectory, [_time_column(motion.trajectory.times_s)]
     series = dict(zip(motion.robot.joint_names, moved.joints.T, strict=True))
     for name, values in {**series, "gripper": moved.gripper, "object": moved.thetas}.items():
@@ -158,8 +143,6 @@ def _log_joints(recording: Any, motion: SceneMotion) -> None:
 
 def _log_contacts(recording: Any, motion: SceneMotion) -> None:
     """Contact forces on the fingers as arrows; a frame without a contact clears them."""
-    import rerun as rr
-
     contacts = motion.contacts
     if contacts is None:
         return

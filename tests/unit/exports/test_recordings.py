@@ -11,12 +11,13 @@ from PIL import Image
 
 from aomgen.core.transforms import matrix_from_quat
 from aomgen.exports.mcap_recording import write_mcap
-from aomgen.exports.rerun_recording import write_rerun
 from aomgen.exports.scene_motion import SceneMotion
 
 
 def test_rerun(motion: SceneMotion, tmp_path: Path) -> None:
-    chunks = pytest.importorskip("rerun.chunk")
+    chunks = pytest.importorskip("rerun.chunk", reason="extra rerun is not installed")
+    from aomgen.exports.rerun_recording import write_rerun
+
     write_rerun(motion, tmp_path / "motion.rrd")
     assert [item.name for item in tmp_path.iterdir()] == ["motion.rrd"]
     columns: dict[str, dict[str, list]] = {}
