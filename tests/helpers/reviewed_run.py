@@ -71,10 +71,14 @@ def write_reviewed_run(out: Path) -> Path:
     for index, share in ((1, 0.3), (2, 0.85), (4, 0.5)):
         commit_reviewed(out, index, share)
     rejection = Rejection(
-        reason="collision", detail=COLLISION, metrics={"penetration_mm": 3.0, "in_contact": 0.0}
+        reason="collision",
+        detail=COLLISION,
+        metrics={"penetration_mm": 3.0, "in_contact": 0.0},
+        excess=2.0,
+        bodies=("wrist_1_link", "table"),
     )
     write_rejection(folder, Unit(asset=0, index=3), make_variation(3), rejection)
-    skipped = {"asset": 0, "name": "microwave-1", "number": 0, "variation": asdict(make_variation(0)), "outcome": "skipped", "reason": "out_of_view", "detail": OUT_OF_VIEW}  # fmt: skip
+    skipped = {"asset": 0, "name": "microwave-1", "number": 0, "variation": asdict(make_variation(0)), "outcome": "skipped", "reason": "out_of_view", "detail": OUT_OF_VIEW, "excess": 16 / 85}  # fmt: skip
     write_draws(folder, iter([skipped]))
     write_project(out / PROJECT_FILE, Project(capture=out, out=out, assets=("microwave:1",)))
     return out

@@ -23,18 +23,32 @@ class Rejection:
         reason: Short key, for example "unreachable" or "collision".
         detail: One sentence with the value against its limit.
         metrics: The metrics behind it, by name with unit.
+        excess: Distance of the value beyond its limit, as a share of the limit; None where there is no limit.
+        bodies: Names of the two bodies that overlap; empty for other reasons.
         worst: Sample of the motion (1,) in which it breaks its limit most; None where that is not known. It is not stored.
     """
 
     reason: str
     detail: str = ""
     metrics: Mapping[str, float] = field(default_factory=dict)
+    excess: float | None = None
+    bodies: tuple[str, ...] = ()
     worst: Trajectory | None = field(default=None, compare=False)
 
     @property
     def passed(self) -> bool:
         """False, as opposed to `Verdict.passed`."""
         return False
+
+
+def measure_excess(value: float, limit: float) -> float | None:
+    """Measure how far a value is beyond its limit, as a share of the limit; None for a limit of 0.
+
+    Example:
+        >>> measure_excess(3.0, 1.0)
+        2.0
+    """
+    return abs(value - limit) / abs(limit) if limit else None
 
 
 Adaptation = Literal["object", "trajectory"]

@@ -183,4 +183,5 @@ def _outcomes(
                 "outcome": outcome,
                 "reason": rejection.reason if rejection else "",
                 "detail": rejection.detail if rejection else "",
+                "excess": rejection.excess if rejection else None,
             }

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import solveh_banded
 
-from aomgen.core.plan import Rejection
+from aomgen.core.plan import Rejection, measure_excess
 from aomgen.core.transforms import interpolate, path_steps, skew, transform
 from aomgen.core.values import Array, Matrix4, freeze_arrays
 from aomgen.episodes.joint_limits import IkLimits
@@ -213,6 +213,7 @@ def _judge(solver: IkSolver, Ts_world_ee: Array, joints: Array, limits: IkLimits
             reason="unreachable",
             detail=f"{mm:.1f} mm and {deg:.1f} deg from the asked pose",
             metrics={"residual_mm": mm, "residual_deg": deg, "sample": float(row)},
+            excess=max(mm / limits.residual_mm, deg / limits.residual_deg) - 1.0,
         )
     worst = int(np.argmin(margins[row] / keep))
     margin, name = float(margins[row, worst]), solver.robot.joint_names[worst]
@@ -220,6 +221,7 @@ def _judge(solver: IkSolver, Ts_world_ee: Array, joints: Array, limits: IkLimits
         reason="joint_limit",
         detail=f"{name} is {margin:.3f} from its limit, need at least {keep[worst]}",
         metrics={"limit_margin": margin, "sample": float(row)},
+        excess=measure_excess(margin, float(keep[worst])),
     )
 
 

@@ -56,7 +56,7 @@ def check_speed(
         "too_fast" or "too_jerky" with the factor by which the duration of each phase would have to grow.
     """
     at_rest = np.pad(joints, ((2, 2), (0, 0)), mode="edge")
-    needed, figures, reason, detail = np.zeros(len(joints)), {}, "", ""
+    needed, figures, reason, detail, excess = np.zeros(len(joints)), {}, "", "", 0.0
     for order, (name, limit, slide_limit) in enumerate(
         (
             ("speed", limits.speed, limits.slide_speed),
@@ -71,6 +71,7 @@ def check_speed(
         step, joint = np.unravel_index(int(shares.argmax()), shares.shape)
         if not shares[step, joint] <= 1.0 and not reason:
             reason = "too_fast" if order == 1 else "too_jerky"
+            excess = float(shares[step, joint]) - 1.0
             detail = f"{name} of joint {joint + 1} is {rates[step, joint]:.1f}, limit {(slide_limit if slides[joint] else limit)}"
         # A rate is assigned to all samples from which it is computed.
         factors = shares.max(1) ** (1 / order)
@@ -84,4 +85,4 @@ def check_speed(
         f"{phase}_share": float(needed[phases == index].max(initial=0.0))
         for index, phase in enumerate(PHASES)
     }
-    return Rejection(reason=reason, detail=detail, metrics={**figures, **by_phase})
+    return Rejection(reason=reason, detail=detail, metrics={**figures, **by_phase}, excess=excess)

@@ -29,6 +29,8 @@ from aomgen.io.episode_folder import list_committed
 
 REQUEST_FILE, DRAWS_FILE = "request.json", "draws.json"
 REJECTED_FOLDER, OBJECTS_FOLDER = "rejected", "objects"
+# What is stored of a rejection.
+STATED: Final = ("reason", "detail", "metrics", "excess", "bodies")
 # Largest number of draws of an asset: the number of an episode has five digits for them.
 MAX_DRAWS: Final = 100_000
 # Number of bars of a histogram: each still counts some of a few dozen episodes.
@@ -102,7 +104,7 @@ def write_rejection(folder: Path, unit: Unit, variation: Variation, rejection: R
     Raises:
         StorageError: The file cannot be written.
     """
-    stated = {name: getattr(rejection, name) for name in ("reason", "detail", "metrics")}
+    stated = {name: getattr(rejection, name) for name in STATED}
     content = {"variation": asdict(variation), **stated}
     write_json(rejection_file(folder, unit), content)
 
@@ -126,7 +128,8 @@ def read_rejection(folder: Path, unit: Unit) -> Rejection:
     path = rejection_file(folder, unit)
     content = read_json(path)
     try:
-        return Rejection(**{name: content[name] for name in ("reason", "detail", "metrics")})
+        stated = {name: content[name] for name in STATED}
+        return Rejection(**{**stated, "bodies": tuple(stated["bodies"])})
     except (TypeError, KeyError) as error:
         raise MalformedFileError(path, f"is no rejection ({error!r})", "delete it and run again") from error
 

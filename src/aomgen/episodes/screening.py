@@ -9,7 +9,7 @@ import numpy as np
 from aomgen.core.boxes import OrientedBox
 from aomgen.core.camera import Camera
 from aomgen.core.demonstration import SupportPlane
-from aomgen.core.plan import FittedAsset, OrbitChange, Rejection, Variation
+from aomgen.core.plan import FittedAsset, OrbitChange, Rejection, Variation, measure_excess
 from aomgen.core.transforms import apply, matrix_from_rotvec, transform
 from aomgen.core.values import Array
 from aomgen.episodes.variations import Ranges, inside
@@ -67,6 +67,7 @@ class Place:
                     reason="out_of_view",
                     detail=f"camera {name} shows {share:.0%} of the action, limit {LEAST_IN_VIEW:.0%}",
                     metrics={"in_view": share},
+                    excess=measure_excess(share, LEAST_IN_VIEW),
                 )
         return None
 
@@ -81,6 +82,7 @@ class Place:
                 reason="off_table",
                 detail=f"stands {100 * over_m:.0f} cm beyond the table's edge, limit {100 * OVERHANG_M:.0f} cm",
                 metrics={"overhang_m": over_m},
+                excess=measure_excess(over_m, OVERHANG_M),
             )
         covered = next((box for box in self.obstacles if _stands_in(fitted, T, box)), None)
         if covered is not None:
@@ -90,11 +92,13 @@ class Place:
                 detail=f"an obstacle of the scene is there, at about x = {x:.2f} m, y = {y:.2f} m",
             )
         far_m = float(np.linalg.norm(_held(fitted, T) - self.reach.shoulder_world, axis=1).max())
-        if not far_m <= USEFUL_REACH * self.reach.reach_m:
+        useful_m = USEFUL_REACH * self.reach.reach_m
+        if not far_m <= useful_m:
             return Rejection(
                 reason="out_of_reach",
-                detail=f"the handle is {far_m:.2f} m from the shoulder, limit {USEFUL_REACH * self.reach.reach_m:.2f} m",
+                detail=f"the handle is {far_m:.2f} m from the shoulder, limit {useful_m:.2f} m",
                 metrics={"distance_m": far_m},
+                excess=measure_excess(far_m, useful_m),
             )
         return None
 

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from aomgen.core.demonstration import Trajectory
-from aomgen.core.plan import Rejection
+from aomgen.core.plan import Rejection, measure_excess
 from aomgen.core.transforms import matrix_from_quat
 from aomgen.core.values import Array
 from aomgen.robots.robot import RobotModel
@@ -126,11 +126,11 @@ def self_overlap_mm(scene: Scene, joints: Array, gripper: float) -> float:
 
 
 class _Overlap(NamedTuple):
-    """Overlap of two shapes, [mm], its sample, and the names of the shapes."""
+    """Overlap of two bodies, [mm], its sample, and the names of the bodies."""
 
     mm: float = 0.0
     sample: float = 0.0
-    names: str = ""
+    bodies: tuple[str, ...] = ()
 
 
 def _judge(
@@ -146,11 +146,13 @@ def _judge(
     figures = {name: overlap.mm for _, name, overlap, _ in tests}
     for reason, name, overlap, limit in tests:
         if not overlap.mm <= limit:
-            place = f" ({overlap.names})" if overlap.names else ""
+            place = f" ({' and '.join(overlap.bodies)})" if overlap.bodies else ""
             return Rejection(
                 reason=reason,
                 detail=f"{name} is {overlap.mm:.1f}, limit {limit:.1f}{place}",
                 metrics={**figures, "sample": overlap.sample},
+                excess=measure_excess(overlap.mm, limit),
+                bodies=overlap.bodies,
             )
     return figures
 
@@ -193,8 +195,8 @@ def _sweep(
             # The robot's geom first.
             a, b = sorted(touching[deepest], key=lambda geom: not scene.roles.robot[geom])
             body_a, body_b = (model.body(model.geom_bodyid[geom]).name for geom in (a, b))
-            names = f"{body_a} and {model.geom(int(b)).name or body_b}"
-            worst[name] = _Overlap(float(mine[deepest]), float(at[deepest]), names)
+            bodies = (body_a, model.geom(int(b)).name or body_b)
+            worst[name] = _Overlap(float(mine[deepest]), float(at[deepest]), bodies)
     return worst, places
 
 
@@ -250,19 +252,19 @@ def _pair_kinds(scene: Scene) -> NDArray[np.int8]:
     return kinds
 
 
-def _object_overlap(scene: Scene, data: mujoco.MjData) -> tuple[float, float, str]:
+def _object_overlap(scene: Scene, data: mujoco.MjData) -> tuple[float, float, tuple[str, ...]]:
     """Overlap of the object's base with obstacles, [mm]: MuJoCo does not pair two static bodies."""
     static, obstacles = np.flatnonzero(scene.roles.static), np.flatnonzero(scene.roles.obstacle)
     if not len(obstacles):
-        return 0.0, 0.0, ""
+        return 0.0, 0.0, ()
     mujoco.mj_kinematics(scene.model, data)
     distances = {
         (a, b): mujoco.mj_geomDistance(scene.model, data, int(a), int(b), 0.1, None)
         for a, b in product(static, obstacles)
     }
     (a, b), distance = min(distances.items(), key=lambda item: item[1])
-    names = f"{scene.model.geom(int(a)).name} and {scene.model.geom(int(b)).name}"
-    return max(0.0, -1000.0 * distance), 0.0, names
+    bodies = (scene.model.geom(int(a)).name, scene.model.geom(int(b)).name)
+    return max(0.0, -1000.0 * distance), 0.0, bodies
 
 
 def _moves(scene: Scene, places: Array) -> Array:

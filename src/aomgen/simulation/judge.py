@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from aomgen.core.joint import JointType
-from aomgen.core.plan import FittedAsset, Rejection
+from aomgen.core.plan import FittedAsset, Rejection, measure_excess
 from aomgen.core.values import Array
 from aomgen.core.verdict import Check, Hold, Setting, SettingOutcome
 from aomgen.simulation.replay import SimulatedRun
@@ -111,7 +111,8 @@ def judge(
         if not item.passed:
             detail = f"{item.figure} is {item.value:.3g}, limit {item.limit:.3g} (setting {setting.name})"
             metrics = {other.figure: other.value for other in checks}
-            return Rejection(reason=item.reason, detail=detail, metrics=metrics)
+            excess = measure_excess(item.value, item.limit)
+            return Rejection(reason=item.reason, detail=detail, metrics=metrics, excess=excess)
     held = np.flatnonzero(holding)[[0, -1]]
     (first_s, last_s), (first_theta, last_theta) = held * run.tick_s, run.thetas[held]
     return SettingOutcome(

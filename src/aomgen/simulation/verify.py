@@ -12,7 +12,7 @@ from aomgen.assets.mjcf import ARMATURE, CONTACT_FRICTION, HOLDING_SOLIMP, holdi
 from aomgen.core.asset import ArticulatedAsset
 from aomgen.core.demonstration import Trajectory
 from aomgen.core.episode import ContactLog
-from aomgen.core.plan import EpisodePlan, Rejection, VerifiedEpisode
+from aomgen.core.plan import EpisodePlan, Rejection, VerifiedEpisode, measure_excess
 from aomgen.core.values import Array
 from aomgen.core.verdict import Check, Setting, SettingOutcome, Verdict
 from aomgen.simulation.collision_check import KinematicLimits
@@ -62,6 +62,7 @@ def verify_plan(
             reason="target_too_small",
             detail=f"planned travel of the joint is {travel:.3f}, limit {minimum:.3f}",
             metrics={"travel": travel},
+            excess=measure_excess(travel, minimum),
         )
     if not (np.isfinite(plan.joints).all() and np.isfinite(plan.gripper).all()):
         return Rejection(reason="not_finite", detail="an action is no number")

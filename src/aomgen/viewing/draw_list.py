@@ -18,7 +18,7 @@ from aomgen.errors import AomgenError, MissingFileError
 from aomgen.io.artifact import read_json
 from aomgen.io.episode_folder import EPISODE_FILE, list_committed
 from aomgen.io.review import content_of
-from aomgen.viewing.limit_readings import parse_excess, read_limits
+from aomgen.viewing.limit_readings import read_limits
 
 # "damaged" is an episode whose episode.json cannot be read.
 Outcome = Literal["committed", "rejected", "skipped", "damaged"]
@@ -37,6 +37,7 @@ class Draw:
         room: Distance to the limit that came nearest, 0..1 (see `LimitReading`); below 0 beyond it; None where no limit is stated.
         variation: As stored; empty where it is unknown.
         metrics: Figures of a rejection.
+        bodies: Names of the bodies whose overlap is the reason.
         content: Digest of a committed episode, by which its review is found.
         cameras: Names of its videos.
     """
@@ -49,6 +50,7 @@ class Draw:
     room: float | None = None
     variation: Mapping[str, Any] = field(default_factory=dict)
     metrics: Mapping[str, float] = field(default_factory=dict)
+    bodies: tuple[str, ...] = ()
     content: str = ""
     cameras: tuple[str, ...] = ()
 
@@ -126,7 +128,7 @@ def _read_skipped(path: Path) -> list[Draw]:
             outcome="skipped",
             reason=str(item["reason"]),
             detail=str(item["detail"]),
-            room=_room(item["detail"]),
+            room=_room(item["excess"]),
             variation=item["variation"],
         )
         for item in read_draws(path.parent)
@@ -145,9 +147,10 @@ def _read_rejected(path: Path, names: Mapping[int, str]) -> Draw:
             outcome="rejected",
             reason=str(item["reason"]),
             detail=str(item["detail"]),
-            room=_room(item["detail"]),
+            room=_room(item["excess"]),
             variation=item["variation"],
             metrics=item["metrics"],
+            bodies=tuple(item["bodies"]),
         )
     except MissingFileError:
         raise
@@ -183,6 +186,5 @@ def _describe_damage(number: int, asset: str, path: Path, error: Exception) -> D
     return Draw(number=number, asset=asset, outcome="damaged", reason="damaged", detail=sentence)
 
 
-def _room(detail: str) -> float | None:
-    excess = parse_excess(detail)
+def _room(excess: float | None) -> float | None:
     return None if excess is None else -excess

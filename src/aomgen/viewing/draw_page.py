@@ -13,7 +13,7 @@ from aomgen.core.values import Array
 from aomgen.io.episode_folder import read_episode
 from aomgen.report.episodes import place_words, reasons
 from aomgen.viewing.draw_list import Draw
-from aomgen.viewing.limit_readings import parse_pair, read_limits, read_rejected
+from aomgen.viewing.limit_readings import read_limits, read_rejected
 
 # Digits of plotted values, below what a plot can show.
 DIGITS: Final = 4
@@ -56,7 +56,7 @@ def describe_rejected(draw: Draw) -> dict[str, Any]:
     return {
         "asset": draw.asset,
         "meaning": reasons().get(draw.reason, ""),
-        "pair": parse_pair(draw.detail),
+        "pair": " and ".join(draw.bodies),
         "place": place_words(draw.variation) if draw.variation else "",
         "variation": describe_variation(draw.variation),
         "figures": read_rejected(draw.metrics),

@@ -1,17 +1,13 @@
-"""Distance of an episode's figures to their limits, comparable between figures; and the limit that a rejection states."""
+"""Distance of an episode's figures to their limits, comparable between figures."""
 
-import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Final
 
 from aomgen.pipeline.figures import FIGURES, read_figure
 
-# Rejections state their value and its limit in these forms; others have no limit that can be compared.
-_STATED: Final = re.compile(r"(-?\d+(?:\.\d+)?(?:e[+-]?\d+)?)\D*?, (?:limit|at least) (-?\d+(?:\.\d+)?)")
 # Metrics by which planning compares attempts; a person cannot use them.
 _INTERNAL: Final = ("in_contact", "path_share")
-_PAIR: Final = re.compile(r"\((\w+ and \w+)\)$")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -64,26 +60,6 @@ def _read(name: str, value: float, limit: float, margin: float, setting: str) ->
         room=margin / ((1 - limit) if least else limit),
         setting=setting,
     )
-
-
-def parse_excess(detail: str) -> float | None:
-    """Parse the excess over the limit that a rejection's sentence states, as a share of the limit; None without a limit.
-
-    Example:
-        >>> parse_excess("penetration_mm is 3.0, limit 1.0 (wrist_1_link and table)")
-        2.0
-    """
-    found = _STATED.search(detail)
-    if found is None or float(found[2]) == 0:
-        return None
-    value, limit = float(found[1]), float(found[2])
-    return abs(value - limit) / abs(limit)
-
-
-def parse_pair(detail: str) -> str:
-    """Parse the colliding bodies that a rejection's sentence names, for example "wrist_1_link and table"; empty for none."""
-    found = _PAIR.search(detail)
-    return found[1] if found else ""
 
 
 def read_rejected(metrics: Mapping[str, float]) -> dict[str, str]:

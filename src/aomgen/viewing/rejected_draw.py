@@ -13,7 +13,6 @@ from aomgen.episodes.ledger import unit_of
 from aomgen.io.episode_folder import CommittedEpisode, episode_folder
 from aomgen.results import Results
 from aomgen.viewing.draw_list import Draw
-from aomgen.viewing.limit_readings import parse_pair
 
 # Keys of a draw's verdict: a sentence for the person who looks at it, and the names of what collides.
 NOTE, PAIR = "note", "pair"
@@ -56,13 +55,12 @@ def replan_draw(results: Results, draw: Draw) -> CommittedEpisode:
         thetas=shown.thetas,
         T_world_object=T_world_object,
     )
-    detail = planned.detail if isinstance(planned, Rejection) else ""
     verdict = {
         # As it is read from the file of a committed episode.
         "variation": json.loads(json.dumps(asdict(variation))),
         "bolted": factory.params.bolted,
         NOTE: f"Draw {draw.number} gave no episode: {_state_reason(planned, draw)}. {what}",
-        PAIR: [name for name in parse_pair(detail).split(" and ") if name],
+        PAIR: planned.bodies if isinstance(planned, Rejection) else (),
     }
     episode = Episode(
         index=draw.number,

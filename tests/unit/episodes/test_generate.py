@@ -281,6 +281,7 @@ def test_what_stands_in_the_scene_is_planned_and_verified_with(tmp_path):
     assert not factory.make(unit)[0]
     rejection = read_rejection(results.folders["episodes"], unit)
     assert rejection.reason in ("collision", "no_path")
+    assert (rejection.excess is not None) == bool(rejection.bodies) == (rejection.reason == "collision")
 
 
 HOPELESS = {

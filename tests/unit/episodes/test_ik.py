@@ -160,6 +160,7 @@ def test_joints_stay_within_their_limits(solver: IkSolver, demo: Demonstration) 
         solve_smoothly(narrow, demo.Ts_world_ee, demo.joints, 10.0, IkLimits()),
     ):
         assert isinstance(result, Rejection)
+        assert result.excess == pytest.approx(1 - result.metrics["limit_margin"] / IkLimits().limit_margin)
 
 
 def test_speed_acceleration_and_jerk_are_those_of_a_sine() -> None:
@@ -174,6 +175,7 @@ def test_speed_acceleration_and_jerk_are_those_of_a_sine() -> None:
     fast = check_speed(8 * wave, 10.0, IkLimits(), HINGES, PHASES)
     assert isinstance(fast, Rejection)
     assert fast.reason == "too_fast"
+    assert fast.excess == pytest.approx(fast.metrics["joint_speed"] / IkLimits().speed - 1)
     jerky = check_speed(wave + 0.1 * (np.arange(80) >= 40)[:, None], 10.0, IkLimits(), HINGES, PHASES)
     assert isinstance(jerky, Rejection)
     assert jerky.reason == "too_jerky"

@@ -85,7 +85,11 @@ def test_a_thin_wall_between_two_samples_is_met(robot: RobotModel) -> None:
     assert isinstance(result, Rejection)
     assert result.reason == "collision"
     assert 0 < result.metrics["sample"] < 1
-    assert "obstacles" in result.detail
+    assert "obstacles" in result.bodies[1]
+    assert " and ".join(result.bodies) in result.detail
+    assert result.excess == pytest.approx(
+        result.metrics["penetration_mm"] / LIMITS.max_penetration_mm - 1, abs=1e-9
+    )
 
 
 def test_the_arm_keeps_clear_of_the_object_by_as_much_as_is_asked(robot: RobotModel) -> None:

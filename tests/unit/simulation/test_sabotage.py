@@ -14,6 +14,7 @@ from aomgen.core.transforms import transform
 from aomgen.robots.robot import RobotModel
 from aomgen.simulation import replay
 from aomgen.simulation.collision_check import KinematicLimits, check_kinematics, holding_gripper
+from aomgen.simulation.judge import PassRule
 from aomgen.simulation.scene import Scene, build_scene
 from aomgen.simulation.verify import verify_plan
 from toy_plans import (
@@ -73,7 +74,11 @@ def test_what_is_honest_passes(drawer: Episode, microwave: Episode, index: int) 
 )
 def test_a_hand_beside_the_handle_opens_nothing(drawer: Episode, side: tuple[float, ...]) -> None:
     plan, scene = drawer
-    assert reason(shifted(plan, *side), scene) == "target"
+    result = verify_plan(shifted(plan, *side), scene)
+    assert isinstance(result, Rejection)
+    assert result.reason == "target"
+    least = PassRule().target_share
+    assert result.excess == pytest.approx((least - result.metrics["target_share"]) / least)
 
 
 @pytest.mark.parametrize("way", [(-0.07, 0.2, 0), (-0.07, 0, -0.14)])

@@ -5,7 +5,7 @@ import pytest
 
 from aomgen.errors import MissingFileError
 from aomgen.viewing.draw_list import DrawList
-from aomgen.viewing.limit_readings import parse_excess, parse_pair, read_limits, read_rejected
+from aomgen.viewing.limit_readings import read_limits, read_rejected
 from reviewed_run import commit_reviewed, make_verdict, write_reviewed_run
 
 
@@ -30,6 +30,7 @@ def test_all_draws_with_the_limit_that_came_nearest(out: Path) -> None:
     assert draws[2].detail == "85 %, limit ≤ 90 %"
     assert [draw.room for draw in draws] == pytest.approx([16 / -85, 6 / 9, 5 / 90, -2.0, 4 / 9])
     assert draws[2].cameras == ("front", "side")
+    assert draws[3].bodies == ("wrist_1_link", "table")
 
 
 def test_a_run_that_goes_on_is_read_again(out: Path) -> None:
@@ -68,22 +69,6 @@ def test_limits_are_ordered_by_their_room() -> None:
     ]
     assert [item.room for item in found] == pytest.approx([5 / 90, 0.9, 1.0])
     assert found[2].limit == "≥ 90.0 % of the plan"
-
-
-@pytest.mark.parametrize(
-    ("detail", "excess", "pair"),
-    [
-        ("penetration_mm is 3.0, limit 1.0 (wrist_1_link and table)", 2.0, "wrist_1_link and table"),
-        ("camera free0 shows 40% of the action, limit 80%", 0.5, ""),
-        ("stands 5 cm beyond the table's edge, limit 2 cm", 1.5, ""),
-        ("wrist is 0.010 from its limit, at least 0.05 wanted", 0.8, ""),
-        ("written_share is 1e-1, limit 0.05 (setting nominal)", 1.0, ""),
-        ("the asset offers no grasp", None, ""),
-    ],
-)
-def test_rejections_state_their_excess(detail: str, excess: float | None, pair: str) -> None:
-    assert parse_excess(detail) == (None if excess is None else pytest.approx(excess))
-    assert parse_pair(detail) == pair
 
 
 def test_figures_of_rejections_are_words() -> None:

@@ -48,13 +48,18 @@ def plan_as(monkeypatch, planned) -> None:
 def test_the_state_of_the_collision_is_shown(results, monkeypatch) -> None:
     plan_as(
         monkeypatch,
-        Rejection(reason="collision", detail="is 3.0, limit 1.0 (wrist and door)", worst=make_motion(1, 0.2)),
+        Rejection(
+            reason="collision",
+            detail="is 3.0, limit 1.0 (wrist and door)",
+            bodies=("wrist", "door"),
+            worst=make_motion(1, 0.2),
+        ),
     )
     shown = replan_draw(results, DRAW)
     np.testing.assert_allclose(shown.episode.joints, np.full((1, 6), 0.2))
     np.testing.assert_allclose(shown.episode.T_world_object, VARIATION.place_at(fitted_drawer()))
     assert shown.videos == {}
-    assert shown.episode.verdict[PAIR] == ["wrist", "door"]
+    assert shown.episode.verdict[PAIR] == ("wrist", "door")
     assert "Draw 3 gave no episode: collision, is 3.0, limit 1.0. The state" in shown.episode.verdict[NOTE]
 
 
@@ -62,6 +67,6 @@ def test_another_reason_than_the_stored_one_is_stated(results, monkeypatch) -> N
     plan_as(monkeypatch, Rejection(reason="no_path", detail="there is none"))
     shown = replan_draw(results, DRAW)
     np.testing.assert_allclose(shown.episode.joints, np.full((1, 6), 0.5))
-    assert shown.episode.verdict[PAIR] == []
+    assert shown.episode.verdict[PAIR] == ()
     note = shown.episode.verdict[NOTE]
     assert "planned again it gives no path, there is none. The state of the arm is not known" in note
