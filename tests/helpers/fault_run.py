@@ -106,7 +106,6 @@ def make_here(out: Path, digest: str, workers: int) -> None:
         factory.folder = results.folders["episodes"]
         with (
             patch.object(episodes_stage, "open_factory", lambda *_: factory.make),
-            patch.object(episodes_stage, "open_grasping", lambda *_: factory.working_grasps),
             patch.object(episodes_stage, "open_executor", lambda _, opener, __: InThisProcess(opener())),
         ):
             make(results, digest, heard)

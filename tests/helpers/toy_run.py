@@ -18,7 +18,7 @@ from aomgen.core.light import hemisphere_light
 from aomgen.core.progress import silent
 from aomgen.core.project import Project
 from aomgen.core.transforms import transform
-from aomgen.episodes.grasp_choice import GRASPS_FOLDER, WorkingGrasps, choose_grasp
+from aomgen.episodes.grasp_choice import GRASPS_FOLDER, GraspChoice
 from aomgen.episodes.grasps import grasps
 from aomgen.episodes.ik import ik_solver
 from aomgen.episodes.retarget import DemonstratedMotion
@@ -27,7 +27,6 @@ from aomgen.io.artifact import save_artifact
 from aomgen.results import ASSET_USD, FITTED, Results
 from aomgen.robots.loading import load_robot
 from aomgen.robots.robot import RobotModel
-from aomgen.saved_units import unit_name
 from aomgen.splatting.surfels import surfels_of
 from aomgen.twin.binding import with_object
 from aomgen.twin.twin import TwinModel, TwinState, body_list
@@ -91,7 +90,7 @@ def toy_run(
 ) -> ToyResults:
     """Write what the replacement stage leaves, for some equal drawers of different names; `choices` of `toy_results`.
 
-    How they are held is chosen as well: to look at 24 draws takes longer than an episode.
+    Their usual grasp is given: to choose it from 24 draws takes longer than an episode.
     """
     robot, fitted, results = _robot(), fitted_drawer(), toy_results(out, **choices)
     plain = replace(fitted.asset, static=_plain(fitted.asset.static), moving=_plain(fitted.asset.moving))
@@ -122,8 +121,8 @@ def toy_run(
     )
     shown = DemonstratedMotion(results.demonstration)
     offered = grasps(fitted, shown.hand_at_closed(fitted), [0.01], shown.demo.ee_turn_ratio)
-    working = WorkingGrasps(draws=(tuple(grasp for grasp in offered if grasp.name == GRASP_NAME),))
-    chosen = folders["episodes"] / GRASPS_FOLDER
+    usual = next(grasp for grasp in offered if grasp.name == GRASP_NAME)
+    choice = GraspChoice(usual=usual, mean_rad=0.0, draws=1)
     for number in range(len(results.project.assets)):
         home = results.asset_folder(number)
         named = replace(fitted, asset=replace(plain, name=f"drawer-{number}"))
@@ -132,8 +131,7 @@ def toy_run(
         background = _table(robot, fitted.T_world_asset)
         twin = with_object(background, static, moving, fitted.asset.joint, light, fitted.T_world_asset)
         save_artifact(home, "twin", twin)
-        save_artifact(chosen, unit_name(number), working)
-    save_artifact(chosen, fitted.asset.category, choose_grasp(working.draws))
+    save_artifact(folders["episodes"] / GRASPS_FOLDER, fitted.asset.category, choice)
     return results
 
 

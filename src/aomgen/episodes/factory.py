@@ -3,10 +3,10 @@
 import hashlib
 import os
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
-from functools import cache, cached_property, lru_cache
+from functools import cache, cached_property, lru_cache, partial
 from itertools import islice
 from pathlib import Path
 from typing import Final
@@ -16,8 +16,9 @@ import numpy as np
 from aomgen.assets.usd_write import write_for_replay
 from aomgen.core.camera import Camera
 from aomgen.core.plan import EpisodePlan, FittedAsset, Rejection, Variation, VerifiedEpisode
+from aomgen.episodes.candidates import Candidate
 from aomgen.episodes.generate import MAX_SKIPPED
-from aomgen.episodes.grasp_choice import GRASPS_FOLDER, GraspChoice, WorkingGrasps, choose_grasp, draws_of
+from aomgen.episodes.grasp_choice import DRAWS, GRASPS_FOLDER, GraspChoice, choose_grasp, draws_of
 from aomgen.episodes.grasps import Grasp
 from aomgen.episodes.ik import IkSolver, ik_solver
 from aomgen.episodes.ledger import Unit, object_folder, write_rejection
@@ -35,7 +36,6 @@ from aomgen.io.episode_folder import episode_folder
 from aomgen.lighting.object_shadow import ObjectShadow, tabulate_object_shadow
 from aomgen.results import ASSET_USD, Results
 from aomgen.robots.robot import longest_reach
-from aomgen.saved_units import unit_name
 from aomgen.simulation.episode_scene import episode_scene
 from aomgen.simulation.scene import Scene
 from aomgen.simulation.verify import verify_plan
@@ -181,28 +181,31 @@ class EpisodeFactory:
         chosen = self.folder / GRASPS_FOLDER
         if (chosen / f"{category}.json").is_file():
             return load_artifact(chosen, category, GraspChoice)
-        working = [self.working_grasps(number).draws for number in self._alike(category)]
-        return choose_grasp([grasps for draws in working for grasps in draws])
-
-    def working_grasps(self, number: int) -> WorkingGrasps:
-        """Find the working grasps of an asset's first draws, or read them from the stage's folder."""
-        found = self.folder / GRASPS_FOLDER
-        if (found / f"{unit_name(number)}.json").is_file():
-            return load_artifact(found, unit_name(number), WorkingGrasps)
-        opened, demo = self.asset(number), self.results.demonstration
-        alike = self._alike(opened.fitted.asset.category)
-        draws = (self.screen(Unit(asset=number, index=index)) for index in range(MAX_SKIPPED))
-        passing = (variation for variation, rejection in draws if rejection is None)
-        planners = (
-            Planner(fitted, demo, variation, scene, self.solver, self.plan_params)
-            for variation in islice(passing, draws_of(len(alike)))
-            for fitted, scene in [opened.sized(variation.scale)]
-        )
-        return WorkingGrasps(draws=tuple(tuple(planner.working_grasps()) for planner in planners))
-
-    def _alike(self, category: str) -> list[int]:
         assets = enumerate(self.results.fitted_assets)
-        return [number for number, fitted in assets if fitted.asset.category == category]
+        alike = [number for number, fitted in assets if fitted.asset.category == category]
+        # A planner holds a copy of its scene, so only those of one object's draws are kept.
+        planner = lru_cache(DRAWS)(self._open_planner)
+        return choose_grasp(
+            [
+                [
+                    (candidates[0].motion.grasp, partial(_works, planner, unit, candidates))
+                    for candidates in planner(unit).list_candidates().values()
+                ]
+                for number in alike
+                for unit in self._first_draws(number, draws_of(len(alike)))
+            ]
+        )
+
+    def _first_draws(self, number: int, count: int) -> list[Unit]:
+        """List the first draws of an asset that are worth planning."""
+        units = (Unit(asset=number, index=index) for index in range(MAX_SKIPPED))
+        return list(islice((unit for unit in units if self.screen(unit)[1] is None), count))
+
+    def _open_planner(self, unit: Unit) -> Planner:
+        variation = self.variation(unit)
+        fitted, scene = self.asset(unit.asset).sized(variation.scale)
+        demo = self.results.demonstration
+        return Planner(fitted, demo, variation, scene, self.solver, self.plan_params)
 
     def certify(self, opened: "OpenAsset", variation: Variation) -> VerifiedEpisode | Rejection:
         """Plan a variation of an asset and verify the plan."""
@@ -335,9 +338,8 @@ class OpenAsset:
         return tabulate_object_shadow(self.twin, self.factory.results.episode_scene.T_world_plane, 1)
 
 
-def open_grasping(results: Results, folder: Path) -> Callable[[int], WorkingGrasps]:
-    """Open a worker function that finds the working grasps of assets."""
-    return EpisodeFactory(results, folder).working_grasps
+def _works(planner: Callable[[Unit], Planner], unit: Unit, candidates: Sequence[Candidate]) -> bool:
+    return planner(unit).works(candidates)
 
 
 def open_factory(results: Results, folder: Path) -> Work:

@@ -6,32 +6,24 @@ times, and a policy would learn their mean. All objects of a category share the 
 is held is not visible, so a policy that learned from several objects would learn the mean of their grasps.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from itertools import chain
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
+from aomgen.core.values import Array
 from aomgen.episodes.grasps import Grasp, difference
 
-# Number of draws that determine which grasps work; with many objects fewer suffice for each,
+# Number of draws that determine the usual grasp; with many objects fewer suffice for each,
 # but at least this many.
 DRAWS, LEAST_DRAWS = 24, 4
-# Folder of the working grasps, one file per object, and of the choices, one per category, in the
-# folder of all episodes.
+# Folder of the choices, one file per category, in the folder of all episodes.
 GRASPS_FOLDER: Final = "grasps"
 
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class WorkingGrasps:
-    """Working grasps of one object.
-
-    Attributes:
-        draws: For each of its first draws the grasps with which an episode could be planned.
-    """
-
-    draws: tuple[tuple[Grasp, ...], ...]
+# A grasp in one draw, and the test whether an episode can be planned with it.
+GraspTest = tuple[Grasp, Callable[[], bool]]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -54,21 +46,47 @@ def draws_of(objects: int) -> int:
     return max(LEAST_DRAWS, DRAWS // objects)
 
 
-def choose_grasp(working: Sequence[Sequence[Grasp]]) -> GraspChoice:
-    """Choose the grasp with the smallest mean difference to the most similar grasp of each draw.
+def choose_grasp(draws: Sequence[Sequence[GraspTest]]) -> GraspChoice:
+    """Choose the grasp with the smallest mean difference to the most similar working grasp of each draw.
+
+    The search is best-first: it takes the candidate that would be the best if all untested grasps worked, and tests the
+    grasps that its mean depends on, until the mean of such a candidate is known. Most grasps are never tested.
 
     Args:
-        working: Working grasps of every draw; among equal candidates the first one is chosen.
+        draws: Grasps of every draw in order of preference; among equal candidates the first one is chosen. A draw
+            in which no grasp works does not count.
     """
-    served = [grasps for grasps in working if grasps]
-    candidates: dict[tuple[float, ...], Grasp] = {}
-    for grasp in chain.from_iterable(served):
-        candidates.setdefault((*grasp.R_object_ee.ravel().round(3), round(grasp.turn_ratio, 3)), grasp)
-    means = [
-        sum(min(difference(usual, grasp) for grasp in grasps) for grasps in served) / len(served)
-        for usual in candidates.values()
-    ]
-    if not means:
-        return GraspChoice(usual=None, mean_rad=0.0, draws=len(working))
-    best = int(np.argmin(np.round(means, 6)))
-    return GraspChoice(usual=list(candidates.values())[best], mean_rad=means[best], draws=len(working))
+    candidates = {_key(grasp): grasp for offered in reversed(draws) for grasp, _ in reversed(offered)}
+    candidates = dict(reversed(candidates.items()))
+    grasps, numbers = list(candidates.values()), {key: number for number, key in enumerate(candidates)}
+    tests = [{numbers[_key(grasp)]: test for grasp, test in offered} for offered in draws]
+    apart = np.array([[difference(a, b) for b in grasps] for a in grasps])
+
+    def measure(row: NDArray[np.bool_]) -> Array:
+        """Difference of all candidates (C,) from the most similar of some of them."""
+        return np.asarray(apart[:, row].min(1) if row.any() else np.zeros(len(row)), np.float64)
+
+    # Grasps (D, C) that have not failed, and those that have been tested and work.
+    possible = np.array([[number in row for number in range(len(grasps))] for row in tests], bool)
+    works, useful = np.zeros_like(possible), np.ones(len(grasps), bool)
+    nearest = np.array([measure(row) for row in possible])
+    while useful.any():
+        best = int(np.argmin(np.where(useful, nearest.sum(0).round(6), np.inf)))
+        similar = possible & (apart[best] <= nearest[:, best, None])
+        unknown = similar.any(1) & ~(similar & works).any(1)
+        if unknown.any():
+            draw = int(np.argmax(unknown))
+            number = int(np.argmax(similar[draw]))
+            works[draw, number] = possible[draw, number] = tests[draw][number]()
+            nearest[draw] = measure(possible[draw])
+        elif works[:, best].any():
+            mean = float(nearest[works.any(1), best].mean())
+            return GraspChoice(usual=grasps[best], mean_rad=mean, draws=len(draws))
+        else:
+            useful[best] = False
+    return GraspChoice(usual=None, mean_rad=0.0, draws=len(draws))
+
+
+def _key(grasp: Grasp) -> tuple[float, ...]:
+    """Identify equal grasps of different draws."""
+    return (*grasp.R_object_ee.ravel().round(3), round(grasp.turn_ratio, 3))

@@ -22,13 +22,7 @@ from aomgen.episodes.free_motion import find_free_path
 from aomgen.episodes.grasps import Grasp, between, difference
 from aomgen.episodes.ik import IkSolver, find_arms, path_residuals, solve_smoothly
 from aomgen.episodes.joint_limits import IkLimits, check_speed
-from aomgen.episodes.retarget import (
-    CONTACT,
-    INTERVAL_PHASES,
-    DemonstratedMotion,
-    RetargetedMotion,
-    ease,
-)
+from aomgen.episodes.retarget import CONTACT, INTERVAL_PHASES, DemonstratedMotion, RetargetedMotion, ease
 from aomgen.episodes.start import find_start
 from aomgen.simulation.collision_check import (
     KinematicLimits,
@@ -273,15 +267,21 @@ class Planner:
                 high, plan = share, nearer[1]
         return plan
 
-    def working_grasps(self) -> list[Grasp]:
-        """List grasps with which an episode can be planned without a search, in order of preference."""
-        found = self.evaluate_all(self.list_motions(), WAYS[:1])
-        working = dict[str, Grasp]()
-        for item in found:
-            if not isinstance(item, Rejection):
-                grasp = item[0].motion.grasp
-                working.setdefault(grasp.name, grasp)
-        return list(working.values())
+    def list_candidates(self) -> dict[str, list[Candidate]]:
+        """List candidates as demonstrated, before their evaluation, by the name of their grasp in order of preference."""
+        if self.start is None:
+            return {}
+        found, motions, limits = dict[str, list[Candidate]](), self.list_motions(), self.params.ik
+        solved = follow_contact(motions, next(self._arms(WAYS[:1])), self.solver, limits)
+        contacts = {k: item for k, item in enumerate(solved) if not isinstance(item, Rejection)}
+        for _, candidate in follow_sides(motions, contacts, WAYS[0], self.solver, limits):
+            if not isinstance(candidate, Rejection):
+                found.setdefault(candidate.motion.grasp.name, []).append(candidate)
+        return found
+
+    def works(self, candidates: Sequence[Candidate]) -> bool:
+        """Check whether an episode can be planned with one of several candidates."""
+        return any(isinstance(self.evaluate(candidate), EpisodePlan) for candidate in candidates)
 
     def _arms(self, ways: Sequence[Way]) -> Iterator[Array]:
         """Yield configurations (J,) at the handle: the demonstrated one, and others if paths are searched."""

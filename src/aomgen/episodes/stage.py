@@ -15,9 +15,9 @@ import numpy as np
 
 from aomgen.core.plan import FittedAsset, Variation
 from aomgen.core.progress import Progress
-from aomgen.episodes.factory import EpisodeFactory, open_factory, open_grasping
+from aomgen.episodes.factory import EpisodeFactory, open_factory
 from aomgen.episodes.generate import generate
-from aomgen.episodes.grasp_choice import GRASPS_FOLDER, WorkingGrasps
+from aomgen.episodes.grasp_choice import GRASPS_FOLDER
 from aomgen.episodes.ledger import Account, Request, Unit, distributions, read_accounts, read_draws
 from aomgen.episodes.reach_map import REACH_MAP, ReachMap, draw_map, front_line, map_reach, scene_shapes
 from aomgen.episodes.variations import Ranges
@@ -27,7 +27,6 @@ from aomgen.io.artifact import read_json, save_artifact
 from aomgen.io.atomic import write_json, write_text
 from aomgen.io.episode_folder import EPISODE_FILE, list_committed
 from aomgen.results import Results
-from aomgen.saved_units import SavedUnits
 
 # Distributions of the episodes over the requested ranges.
 DISTRIBUTIONS_FILE = "distributions.json"
@@ -59,12 +58,8 @@ def run(
         save_artifact(folder, REACH_MAP.format(number), found)
     # Workers get a copy without cached results.
     opened = (replace(results), folder)
-    SavedUnits(folder / GRASPS_FOLDER, {}, WorkingGrasps).make(
-        range(len(request.assets)),
-        open_executor(results, partial(open_grasping, *opened), factory.params.timeout_s),
-        lambda share, text: progress(0.0, f"grasps of {text} assets tried"),
-    )
     for category in {fitted.asset.category for fitted in results.fitted_assets}:
+        progress(0.0, f"usual grasp of the category {category}")
         save_artifact(folder / GRASPS_FOLDER, category, factory.usual_grasp(category))
     with open_executor(results, partial(open_factory, *opened), factory.params.timeout_s) as executor:
         generate(folder, request, executor, factory.screen, progress, on_done)

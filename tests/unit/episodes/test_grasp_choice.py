@@ -1,7 +1,9 @@
 """Demonstrations of an object keep near to one grasp."""
 
 import re
+from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 from itertools import chain
 
 import numpy as np
@@ -33,20 +35,49 @@ def turned(deg: float, turn_ratio: float = 1.0) -> Grasp:
     )
 
 
+def choose(working: Sequence[Sequence[Grasp]], failing: Sequence[Sequence[Grasp]] = ()) -> GraspChoice:
+    """Choose from the working and failing grasps of each draw."""
+    others = [*failing, *[()] * (len(working) - len(failing))]
+    return choose_grasp(
+        [
+            [*((grasp, lambda: True) for grasp in good), *((grasp, lambda: False) for grasp in bad)]
+            for good, bad in zip(working, others, strict=True)
+        ]
+    )
+
+
+def working_grasps(planner: Planner) -> list[Grasp]:
+    found = planner.list_candidates().values()
+    return [candidates[0].motion.grasp for candidates in found if planner.works(candidates)]
+
+
 def usual_name(chosen: GraspChoice) -> str:
     return "" if chosen.usual is None else chosen.usual.name
 
 
 def test_the_usual_grasp_is_in_the_middle_of_what_is_needed() -> None:
     # Most draws could use 40, but the others would then differ by more than those from 20.
-    chosen = choose_grasp([[turned(40), turned(20)], [turned(40)], [turned(20), turned(0)], [turned(0)], []])
+    chosen = choose([[turned(40), turned(20)], [turned(40)], [turned(20), turned(0)], [turned(0)], []])
     assert (usual_name(chosen), chosen.draws) == ("20 1", 5)
     assert chosen.mean_rad == pytest.approx(np.deg2rad(10.0))
 
 
+def test_a_grasp_that_always_works_is_the_only_one_that_is_tested() -> None:
+    tested = []
+
+    def test(angle: float) -> bool:
+        tested.append(angle)
+        return angle == 20
+
+    offered = [(turned(angle), partial(test, angle)) for angle in (0, 20, 40)]
+    assert usual_name(choose_grasp([offered] * 5)) == "20 1"
+    assert sorted(tested) == [0, 20, 20, 20, 20, 20]
+
+
 def test_of_equals_the_nearest_to_the_demonstrated_is_chosen() -> None:
-    assert usual_name(choose_grasp([[turned(0), turned(10)], [turned(0), turned(10)]])) == "0 1"
-    assert choose_grasp([[], []]).usual is None
+    assert usual_name(choose([[turned(0), turned(10)], [turned(0), turned(10)]])) == "0 1"
+    assert choose([[], []]).usual is None
+    assert choose([[], []], [[turned(0)], [turned(10)]]).usual is None
 
 
 def test_hands_that_turn_less_with_a_door_differ() -> None:
@@ -54,9 +85,18 @@ def test_hands_that_turn_less_with_a_door_differ() -> None:
 
 
 @settings(deadline=None)
-@given(st.lists(st.lists(st.sampled_from(range(0, 180, 15)), unique=True), max_size=8))
-def test_no_other_grasp_is_nearer_to_those_of_the_draws(working: list[list[float]]) -> None:
-    chosen = choose_grasp([list(map(turned, angles)) for angles in working])
+@given(
+    st.lists(st.lists(st.sampled_from(range(0, 180, 15)), unique=True), max_size=8),
+    st.lists(st.booleans(), min_size=8, max_size=8),
+)
+def test_no_other_grasp_is_nearer_to_those_of_the_draws(
+    working: list[list[float]], failing: list[bool]
+) -> None:
+    others = [
+        [turned(angle) for angle in range(0, 180, 15) if angle not in angles] if fails else []
+        for angles, fails in zip(working, failing, strict=False)
+    ]
+    chosen = choose([list(map(turned, angles)) for angles in working], others)
     served = [angles for angles in working if angles]
     means = {
         turned(usual).name: np.mean([min(abs(usual - angle) for angle in angles) for angles in served])
@@ -82,7 +122,7 @@ def test_plans_use_the_usual_grasp_where_it_works(
 ) -> None:
     scene = build_scene(robot, fitted.asset, fitted.T_world_asset, SUPPORT)
     task = (fitted, demo, HERE, scene, solver, PlanParams())
-    working = Planner(*task).working_grasps()
+    working = working_grasps(Planner(*task))
     assert len(working) > 1
     plain, usual = plan_episode(*task), plan_episode(*task, working[-1])
     assert isinstance(plain, EpisodePlan)
@@ -101,7 +141,7 @@ def test_where_the_usual_grasp_does_not_work_plans_come_near_to_it(
 ) -> None:
     scene = build_scene(robot, fitted.asset, fitted.T_world_asset, SUPPORT)
     task = (fitted, demo, HERE, scene, solver, PlanParams())
-    working = Planner(*task).working_grasps()
+    working = working_grasps(Planner(*task))
     names = [grasp.name for grasp in working]
     shown = DemonstratedMotion(demo)
     offered = list(grasps(fitted, shown.hand_at_closed(fitted), [0.01], demo.ee_turn_ratio))
