@@ -29,7 +29,7 @@ from aomgen.io.episode_folder import list_committed
 
 REQUEST_FILE, DRAWS_FILE = "request.json", "draws.json"
 REJECTED_FOLDER, OBJECTS_FOLDER = "rejected", "objects"
-# What is stored of a rejection.
+# Fields of `Rejection` that its file holds; the sample `worst` is found again by planning.
 STATED: Final = ("reason", "detail", "metrics", "excess", "bodies")
 # Largest number of draws of an asset: the number of an episode has five digits for them.
 MAX_DRAWS: Final = 100_000

@@ -128,7 +128,7 @@ def _read_skipped(path: Path) -> list[Draw]:
             outcome="skipped",
             reason=str(item["reason"]),
             detail=str(item["detail"]),
-            room=_room(item["excess"]),
+            room=_room(item),
             variation=item["variation"],
         )
         for item in read_draws(path.parent)
@@ -147,10 +147,10 @@ def _read_rejected(path: Path, names: Mapping[int, str]) -> Draw:
             outcome="rejected",
             reason=str(item["reason"]),
             detail=str(item["detail"]),
-            room=_room(item["excess"]),
+            room=_room(item),
             variation=item["variation"],
             metrics=item["metrics"],
-            bodies=tuple(item["bodies"]),
+            bodies=tuple(item.get("bodies", ())),
         )
     except MissingFileError:
         raise
@@ -186,5 +186,7 @@ def _describe_damage(number: int, asset: str, path: Path, error: Exception) -> D
     return Draw(number=number, asset=asset, outcome="damaged", reason="damaged", detail=sentence)
 
 
-def _room(excess: float | None) -> float | None:
+def _room(item: Mapping[str, Any]) -> float | None:
+    # Runs of earlier versions state no excess.
+    excess = item.get("excess")
     return None if excess is None else -excess

@@ -4,6 +4,8 @@ from pathlib import Path
 import pytest
 
 from aomgen.errors import MissingFileError
+from aomgen.io.artifact import read_json
+from aomgen.io.atomic import write_json
 from aomgen.viewing.draw_list import DrawList
 from aomgen.viewing.limit_readings import read_limits, read_rejected
 from reviewed_run import commit_reviewed, make_verdict, write_reviewed_run
@@ -31,6 +33,19 @@ def test_all_draws_with_the_limit_that_came_nearest(out: Path) -> None:
     assert [draw.room for draw in draws] == pytest.approx([16 / -85, 6 / 9, 5 / 90, -2.0, 4 / 9])
     assert draws[2].cameras == ("front", "side")
     assert draws[3].bodies == ("wrist_1_link", "table")
+
+
+def test_draws_of_an_earlier_version_have_no_room_but_are_listed(out: Path) -> None:
+    folder = out / "08_episodes"
+    skipped, rejected = read_json(folder / "draws.json"), read_json(folder / "rejected" / "000003.json")
+    del skipped["draws"][0]["excess"], rejected["excess"], rejected["bodies"]
+    write_json(folder / "draws.json", skipped)
+    write_json(folder / "rejected" / "000003.json", rejected)
+    found = {draw.number: draw for draw in list_draws(out).read()}
+    assert [(found[number].outcome, found[number].room) for number in (0, 3)] == [
+        ("skipped", None),
+        ("rejected", None),
+    ]
 
 
 def test_a_run_that_goes_on_is_read_again(out: Path) -> None:
