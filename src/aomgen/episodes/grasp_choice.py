@@ -8,6 +8,7 @@ is held is not visible, so a policy that learned from several objects would lear
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from itertools import chain
 from typing import Final
 
 import numpy as np
@@ -56,8 +57,9 @@ def choose_grasp(draws: Sequence[Sequence[GraspTest]]) -> GraspChoice:
         draws: Grasps of every draw in order of preference; among equal candidates the first one is chosen. A draw
             in which no grasp works does not count.
     """
-    candidates = {_key(grasp): grasp for offered in reversed(draws) for grasp, _ in reversed(offered)}
-    candidates = dict(reversed(candidates.items()))
+    candidates: dict[tuple[float, ...], Grasp] = {}
+    for grasp, _ in chain.from_iterable(draws):
+        candidates.setdefault(_key(grasp), grasp)
     grasps, numbers = list(candidates.values()), {key: number for number, key in enumerate(candidates)}
     tests = [{numbers[_key(grasp)]: test for grasp, test in offered} for offered in draws]
     apart = np.array([[difference(a, b) for b in grasps] for a in grasps])

@@ -56,12 +56,12 @@ def run(
     check_ranges(factory, folder)
     for number, found in enumerate(factory.reach_maps):
         save_artifact(folder, REACH_MAP.format(number), found)
-    # Workers get a copy without cached results.
-    opened = (replace(results), folder)
     for category in {fitted.asset.category for fitted in results.fitted_assets}:
         progress(0.0, f"usual grasp of the category {category}")
         save_artifact(folder / GRASPS_FOLDER, category, factory.usual_grasp(category))
-    with open_executor(results, partial(open_factory, *opened), factory.params.timeout_s) as executor:
+    # Workers get a copy without cached results.
+    opener = partial(open_factory, replace(results), folder)
+    with open_executor(results, opener, factory.params.timeout_s) as executor:
         generate(folder, request, executor, factory.screen, progress, on_done)
     accounts = read_accounts(folder)
     if accounts and not any(account.committed for account in accounts):
