@@ -1,4 +1,4 @@
-"""The command line: `aomgen --help` teaches the rest."""
+"""The command line; `aomgen --help` lists the commands."""
 
 import sys
 import time
@@ -34,12 +34,12 @@ app.command()(view)
 
 
 def main() -> None:
-    """Entry point of `aomgen`."""
+    """Run the command line `aomgen`."""
     run_command(app)
 
 
-def _print_version(wanted: bool) -> None:
-    if wanted:
+def _print_version(requested: bool) -> None:
+    if requested:
         print(__version__)
         raise typer.Exit
 
@@ -47,23 +47,24 @@ def _print_version(wanted: bool) -> None:
 @app.callback()
 def common(
     version: Annotated[
-        bool, typer.Option("--version", callback=_print_version, is_eager=True, help="Print the version.")
+        bool,
+        typer.Option("--version", callback=_print_version, is_eager=True, help="Print the version and exit."),
     ] = False,
 ) -> None:
-    """One recorded demonstration in, many photoreal and physically verified demonstrations out."""
+    """Turn one recorded robot demonstration into many photoreal, physically verified demonstrations."""
 
 
 @app.command()
 def demo(
-    out: Annotated[Path, typer.Argument(help="Where the results go.")] = Path("out"),
+    out: Annotated[Path, typer.Argument(help="Folder for the results.")] = Path("out"),
     poses: Annotated[
         int, typer.Option(min=1, max=10_000, help="Verified episodes for each of the two assets.")
     ] = 6,
-    seed: Annotated[int, typer.Option(min=0, help="Same seed, same episodes.")] = 0,
+    seed: Annotated[int, typer.Option(min=0, help="Random seed; the same seed gives the same episodes.")] = 0,
 ) -> None:
-    """Turn the bundled recording into a verified dataset: capture -> dataset + report, on a CPU.
+    """Reconstruct the bundled recording, generate verified episodes, and write a dataset and a report.
 
-    Stop it whenever you like; the same command continues where it was.
+    The command runs on a CPU. It can be stopped at any time; the same command continues where it stopped.
     """
     from aomgen.core.project import Project
 
@@ -81,19 +82,20 @@ def demo(
 def check(
     path: Annotated[Path, typer.Argument(help="A capture folder, a project.toml or a USD asset.")],
     html: Annotated[
-        Path | None, typer.Option(help="Write a page about a capture, its worst images first.")
+        Path | None,
+        typer.Option(help="Also write an HTML page that shows the images of a capture, the worst first."),
     ] = None,
 ) -> None:
-    """Validate a capture, a project or an asset, with reasons; changes nothing.
+    """Check a capture, a project or an asset and explain each problem; no file is changed.
 
-    Scan images of a capture are matched at a small size, which takes some ten seconds: images that overlap with none of
-    the others, and those that are exposed otherwise, are named before a run spends minutes on them.
+    The scan images of a capture are also matched at a small size, which takes about ten seconds. Images that overlap
+    with no other image and images with a different exposure are listed, before a run spends minutes on them.
     """
     from aomgen.assets.choice import asset_file, open_asset
 
     if asset_file(str(path)) is not None:
         joint = open_asset(str(path)).joint
-        print(f"{path}: fine; {joint.type} joint, range {joint.lower:.3f} to {joint.upper:.3f}")
+        print(f"{path}: ok; {joint.type} joint, range {joint.lower:.3f} to {joint.upper:.3f}")
         return
     from aomgen.capture.capture_check import check_capture
     from aomgen.capture.read import read_capture
@@ -107,7 +109,7 @@ def check(
         capture = read_capture(project.capture)
         warnings = check_project(project, capture)
         warnings += machine_warnings(project.segmenter, capture, diffusion=bool(project.networks))
-        print(f"{path}: fine")
+        print(f"{path}: ok")
     else:
         capture = read_capture(path.parent if path.name == "capture.toml" else path)
         checked = check_capture(capture)
@@ -124,7 +126,7 @@ def check(
             facts += f"\n  walk   {overlap.describe_walk()}"
             if html is not None:
                 write_capture_page(html, capture, greys, overlap, facts, warnings)
-        print(f"{capture.folder}: fine\n{facts}")
+        print(f"{capture.folder}: ok\n{facts}")
     for sentence in warnings:
         print(f"  warning: {sentence}")
 
@@ -134,7 +136,7 @@ def masks(
     capture: Annotated[Path, typer.Argument(help="Folder with a capture.toml.")],
     weights: Annotated[str, typer.Option(help="Name of installed SAM 2 weights.")],
 ) -> None:
-    """Follow the prompted parts through the scan with SAM 2; writes masks/<weights>/ of the capture."""
+    """Segment the prompted parts in every scan image with SAM 2; write masks/<weights>/ in the capture."""
     from aomgen.pipeline.masks import write_masks
 
     print(f"wrote {write_masks(capture, weights, lambda share, text: print(f'  {share:4.0%} {text}'))}")
@@ -144,13 +146,15 @@ def masks(
 def init(
     capture: Annotated[Path, typer.Argument(help="Folder with a capture.toml.")],
     project: Annotated[Path, typer.Option(help="Project file to write.")] = Path("project.toml"),
-    out: Annotated[Path, typer.Option(help="Where results will go.")] = Path("out"),
+    out: Annotated[Path, typer.Option(help="Folder for the results of the run.")] = Path("out"),
     assets: Annotated[
         list[str] | None,
-        typer.Option("--asset", help="category:seed, a USD file or original; repeat for several."),
+        typer.Option(
+            "--asset", help="Asset: category:seed, a USD file, or 'original'; repeat the option for several."
+        ),
     ] = None,
 ) -> None:
-    """Write a project file with every choice spelled out, after checking capture and assets."""
+    """Check a capture and its assets, and write a project file with all settings and their defaults."""
     from aomgen.capture.read import read_capture
     from aomgen.pipeline.preflight import check_project, machine_warnings, new_project
     from aomgen.pipeline.project_file import write_project
@@ -169,24 +173,32 @@ def init(
 @app.command()
 def run(
     project: Annotated[
-        Path, typer.Argument(help="A project file, see `aomgen init`; or the folder of a run.")
+        Path, typer.Argument(help="Project file (see `aomgen init`), or the folder of a run.")
     ],
     until: Annotated[str, typer.Option(help="Stop after this stage; `aomgen status` lists them.")] = "",
     settings: Annotated[
         list[str] | None,
-        typer.Option("--set", help="A parameter of a stage, for example motion.joint.nodes=30; repeatable."),
+        typer.Option(
+            "--set", help="Set a stage's parameter: STAGE.NAME=VALUE, as motion.joint.nodes=30; repeatable."
+        ),
     ] = None,
     workers: Annotated[
-        int, typer.Option(min=0, help="Processes that make episodes; 0 for one a processor.")
+        int,
+        typer.Option(
+            min=0, help="Number of processes that generate episodes; 0 means one for each CPU core."
+        ),
     ] = 0,
     ray: Annotated[
-        str, typer.Option(help="Make episodes on a Ray cluster that sees these folders: auto, or HOST:PORT.")
+        str,
+        typer.Option(
+            help="Generate episodes on a Ray cluster (auto or HOST:PORT) that can access the run's folders."
+        ),
     ] = "",
 ) -> None:
-    """Bring every stage of a project up to date; what is up to date is kept.
+    """Run all stages of a project whose results are missing or out of date.
 
-    Parameters are the fields of the stages' Params classes (`PARAMETERS` in pipeline/stages.py); an unknown name
-    is refused with a list of the known ones. They are kept in the run's project.toml.
+    Results that are up to date are kept. The parameters of episodes are listed in docs/dataset.md; an unknown name
+    is refused with a list of the known ones. Parameters given with --set are stored in the run's project.toml.
     """
     from aomgen.api.run import change_project
     from aomgen.io.schema import merge, parse_setting
@@ -204,10 +216,10 @@ def run(
 def status(
     out: RunFolder,
     watch: Annotated[
-        bool, typer.Option("--watch", help="Say it again whenever it changes, until the episodes are made.")
+        bool, typer.Option("--watch", help="Print the status at every change, until the run is complete.")
     ] = False,
 ) -> None:
-    """List the stages of a run, what is done, and what has come of the episodes asked for."""
+    """List the stages of a run with their states, and count requested, committed and rejected episodes."""
     from aomgen.cli.run import status_lines
     from aomgen.pipeline.stages import find_project
 
@@ -226,20 +238,21 @@ def status(
 @app.command()
 def render(
     out: RunFolder,
-    image: Annotated[Path, typer.Argument(help="PNG to write.")],
+    image: Annotated[Path, typer.Argument(help="PNG file to write.")],
     camera: Annotated[
         str,
         typer.Option(
-            help="A camera of demonstration or episodes (front, side), a scan image (0012.jpg), or a JSON "
-            "file: T_world_cam, fx, fy, cx, cy, width, height."
+            help="Camera of the demonstration or the episodes (front, side), scan image (0012.jpg), or JSON file with "
+            "T_world_cam, fx, fy, cx, cy, width and height."
         ),
     ],
     state: Annotated[
-        Path | None, typer.Option(help="JSON: joints, gripper, theta, T_world_object; each optional.")
+        Path | None,
+        typer.Option(help="JSON file with joints, gripper, theta and T_world_object, all optional."),
     ] = None,
     labels: Annotated[Path | None, typer.Option(help="Also write the part labels to this PNG.")] = None,
 ) -> None:
-    """Draw the twin of a finished run from any camera, in any state."""
+    """Render the twin of a finished run from any camera, in any state."""
     from aomgen.io.artifact import read_json
     from aomgen.io.images import write_image
     from aomgen.pipeline.rendering import find_camera, open_twin, parse_camera, parse_state, render_twin
@@ -261,7 +274,7 @@ def render(
 
 @app.command()
 def report(out: RunFolder) -> None:
-    """Write report.html again from what a run has made."""
+    """Write report.html again from the results of a run."""
     from aomgen.pipeline.stages import find_project
     from aomgen.report.page import write_report
 
@@ -270,7 +283,7 @@ def report(out: RunFolder) -> None:
 
 @app.command()
 def doctor() -> None:
-    """Say what is installed, what is missing, and what each part is for."""
+    """List the required and optional components, their state, and their purpose."""
     from aomgen.pipeline.requirements import diagnose
 
     problems = 0

@@ -1,4 +1,4 @@
-"""`aomgen evaluate`: the twin as a judge of policies."""
+"""`aomgen evaluate`: evaluation of policies in the twin, and comparison with trials on the real robot."""
 
 import json
 import re
@@ -27,25 +27,30 @@ class _PolicyByDefault(typer.core.TyperGroup):
 evaluate_app = typer.Typer(
     cls=_PolicyByDefault,
     no_args_is_help=True,
-    help="Judge policies in the twin: SUITE --policy NAME; beside the real robot: --real trials.csv.",
+    help="Evaluate a policy in the twin (SUITE --policy NAME), or compare with the real robot (--real trials.csv).",
 )
-Workers = Annotated[int, typer.Option(min=0, help="Processes; 0 for one a processor.")]
+Workers = Annotated[int, typer.Option(min=0, help="Number of processes; 0 means one for each CPU core.")]
 
 
 @evaluate_app.command("suite")
 def evaluate_suite(
-    run: Annotated[Path, typer.Argument(help="Folder of a run that has its assets fitted.")],
-    file: Annotated[Path, typer.Argument(help="JSON to write.")],
-    trials: Annotated[int, typer.Option(min=1, max=10_000, help="How many.")] = 200,
-    seed: Annotated[int, typer.Option(min=0, help="Same seed, same trials; not that of the run.")] = 1,
-    actions: Annotated[str, typer.Option(help="joint, ee_absolute or ee_delta.")] = "joint",
+    run: Annotated[Path, typer.Argument(help="Folder of a run whose stage 'replacement' is done.")],
+    file: Annotated[Path, typer.Argument(help="JSON file to write.")],
+    trials: Annotated[int, typer.Option(min=1, max=10_000, help="Number of trials.")] = 200,
+    seed: Annotated[
+        int, typer.Option(min=0, help="Random seed of the trials; it has to differ from the seed of the run.")
+    ] = 1,
+    actions: Annotated[str, typer.Option(help="Action space: joint, ee_absolute or ee_delta.")] = "joint",
     size: Annotated[
-        str, typer.Option(help="WxH of the images, for example 128x128; as in the run if empty.")
+        str, typer.Option(help="Image size WxH, for example 128x128. Default: the size in the run.")
     ] = "",
-    cameras: Annotated[list[str] | None, typer.Option("--camera", help="Only these; repeatable.")] = None,
+    cameras: Annotated[
+        list[str] | None,
+        typer.Option("--camera", help="Camera to use (default: all of the run); repeatable."),
+    ] = None,
     workers: Workers = 0,
 ) -> None:
-    """Draw trials that every policy shall meet: poses of the run's ranges whose plan passes the certificate."""
+    """Sample the trials on which policies are evaluated: feasible object poses from the ranges of the run."""
     from aomgen.datasets.selection import parse_size
     from aomgen.evaluation.draws import SuiteRequest, make_suite
     from aomgen.evaluation.suite import open_results
@@ -67,25 +72,30 @@ def evaluate_suite(
 
 @evaluate_app.command(DEFAULT_COMMAND)
 def evaluate_policy(
-    suite: Annotated[Path, typer.Argument(help="JSON of `aomgen evaluate suite`.")],
+    suite: Annotated[Path, typer.Argument(help="File that `aomgen evaluate suite` wrote.")],
     policy: Annotated[
         str,
         typer.Option(
-            help="oracle_replay, nearest_replay[=RUN or DATASET], lerobot:DIR, openpi://HOST:PORT or openvla://HOST:PORT[/DATASET]."
+            help="Policy: oracle_replay, nearest_replay[=RUN or DATASET], lerobot:DIR, openpi://HOST:PORT or "
+            "openvla://HOST:PORT[/DATASET]."
         ),
     ],
     actions: Annotated[
-        str, typer.Option(help="joint, ee_absolute or ee_delta; as the suite has it if empty.")
+        str, typer.Option(help="Action space: joint, ee_absolute or ee_delta. Default: that of the suite.")
     ] = "",
-    visuals: Annotated[str, typer.Option(help="splat, or simulator: MuJoCo's renderer.")] = "splat",
+    visuals: Annotated[
+        str, typer.Option(help="Renderer of the images: splat (Gaussians) or simulator (MuJoCo).")
+    ] = "splat",
     out: Annotated[
         Path | None,
-        typer.Option(help="Keeps rollouts and videos of failures; beside the suite if not given."),
+        typer.Option(help="Folder for rollouts and videos of failures. Default: a folder next to the suite."),
     ] = None,
     workers: Workers = 0,
-    json_file: Annotated[Path | None, typer.Option("--json", help="Write the figures here.")] = None,
+    json_file: Annotated[
+        Path | None, typer.Option("--json", help="JSON file to write the metrics to.")
+    ] = None,
 ) -> None:
-    """Let a policy try every trial of a suite; the same command continues where it was stopped."""
+    """Evaluate a policy in every trial of a suite; after an interruption the same command continues."""
     from aomgen.evaluation.evaluate import EvaluationRequest, evaluate
     from aomgen.evaluation.suite import open_suite
     from aomgen.evaluation.views import VISUALS
@@ -108,17 +118,22 @@ def evaluate_policy(
 @evaluate_app.command("real")
 def evaluate_real(
     trials: Annotated[
-        Path, typer.Argument(help="CSV of trials on the real robot: policy, success and, if known, trial.")
+        Path,
+        typer.Argument(
+            help="CSV file of the trials on the real robot, with columns policy, success and, optionally, trial."
+        ),
     ],
     figures: Annotated[
         list[Path] | None,
         typer.Argument(
-            help="Figures of the same policies in the twin (--json); without, those next to the CSV."
+            help="Files that `aomgen evaluate --json` wrote for the same policies. Default: those next to the CSV file."
         ),
     ] = None,
-    json_file: Annotated[Path | None, typer.Option("--json", help="Write the figures here.")] = None,
+    json_file: Annotated[
+        Path | None, typer.Option("--json", help="JSON file to write the metrics to.")
+    ] = None,
 ) -> None:
-    """Compare trials on the real robot with the twin: rates, rank violations, and intervals that use both."""
+    """Compare trials on the real robot with the twin: success rates, rank violations and combined intervals."""
     from aomgen.evaluation.real_trials import (
         compare_with_reality,
         is_evaluation,
@@ -134,7 +149,7 @@ def evaluate_real(
     ]
     if not files:
         remedy = "give files of `aomgen evaluate SUITE --policy P --json F`"
-        raise MissingFileError(trials.parent, "holds no figures of the twin", remedy)
+        raise MissingFileError(trials.parent, "contains no results of `aomgen evaluate`", remedy)
     compared = compare_with_reality(real, read_twin_trials(files), trials)
     print(_real_table(compared))
     if json_file:

@@ -16,25 +16,37 @@ if TYPE_CHECKING:
     from aomgen.core.asset import ArticulatedAsset
 
 assets_app = typer.Typer(no_args_is_help=True, help="Make, import and check articulated assets (USD).")
-JointName = Annotated[str, typer.Option(help="Which of several joints opens; the others stay as drawn.")]
-robot_app = typer.Typer(no_args_is_help=True, help="Describe an arm of your own (robot.toml).")
+JointName = Annotated[
+    str,
+    typer.Option(help="Joint that opens, if the file has several; the others keep their pose in the file."),
+]
+robot_app = typer.Typer(no_args_is_help=True, help="Describe another robot arm (robot.toml).")
 Values = list[str] | None
 
 
 @assets_app.command("make")
 def assets_make(
-    category: Annotated[str, typer.Argument(help="cabinet, drawer, laptop, microwave or toolbox.")],
+    category: Annotated[
+        str, typer.Argument(help="Category: cabinet, drawer, dresser, laptop, microwave or toolbox.")
+    ],
     path: Annotated[Path, typer.Argument(help="USD file to write, for example microwave.usda.")],
     seed: Annotated[
-        int, typer.Option(min=0, help="Same seed, same asset; each next seed, the next style.")
+        int,
+        typer.Option(
+            min=0,
+            help="Random seed; the same seed gives the same asset, consecutive seeds have different styles.",
+        ),
     ] = 0,
     style: Annotated[
-        str, typer.Option(help="For example classic; the seed's without, see docs/assets.md.")
+        str,
+        typer.Option(
+            help="Style, for example classic (docs/assets.md lists them). Default: that of the seed."
+        ),
     ] = "",
 ) -> None:
     """Make a textured, hollow, articulated asset with colliders and a joint, as USD.
 
-    Styles differ in proportions, feet, handle and outline; they follow from the seed in turn.
+    Styles differ in proportions, feet, handle and outline. Consecutive seeds select them cyclically.
     """
     from aomgen.assets.choice import make_asset
     from aomgen.assets.usd_write import write_usd
@@ -50,23 +62,33 @@ def assets_import(
     joint: JointName = "",
     joints: Annotated[
         Path | None,
-        typer.Option(help="JSON that says which groups of an OBJ move; articulation.json above it without."),
+        typer.Option(
+            help="JSON file with the joints of an OBJ. Default: articulation.json in its folder or a folder above."
+        ),
     ] = None,
-    scale: Annotated[float, typer.Option(min=1e-4, help="2 makes a half-size model life-size.")] = 1.0,
-    category: Annotated[str, typer.Option(help="For example microwave; as the file says without.")] = "",
+    scale: Annotated[
+        float, typer.Option(min=1e-4, help="Scale factor, for example 2 for a model of half the real size.")
+    ] = 1.0,
+    category: Annotated[
+        str, typer.Option(help="Category, for example microwave. Default: the one in the file.")
+    ] = "",
     limits: Annotated[
         tuple[float, float] | None,
-        typer.Option(help="Limits of the joint in place of the file's, in rad or m from the drawn pose."),
+        typer.Option(
+            help="Lower and upper joint limit, from the pose in the file, [rad] or [m]. Default: as in the file."
+        ),
     ] = None,
     handle: Annotated[
         tuple[float, float, float, float, float, float] | None,
-        typer.Option(help="Corners X0 Y0 Z0 X1 Y1 Z1 of a box around the handle as drawn, in m, Z up."),
+        typer.Option(
+            help="Corners X0 Y0 Z0 X1 Y1 Z1 of a box around the handle, in the pose of the file [m], Z up."
+        ),
     ] = None,
 ) -> None:
-    """Turn a model of another format into a USD asset: closed, upright, with colliders and a handle, named as its file.
+    """Convert a model of another format to a USD asset that is closed and upright and has colliders and a handle.
 
-    What was assumed, and what it lacks to be opened, is printed as by `aomgen assets check`. A file with several
-    joints needs --joint; `aomgen assets check FILE` lists them.
+    The command prints its assumptions and the problems of the asset, as `aomgen assets check` does. A file with
+    several joints needs --joint; `aomgen assets check FILE` lists the joints. The asset is named like its USD file.
     """
     from aomgen.assets.doctor import examine
     from aomgen.assets.import_model import import_model
@@ -81,7 +103,7 @@ def assets_import(
         limits=limits or (),
         handle=handle or (),
     )
-    # Two of one model, or of one name, can be in one project.
+    # The file name distinguishes assets of one model within a project.
     asset = replace(imported, name=path.stem)
     write_usd(asset, path)
     print(path)
@@ -143,14 +165,15 @@ def assets_check(
         str, typer.Argument(help="A USD, URDF, MJCF or OBJ file, FILE#JOINT, or category:seed.")
     ],
     run: Annotated[
-        Path | None, typer.Option("--for", help="Run whose recorded object it shall replace.")
+        Path | None, typer.Option("--for", help="Run whose recorded object the asset is to replace.")
     ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print all findings as JSON.")] = False,
 ) -> None:
-    """Examine an asset: joint, size, handle, room for a finger, colliders, mass, textures; whether it fits a run.
+    """Check whether an asset can be used: joint, size, handle, finger clearance, colliders, mass and textures.
 
-    A file with several joints, of which none is named, is examined for each, and the joints are listed; with
-    --for, the one that fits the recording best is suggested. Ends with exit code 3 where it cannot be used.
+    If a file has several joints and none is named, each joint is checked and listed. With --for, the command also
+    reports whether the asset fits the recorded motion of a run, and names the first joint that does. An asset that
+    cannot be used gives exit code 3.
     """
     from aomgen.assets.doctor import examine
 
@@ -180,29 +203,32 @@ def propose(
     file: Annotated[Path, typer.Argument(help="URDF (xacro expanded) or MJCF of the arm with its gripper.")],
     joint: Annotated[
         Values,
-        typer.Option(help="An arm joint, in the joint log's order; repeat. Without: up to the fingers."),
+        typer.Option(help="Arm joint; repeat in the order of the joint log. Default: all up to the fingers."),
     ] = None,
     opened: Annotated[
         Values,
         typer.Option(
-            "--open", help="NAME=VALUE [rad or m] of a finger joint at gripper 0; repeat for several."
+            "--open",
+            help="Value of a finger joint with the gripper open: NAME=VALUE [rad] or [m]; repeatable.",
         ),
     ] = None,
-    closed: Annotated[Values, typer.Option(help="The same at gripper 1.")] = None,
-    finger: Annotated[Values, typer.Option(help="Body that holds; give the left and the right one.")] = None,
+    closed: Annotated[Values, typer.Option(help="The same with the gripper closed.")] = None,
+    finger: Annotated[
+        Values, typer.Option(help="Body of a fingertip; give the left one, then the right one.")
+    ] = None,
     root: Annotated[
-        Path | None, typer.Option(help="Folder that all meshes lie in; the file's own without.")
+        Path | None, typer.Option(help="Folder that contains all meshes. Default: the folder of FILE.")
     ] = None,
 ) -> None:
-    """Draft the robot.toml of an arm's model, which states the roles of its parts.
+    """Draft the robot.toml of a robot model, which names its arm joints, gripper and end effector.
 
     The draft is a guess from joints and shapes: the arm ends where the fingers branch, the gripper
-    closes where two of its bodies come nearest, the pads are the faces that meet there, and the end
-    effector lies between them. Read every line of it, correct what is wrong, and look at the sizes
-    printed below it. `aomgen check CAPTURE` then loads the robot as robot.toml says.
+    is closed where two of its bodies are nearest, the pads are the faces that meet there, and the end
+    effector is between them. Read every line, correct errors, and compare the printed sizes with the
+    real ones. `aomgen check CAPTURE` then loads the robot as robot.toml describes it.
 
-    Where the file is not sufficient, the error states what is missing: usually the values of the
-    finger joints, `--open left_joint=0 --closed left_joint=0.8`.
+    If the model is not sufficient, the error states the missing values. These are usually the values
+    of the finger joints: `--open left_joint=0 --closed left_joint=0.8`.
     """
     from aomgen.io.atomic import write_text
     from aomgen.robots.description import FILE_NAME, description_toml
@@ -211,7 +237,7 @@ def propose(
 
     path = file.parent / FILE_NAME
     if path.exists():
-        raise ConfigError(path, "exists already", "move it away, or correct it by hand")
+        raise ConfigError(path, "exists already", "move it to another folder, or edit it")
     if len(finger or []) not in (0, 2):
         raise ConfigError(
             "--finger", f"is given {len(finger or [])} times", "name the left and the right body"
@@ -229,7 +255,7 @@ def propose(
 
 
 def _values(words: list[str] | None) -> dict[str, float]:
-    """The values in NAME=VALUE words."""
+    """Parse NAME=VALUE arguments."""
     result = {}
     for word in words or []:
         name, _, value = word.rpartition("=")

@@ -9,15 +9,17 @@ from aomgen.cli.pages import OpenBrowser, PagePort, serve_pages
 
 
 def prompts(
-    capture: Annotated[Path, typer.Argument(help="Folder of a capture; capture.toml may still be missing.")],
+    capture: Annotated[
+        Path, typer.Argument(help="Folder of a capture; capture.toml is created if it does not exist.")
+    ],
     port: PagePort = 8765,
     browser: OpenBrowser = True,
 ) -> None:
     """Mark the robot, the object's body and its moving part on scan images, in a browser.
 
-    Click on a part, and its mask appears; shift-click what does not belong to it, or drag a box. Each part
-    wants a box on two images. "Save" replaces the [[prompts]] of capture.toml and nothing else; "Done" ends the
-    command. Where there is no capture.toml, robot and columns of the log are asked for first.
+    Click on a part to see its mask; shift-click regions that do not belong to it, or drag a box. Each part needs
+    a box on two images. "Save" replaces the [[prompts]] of capture.toml and nothing else; "Done" ends the command.
+    If there is no capture.toml, the command first asks for the robot and the columns of the log.
     """
     from aomgen.prompting.server import PromptServer
     from aomgen.prompting.session import PromptSession, find_missing
@@ -26,7 +28,7 @@ def prompts(
         _ask_about_files(capture)
     session = PromptSession(capture)
     if session.no_masks:
-        print(f"warning: there are no masks: {session.no_masks}")
+        print(f"warning: masks are not available: {session.no_masks}")
     with PromptServer(session, port) as server:
         serve_pages(server, "mark the parts at", browser=browser)
     missing = find_missing(session.prompts)
@@ -37,11 +39,11 @@ def prompts(
 
 
 def _ask_about_files(capture: Path) -> None:
-    """Write a first capture.toml from what its files contain and a person confirms or corrects."""
+    """Write a capture.toml from the contents of the folder and the corrections of the user."""
     from aomgen.importers.found_files import describe_capture, find_capture_files
 
     found = find_capture_files(capture)
-    print(f"{capture} has no capture.toml; confirm or correct what was recognised")
+    print(f"{capture} has no capture.toml; confirm or correct the detected values")
     robot = typer.prompt("robot: a known name, or a URDF or MJCF file in the folder", found.robot or None)
     print(f"columns of the log: {', '.join(found.columns)}")
     joints = typer.prompt("joints of the arm, from base to flange", ", ".join(found.joints) or None)

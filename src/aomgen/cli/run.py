@@ -1,4 +1,4 @@
-"""Execution of the commands: a project in a terminal, the project of a path, and ends by a signal or a bug."""
+"""Execution of commands: running a project in a terminal, and exits by an error, a signal or a bug."""
 
 import importlib.resources
 import os
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 SAMPLE = "microwave-a"
 RunFolder = Annotated[Path, typer.Argument(help="Folder of a run, or its project file.")]
 INTERRUPTED = "interrupted; run the same command again to continue\n"
-# Back to the line's start, delete it, show the cursor: a progress bar hides it.
+# Terminal codes: return to the start of the line, delete it, and show the cursor, which a progress bar hides.
 LEAVE_BAR = "\r\x1b[2K\x1b[?25h"
 # Exit code of an internal software error in BSD's sysexits.h.
 EXIT_BUG = 70
@@ -55,7 +55,7 @@ def run_command(app: typer.Typer) -> None:
             print(f"error: {error}", file=sys.stderr)
             sys.exit(error.exit_code)
         except PermissionError as error:
-            print(f"error: {error.filename}: {error.strerror}; change who may use it", file=sys.stderr)
+            print(f"error: {error.filename}: {error.strerror}; change the permissions", file=sys.stderr)
             sys.exit(InputError.exit_code)
 
 
@@ -81,12 +81,12 @@ def run_project(project: "Project", *, until: str = "", **machine: Any) -> None:
 
 
 def sample_capture() -> Path:
-    """Folder of the bundled recording."""
+    """Return the folder of the bundled recording."""
     return (Path(str(importlib.resources.files("aomgen.samples"))) / SAMPLE).resolve()
 
 
 def status_lines(project: "Project") -> tuple[list[str], bool]:
-    """Lines of `aomgen status` on a run, and whether something is still to be made."""
+    """Return the lines that `aomgen status` prints, and whether the run is incomplete."""
     from aomgen.episodes.ledger import read_accounts
     from aomgen.pipeline.manifest import read_manifest
     from aomgen.pipeline.runner import stage_states
@@ -110,20 +110,20 @@ def status_lines(project: "Project") -> tuple[list[str], bool]:
 
 @contextmanager
 def stop_at_signals() -> Iterator[None]:
-    """While the block runs, SIGINT and SIGTERM end the process with exit code 130 or 143.
+    """End the process with exit code 130 or 143 at SIGINT or SIGTERM while the block runs.
 
-    Whatever native code and other threads are doing: the signals are blocked and a thread waits for them. Native
-    libraries install handlers of their own, and Python's run only between two lines of Python. The
-    process may end at any line, since results are committed by renaming: the next run deletes what is
-    half-written. Temporary files all go into one folder, which is deleted here.
+    The signals are blocked and a separate thread waits for them, so that native code and other threads cannot
+    delay them: native libraries install their own handlers, and Python's handlers run only between two Python
+    instructions. The process may end at any line, because results are committed by renaming, and the next run
+    deletes incomplete files. All temporary files are in one folder, which is deleted here.
 
-    Call it before any other thread starts, as those of NumPy do when it is imported: threads inherit what
-    is blocked.
+    Enter the block before any other thread starts (NumPy starts some when it is imported), because threads
+    inherit the set of blocked signals.
     """
     numbers = [
         number
         for number in (signal.SIGINT, signal.SIGTERM)
-        # A job in the background of a script ignores Ctrl-C.
+        # A background job of a script ignores SIGINT; this is preserved.
         if signal.getsignal(number) is not signal.SIG_IGN
     ]
     over = threading.Event()
@@ -149,7 +149,7 @@ def stop_at_signals() -> Iterator[None]:
 
 
 def _end(number: int, scratch: str) -> None:
-    """End the process; writes past Python's streams, which another thread may hold."""
+    """End the process; write to the file descriptors directly, because another thread may hold Python's streams."""
     try:
         shutil.rmtree(scratch, ignore_errors=True)
         if os.isatty(2):
@@ -169,7 +169,7 @@ def report_bug(kind: type[BaseException], error: BaseException, trace: Traceback
     Raises:
         SystemExit: Always.
     """
-    # NumPy comes with it, whose threads would not have the signals blocked.
+    # Imported late, because it imports NumPy, whose threads would start before the signals are blocked.
     from aomgen.io.atomic import write_text
 
     path = Path(tempfile.gettempdir()) / f"aomgen-bug-{os.getpid()}.txt"

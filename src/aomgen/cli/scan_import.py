@@ -1,4 +1,4 @@
-"""`aomgen import scan`: a scan of another program or phone into a capture."""
+"""`aomgen import scan`: convert a scan of a phone or another program to the scan of a capture."""
 
 from pathlib import Path
 from typing import Annotated
@@ -11,19 +11,23 @@ def scan(
         Path,
         typer.Argument(
             help="A folder of photos (JPEG, PNG, HEIC), a video, a COLMAP model, a transforms.json of nerfstudio or "
-            "instant-ngp, or an export of Polycam (raw) or Record3D; recognised from its content."
+            "instant-ngp, or an export of Polycam (raw) or Record3D. The type is detected from the content."
         ),
     ],
-    capture: Annotated[Path, typer.Argument(help="Folder of the capture; made if it does not exist.")],
+    capture: Annotated[
+        Path, typer.Argument(help="Folder of the capture; it is created if it does not exist.")
+    ],
     long_side: Annotated[
         int,
-        typer.Option(min=0, max=16_384, help="Larger images are reduced to this long side [px]; 0: never."),
+        typer.Option(
+            min=0, max=16_384, help="Reduce larger images to this long side [px]; 0 keeps their size."
+        ),
     ] = 1600,
 ) -> None:
-    """Write a scan that exists already into the folder scan of a capture, and describe it in capture.toml.
+    """Convert an existing scan to the folder scan of a capture, and describe it in capture.toml.
 
-    Images are written upright and without lens distortion. Poses that come with them become a start for structure
-    from motion, which checks them. Nothing is written unless the whole scan is usable.
+    Images are written upright and without lens distortion. Poses in the source initialize structure from motion,
+    which checks them. No file is written unless the whole scan is usable.
     """
     from aomgen.core.progress import silent
     from aomgen.importers.scan_import import CAPTURE_FILE, import_scan
@@ -33,7 +37,7 @@ def scan(
     lens = f", lens distortion removed from {written.resampled}" if written.resampled else ""
     print(f"{done.kind}: {len(written.names)} images, {written.width} x {written.height}{lens}")
     if written.poses:
-        unit = " in metres" if written.poses.metric else ""
+        unit = " in meters" if written.poses.metric else ""
         print(f"  {len(written.poses.Ts_scan_cam)} poses{unit}, to be checked by structure from motion")
     if written.intrinsics is None:
         print("  no intrinsics: the focal length will be estimated")

@@ -1,4 +1,4 @@
-"""`aomgen splat`: Gaussians from photos, without a robot and without a GPU."""
+"""`aomgen splat`: reconstruct Gaussians from photos, without a robot and without a GPU."""
 
 from pathlib import Path
 from typing import Annotated
@@ -12,29 +12,31 @@ def splat(
     source: Annotated[
         Path, typer.Argument(help="A folder of photos, a video, or a scan as for `aomgen import scan`.")
     ],
-    scene: Annotated[Path, typer.Argument(help="File of Gaussians to write, for example scene.ply.")],
+    scene: Annotated[Path, typer.Argument(help="Gaussian splatting file to write, for example scene.ply.")],
     long_side: Annotated[
-        int, typer.Option(min=160, max=16_384, help="Images are reduced to this long side [px].")
+        int, typer.Option(min=160, max=16_384, help="Reduce larger images to this long side [px].")
     ] = 960,
     video: Annotated[Path | None, typer.Option(help="Also render a turntable to this MP4.")] = None,
 ) -> None:
     """Reconstruct a scene as 3D Gaussians from photos alone, on a CPU.
 
-    Stop it whenever you like; the same command continues where it was. Finished steps lie in the folder
-    scene.run next to the scene, which can be deleted afterwards.
+    The command can be stopped at any time; the same command continues where it stopped. Finished steps are stored
+    in the folder scene.run next to the scene, which can be deleted afterwards.
     """
     from aomgen.io.gaussian_files import WRITTEN_SUFFIXES
 
     if scene.suffix.lower() not in WRITTEN_SUFFIXES:
         raise ConfigError(
-            scene, "has no suffix of a file of Gaussians", f"use one of {', '.join(WRITTEN_SUFFIXES)}"
+            scene,
+            "does not have the suffix of a Gaussian splatting file",
+            f"use one of {', '.join(WRITTEN_SUFFIXES)}",
         )
     from aomgen.api.display import display
     from aomgen.pipeline.splat import SPLAT_STAGES, make_splat
 
     with display(SPLAT_STAGES) as shown:
         made = make_splat(source, scene, shown, long_side=long_side, video=video)
-    quality = "too few images to hold some out"
+    quality = "no held-out images, because there are too few images"
     if made.psnr_db is not None and made.ssim is not None:
         quality = f"held-out images: PSNR {made.psnr_db:.1f} dB, SSIM {made.ssim:.3f}"
     print(f"{made.registered} of {made.images} images, {made.gaussians} Gaussians; {quality}")

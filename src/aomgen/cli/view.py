@@ -1,4 +1,4 @@
-"""`aomgen view`: look at a run in a browser."""
+"""`aomgen view`: show a run in a browser."""
 
 from pathlib import Path
 from typing import Annotated
@@ -9,15 +9,17 @@ from aomgen.cli.pages import OpenBrowser, PagePort, serve_pages
 
 
 def view(
-    out: Annotated[Path, typer.Argument(help="Folder of a run, finished or not, or of a capture.")],
+    out: Annotated[Path, typer.Argument(help="Folder of a run (finished or not) or of a capture.")],
     port: PagePort = 8766,
     browser: OpenBrowser = True,
     export: Annotated[
         Path | None,
-        typer.Option(help="Write one HTML file that opens without AOMGen and offline, and serve nothing."),
+        typer.Option(
+            help="Write one HTML file that can be opened offline without AOMGen, instead of serving pages."
+        ),
     ] = None,
 ) -> None:
-    """Show a run in a browser: its twin from any camera in any state, and its episodes; Ctrl+C ends it."""
+    """Show a run in a browser: its twin from any camera in any state, and its episodes. Ctrl+C ends the command."""
     if export is not None:
         from aomgen.viewing.offline_page import write_offline_page
 

@@ -1,4 +1,4 @@
-"""The project file: every choice of a run, spelled out, on disk."""
+"""Reading and writing of the project file, which states the settings of a run."""
 
 import tomllib
 from pathlib import Path
@@ -12,26 +12,28 @@ from aomgen.io.atomic import write_text
 from aomgen.io.schema import complaint, flatten, format_toml_value
 
 TEMPLATE = """\
-# AOMGen project: what to make out of one capture. Run it with `aomgen run project.toml`.
+# Settings of an AOMGen run. Start it with `aomgen run project.toml`.
 format = 1
-capture = {capture}          # folder with capture.toml
-out = {out}                  # where results go
+capture = {capture}    # folder with capture.toml
+out = {out}    # folder for the results
 
-seed = {seed}                  # same seed, same episodes
-assets = {assets}              # category:seed of a made asset, the path of a USD file, or "original"
-poses = {poses}                # verified episodes wanted for each asset
-adapt = {adapt}              # "trajectory": the asset keeps its size; "object": it is scaled to the motion; "auto": scaled where that fits
-light = {light}              # of new objects: "scan", or the path of an HDRI (.hdr), or "diffusion:FOLDER"
-light_yaw_deg = {light_yaw_deg}       # turn of an HDRI about the vertical, counterclockwise from above
-inpainter = {inpainter}            # of what nobody saw of the table: "" for patches, or the folder of a diffusion pipeline
+seed = {seed}    # the same seed gives the same episodes
+# Each asset is "category:seed" (a parametric asset), the path of a USD file, or "original" (the recorded object).
+assets = {assets}
+poses = {poses}    # number of verified episodes for each asset
+# "trajectory": assets keep their size; "object": they are scaled to the recorded motion; "auto": scaled if that fits.
+adapt = {adapt}
+light = {light}    # light on new objects: "scan", the path of an HDRI (.hdr), or "diffusion:FOLDER"
+light_yaw_deg = {light_yaw_deg}    # rotation of the HDRI about the vertical axis [deg], counterclockwise from above
+inpainter = {inpainter}    # unobserved parts of the table: "" (texture synthesis) or folder of a diffusion pipeline
 
-image_size = {image_size}      # width and height of the episodes' images [px]
-iterations = {iterations}      # training steps of the scene's Gaussians
-gaussians = {gaussians}        # cap on their number
-segmenter = {segmenter}    # "auto": the capture's masks, else MobileSAM; or the name of SAM 2 weights
-alignment_method = {alignment_method}    # "outlines", or "paper": rigid ICP and link boxes, to compare with
-motion_method = {motion_method}    # "aomotion", or "paper": its four estimators as printed, to compare with
-parts_method = {parts_method}    # "closed_form", or "saga" for affinity features (minutes more)
+image_size = {image_size}    # width and height of the episodes' images [px]
+iterations = {iterations}    # training steps of the scene's Gaussians
+gaussians = {gaussians}    # largest number of Gaussians of the scene
+segmenter = {segmenter}    # "auto" (masks of the capture, or else MobileSAM), or the name of SAM 2 weights
+alignment_method = {alignment_method}    # "outlines", or for comparison "paper" (rigid ICP and link boxes)
+motion_method = {motion_method}    # "aomotion", or for comparison "paper" (its four estimators as printed)
+parts_method = {parts_method}    # "closed_form", or "saga" (affinity features; takes minutes longer)
 """
 
 
@@ -66,9 +68,9 @@ def read_project(path: Path) -> Project:
 
 
 def write_project(path: Path, project: Project) -> None:
-    """Write a project file with every choice and a comment on it.
+    """Write a project file with every setting and a comment on each.
 
-    What lies below the file's folder is named relative to it, so that both can be moved together.
+    Paths below the folder of the file are written relative to it, so that the folder can be moved.
 
     Raises:
         ConfigError: A path is not Unicode text.

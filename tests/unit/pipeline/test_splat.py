@@ -61,6 +61,6 @@ def test_plain_large_images_are_doubled_after_a_first_attempt(
 def test_missing_source_and_other_suffix_are_refused(tmp_path: Path) -> None:
     with pytest.raises(MissingFileError, match="give a folder of photos"):
         splat.make_splat(tmp_path / "none", tmp_path / "scene.ply", CallbackDisplay())
-    with pytest.raises(ConfigError, match="no suffix of a file of Gaussians"):
+    with pytest.raises(ConfigError, match="does not have the suffix"):
         CliRunner().invoke(app, ["splat", str(tmp_path), str(tmp_path / "scene.obj")], catch_exceptions=False)
     assert not list(tmp_path.iterdir())
