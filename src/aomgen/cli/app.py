@@ -62,9 +62,10 @@ def demo(
     ] = 6,
     seed: Annotated[int, typer.Option(min=0, help="Random seed; the same seed gives the same episodes.")] = 0,
 ) -> None:
-    """Reconstruct the bundled recording, generate verified episodes, and write a dataset and a report.
+    """Reconstruct the bundled recording and generate episodes.
 
-    The command runs on a CPU. It can be stopped at any time; the same command continues where it stopped.
+    The command writes a dataset and a report and needs no GPU. It can be stopped at any time; the same command
+    continues where it stopped.
     """
     from aomgen.core.project import Project
 
@@ -86,10 +87,11 @@ def check(
         typer.Option(help="Also write an HTML page that shows the images of a capture, the worst first."),
     ] = None,
 ) -> None:
-    """Check a capture, a project or an asset and explain each problem; no file is changed.
+    """Check a capture, a project or an asset.
 
-    The scan images of a capture are also matched at a small size, which takes about ten seconds. Images that overlap
-    with no other image and images with a different exposure are listed, before a run spends minutes on them.
+    Each problem is explained, and no file is changed. The scan images of a capture are also matched at a small size,
+    which takes about ten seconds. Images that overlap with no other image and images with a different exposure are
+    listed, before a run spends minutes on them.
     """
     from aomgen.assets.choice import asset_file, open_asset
 
@@ -136,7 +138,10 @@ def masks(
     capture: Annotated[Path, typer.Argument(help="Folder with a capture.toml.")],
     weights: Annotated[str, typer.Option(help="Name of installed SAM 2 weights.")],
 ) -> None:
-    """Segment the prompted parts in every scan image with SAM 2; write masks/<weights>/ in the capture."""
+    """Segment the prompted parts in every scan image with SAM 2.
+
+    The masks are written to the folder masks/<weights> of the capture.
+    """
     from aomgen.pipeline.masks import write_masks
 
     print(f"wrote {write_masks(capture, weights, lambda share, text: print(f'  {share:4.0%} {text}'))}")
@@ -154,7 +159,10 @@ def init(
         ),
     ] = None,
 ) -> None:
-    """Check a capture and its assets, and write a project file with all settings and their defaults."""
+    """Check a capture and write a project file with all settings.
+
+    The file contains the default of every setting, with a comment. The assets are checked as well.
+    """
     from aomgen.capture.read import read_capture
     from aomgen.pipeline.preflight import check_project, machine_warnings, new_project
     from aomgen.pipeline.project_file import write_project
@@ -195,7 +203,7 @@ def run(
         ),
     ] = "",
 ) -> None:
-    """Run all stages of a project whose results are missing or out of date.
+    """Run the stages of a project that are missing or out of date.
 
     Results that are up to date are kept. The parameters of episodes are listed in docs/dataset.md; an unknown name
     is refused with a list of the known ones. Parameters given with --set are stored in the run's project.toml.
@@ -219,7 +227,7 @@ def status(
         bool, typer.Option("--watch", help="Print the status at every change, until the run is complete.")
     ] = False,
 ) -> None:
-    """List the stages of a run with their states, and count requested, committed and rejected episodes."""
+    """List the stages of a run, and count its episodes and rejections."""
     from aomgen.cli.run import status_lines
     from aomgen.pipeline.stages import find_project
 
@@ -283,7 +291,7 @@ def report(out: RunFolder) -> None:
 
 @app.command()
 def doctor() -> None:
-    """List the required and optional components, their state, and their purpose."""
+    """List the required components, their state and their purpose."""
     from aomgen.pipeline.requirements import diagnose
 
     problems = 0

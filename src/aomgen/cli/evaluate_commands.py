@@ -27,7 +27,8 @@ class _PolicyByDefault(typer.core.TyperGroup):
 evaluate_app = typer.Typer(
     cls=_PolicyByDefault,
     no_args_is_help=True,
-    help="Evaluate a policy in the twin (SUITE --policy NAME), or compare with the real robot (--real trials.csv).",
+    help="Evaluate policies in the twin, or compare with the real robot.\n\n"
+    "`aomgen evaluate SUITE --policy NAME` evaluates a policy; `aomgen evaluate --real trials.csv` compares.",
 )
 Workers = Annotated[int, typer.Option(min=0, help="Number of processes; 0 means one for each CPU core.")]
 
@@ -50,7 +51,10 @@ def evaluate_suite(
     ] = None,
     workers: Workers = 0,
 ) -> None:
-    """Sample the trials on which policies are evaluated: feasible object poses from the ranges of the run."""
+    """Sample the trials on which policies are evaluated.
+
+    Each trial has an object pose from the ranges of the run for which a verified plan exists.
+    """
     from aomgen.datasets.selection import parse_size
     from aomgen.evaluation.draws import SuiteRequest, make_suite
     from aomgen.evaluation.suite import open_results
@@ -95,7 +99,10 @@ def evaluate_policy(
         Path | None, typer.Option("--json", help="JSON file to write the metrics to.")
     ] = None,
 ) -> None:
-    """Evaluate a policy in every trial of a suite; after an interruption the same command continues."""
+    """Evaluate a policy in every trial of a suite.
+
+    After an interruption the same command continues.
+    """
     from aomgen.evaluation.evaluate import EvaluationRequest, evaluate
     from aomgen.evaluation.suite import open_suite
     from aomgen.evaluation.views import VISUALS
@@ -133,7 +140,10 @@ def evaluate_real(
         Path | None, typer.Option("--json", help="JSON file to write the metrics to.")
     ] = None,
 ) -> None:
-    """Compare trials on the real robot with the twin: success rates, rank violations and combined intervals."""
+    """Compare trials on the real robot with trials in the twin.
+
+    The command reports success rates, rank violations, and confidence intervals that use both kinds of trials.
+    """
     from aomgen.evaluation.real_trials import (
         compare_with_reality,
         is_evaluation,

@@ -8,7 +8,7 @@ import typer
 from aomgen.cli.scan_import import scan
 
 import_app = typer.Typer(
-    no_args_is_help=True, help="Convert scans and recordings of other formats to parts of a capture."
+    no_args_is_help=True, help="Convert scans and recordings of other formats for a capture."
 )
 import_app.command()(scan)
 
@@ -55,9 +55,10 @@ def import_demonstration(
         bool, typer.Option("--replace", help="Replace an existing demonstration of the capture.")
     ] = False,
 ) -> None:
-    """Convert one recorded episode to the demonstration of a capture: folder demo and tables of capture.toml.
+    """Convert one recorded episode to the demonstration of a capture.
 
-    Units, columns and cameras are detected. If one is ambiguous, the error names the option that states it.
+    The command writes the folder demo and the demo tables of capture.toml. Units, columns and cameras are detected.
+    If one is ambiguous, the error names the option that states it.
     """
     from aomgen.importers.import_demo import ImportOptions, import_demo
 

@@ -44,9 +44,10 @@ def assets_make(
         ),
     ] = "",
 ) -> None:
-    """Make a textured, hollow, articulated asset with colliders and a joint, as USD.
+    """Make a parametric articulated asset and write it as USD.
 
-    Styles differ in proportions, feet, handle and outline. Consecutive seeds select them cyclically.
+    The asset is hollow and has textures, colliders and a joint. Styles differ in proportions, feet, handle and
+    outline. Consecutive seeds select them cyclically.
     """
     from aomgen.assets.choice import make_asset
     from aomgen.assets.usd_write import write_usd
@@ -85,10 +86,11 @@ def assets_import(
         ),
     ] = None,
 ) -> None:
-    """Convert a model of another format to a USD asset that is closed and upright and has colliders and a handle.
+    """Convert a model of another format to a USD asset.
 
-    The command prints its assumptions and the problems of the asset, as `aomgen assets check` does. A file with
-    several joints needs --joint; `aomgen assets check FILE` lists the joints. The asset is named like its USD file.
+    The asset is closed and upright and has colliders and a handle. The command prints its assumptions and the
+    problems of the asset, as `aomgen assets check` does. A file with several joints needs --joint; `aomgen assets
+    check FILE` lists the joints. The asset is named like its USD file.
     """
     from aomgen.assets.doctor import examine
     from aomgen.assets.import_model import import_model
@@ -169,11 +171,12 @@ def assets_check(
     ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print all findings as JSON.")] = False,
 ) -> None:
-    """Check whether an asset can be used: joint, size, handle, finger clearance, colliders, mass and textures.
+    """Check whether an asset can be simulated and grasped.
 
-    If a file has several joints and none is named, each joint is checked and listed. With --for, the command also
-    reports whether the asset fits the recorded motion of a run, and names the first joint that does. An asset that
-    cannot be used gives exit code 3.
+    The command reports joint, size, handle, finger clearance, colliders, mass and textures. If a file has several
+    joints and none is named, each joint is checked and listed. With --for, the command also reports whether the asset
+    fits the recorded motion of a run, and names the first joint that does. An asset that cannot be used gives exit
+    code 3.
     """
     from aomgen.assets.doctor import examine
 
@@ -220,12 +223,12 @@ def propose(
         Path | None, typer.Option(help="Folder that contains all meshes. Default: the folder of FILE.")
     ] = None,
 ) -> None:
-    """Draft the robot.toml of a robot model, which names its arm joints, gripper and end effector.
+    """Draft the robot.toml of a robot model.
 
-    The draft is a guess from joints and shapes: the arm ends where the fingers branch, the gripper
-    is closed where two of its bodies are nearest, the pads are the faces that meet there, and the end
-    effector is between them. Read every line, correct errors, and compare the printed sizes with the
-    real ones. `aomgen check CAPTURE` then loads the robot as robot.toml describes it.
+    This file describes the arm joints, the gripper and the end effector. The draft is a guess from joints and shapes:
+    the arm ends where the fingers branch, the gripper is closed where two of its bodies are nearest, the pads are the
+    faces that meet there, and the end effector is between them. Read every line, correct errors, and compare the
+    printed sizes with the real ones. `aomgen check CAPTURE` then loads the robot as robot.toml describes it.
 
     If the model is not sufficient, the error states the missing values. These are usually the values
     of the finger joints: `--open left_joint=0 --closed left_joint=0.8`.

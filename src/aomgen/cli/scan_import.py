@@ -24,10 +24,11 @@ def scan(
         ),
     ] = 1600,
 ) -> None:
-    """Convert an existing scan to the folder scan of a capture, and describe it in capture.toml.
+    """Convert an existing scan to the scan of a capture.
 
-    Images are written upright and without lens distortion. Poses in the source initialize structure from motion,
-    which checks them. No file is written unless the whole scan is usable.
+    The command writes the folder scan and describes it in capture.toml. Images are written upright and without lens
+    distortion. Poses in the source initialize structure from motion, which checks them. No file is written unless the
+    whole scan is usable.
     """
     from aomgen.core.progress import silent
     from aomgen.importers.scan_import import CAPTURE_FILE, import_scan

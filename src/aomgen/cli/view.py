@@ -19,7 +19,10 @@ def view(
         ),
     ] = None,
 ) -> None:
-    """Show a run in a browser: its twin from any camera in any state, and its episodes. Ctrl+C ends the command."""
+    """Show the twin and the episodes of a run in a browser.
+
+    Ctrl+C ends the command.
+    """
     if export is not None:
         from aomgen.viewing.offline_page import write_offline_page
 
