@@ -96,7 +96,7 @@ class ShapeError(ConfigError, ValueError):
 
     def __init__(self, where: object, shape: tuple[int, ...], wanted: str) -> None:
         self.shape, self.wanted = tuple(shape), wanted
-        super().__init__(where, f"has shape {self.shape}", f"want {wanted}")
+        super().__init__(where, f"has shape {self.shape}", f"expected {wanted}")
 
 
 class PoseError(ConfigError):
@@ -120,7 +120,7 @@ class PoseError(ConfigError):
 
 
 class InputError(AomgenError):
-    """A file of the user's is missing, damaged or inconsistent."""
+    """An input file is missing, damaged or inconsistent."""
 
     exit_code = 3
 
@@ -134,7 +134,7 @@ class MalformedFileError(InputError):
 
 
 class UnsafePathError(InputError):
-    """A reference leaves the folder it belongs to."""
+    """A reference points outside the folder of its file."""
 
 
 class LimitExceededError(InputError):
@@ -142,7 +142,7 @@ class LimitExceededError(InputError):
 
 
 class IncompleteCaptureError(InputError):
-    """A recording misses frames or joint rows."""
+    """A recording lacks frames or joint rows."""
 
 
 class NonFiniteError(InputError):
@@ -150,7 +150,7 @@ class NonFiniteError(InputError):
 
 
 class UnitsError(InputError):
-    """Numbers look like another unit (degrees, millimetres)."""
+    """Numbers seem to be in another unit (degrees, millimeters)."""
 
 
 class CalibrationError(InputError):
@@ -161,7 +161,7 @@ class SeveralCamerasError(CalibrationError):
     """Images of a scan do not come from one camera.
 
     Args:
-        where: Folder or file that names the images.
+        where: Folder or file that contains or lists the images.
         groups: Names of images by a description of their size or focal length.
     """
 
@@ -171,7 +171,7 @@ class SeveralCamerasError(CalibrationError):
         counts = ", ".join(f"{len(names)} of {kind} ({names[0]})" for kind, names in kinds[:MAX_LISTED])
         super().__init__(
             where,
-            f"holds images of {len(kinds)} cameras: {counts}",
+            f"contains images of {len(kinds)} cameras: {counts}",
             "give images of one camera, size and zoom",
         )
 
@@ -208,12 +208,12 @@ class ScanPoseError(InputError):
             where,
             f"the pose of {image} {kind} (determinant {determinant:.4f}, R R^T differs from the identity by "
             f"{deviation:.2g})",
-            "export the poses again, or take them out",
+            "export the poses again, or remove them",
         )
 
 
 class AssetError(InputError):
-    """An articulated asset cannot be used as it is."""
+    """An articulated asset cannot be used without changes."""
 
 
 class SeveralJointsError(AssetError):
@@ -222,7 +222,7 @@ class SeveralJointsError(AssetError):
     Args:
         where: The file.
         joints: Names of its joints.
-        remedy: How one of them is named.
+        remedy: How to select one of them.
     """
 
     def __init__(self, where: object, joints: Iterable[str], remedy: str) -> None:
@@ -247,11 +247,11 @@ class EstimationError(AomgenError):
 
 
 class ReconstructionError(EstimationError):
-    """Structure from motion or Gaussian training did not reach its gate."""
+    """The result of structure from motion or Gaussian training is below a quality threshold."""
 
 
 class AlignmentError(EstimationError):
-    """Scene and robot could not be brought into one frame with confidence."""
+    """Scene and robot could not be aligned reliably."""
 
 
 class SyncError(EstimationError):
@@ -259,7 +259,7 @@ class SyncError(EstimationError):
 
 
 class WrongPromptError(EstimationError):
-    """Prompts and demonstration name different parts as the moving one."""
+    """Prompts and demonstration contradict each other about the moving part."""
 
 
 class NoMotionError(EstimationError):
@@ -289,7 +289,7 @@ class CorruptArtifactError(StorageError):
 
 
 class OutdatedRunError(StorageError):
-    """A result was made by another version of AOMGen.
+    """A result was computed by another version of AOMGen.
 
     Args:
         run: Folder of the run.
@@ -302,13 +302,13 @@ class OutdatedRunError(StorageError):
         self.run, self.stage, self.made, self.current = str(run), stage, made, current
         super().__init__(
             run,
-            f"holds a result of version {made} of stage '{stage}', and this is version {current}",
+            f"contains a result of version {made} of stage '{stage}', but the current version is {current}",
             f"bring it up to date with `aomgen run {run}`",
         )
 
 
 class LockedError(StorageError):
-    """Another process works on the same output folder."""
+    """Another process uses the same output folder."""
 
 
 class WorkerError(AomgenError):

@@ -227,7 +227,7 @@ CAPTURES = {
     "log in milliseconds": Case(times(1e3), UnitsError, ("joints.csv", "milliseconds?", "divide time_s by 1000")),
     "log in microseconds": Case(times(1e6), UnitsError, ("microseconds?",)),
     "log with 2 Hz": Case(log(lambda rows: rows[::50]), IncompleteCaptureError, ("0.50 s apart", "30 Hz")),
-    "log with 15 Hz": Case(log(lambda rows: rows[::7]), None, ("14 rows a second", "coarser")),
+    "log with 15 Hz": Case(log(lambda rows: rows[::7]), None, ("14 rows per second", "less accurate")),
     "log of a resting arm": Case(
         log(lambda rows: [[row[0], *rows[0][1:]] for row in rows]), IncompleteCaptureError, ("no joint that moves",)
     ),
@@ -252,7 +252,7 @@ CAPTURES = {
     "hand-eye calibration in millimetres": Case(
         calibrated("[1, 0, 0, 850.0], [0, 1, 0, -420.0], [0, 0, 1, 900.0], [0, 0, 0, 1]"),
         UnitsError,
-        ("T_world_cam", "millimetres?"),
+        ("T_world_cam", "millimeters?"),
     ),
     "masks of 255": Case(masks(255), MalformedFileError, ("labels 0, 255 only", "2 static")),
     "masks of another size": Case(masks(2, size=(640, 480)), MalformedFileError, ("(640, 480)", "(320, 240)")),

@@ -352,11 +352,11 @@ DIALECTS = {
     # Gripper of the log.
     "gripper of 0..255": Dialect(gripper(lambda g: 255 * g), ("0..255",), refused=True),
     "gripper of 0..255, stated": Dialect(gripper(lambda g: 255 * g, "[0, 255]")),
-    "gripper in per cent": Dialect(gripper(lambda g: 100 * g), ("per cent",), refused=True),
+    "gripper in per cent": Dialect(gripper(lambda g: 100 * g), ("percent",), refused=True),
     "gripper in per cent, stated": Dialect(gripper(lambda g: 100 * g, "[0, 100]")),
-    "opening in metres": Dialect(gripper(lambda g: 0.085 * (1 - g)), ("metres?", "gripper_range"), refused=True),
+    "opening in metres": Dialect(gripper(lambda g: 0.085 * (1 - g)), ("meters?", "gripper_range"), refused=True),
     "opening in metres, stated": Dialect(gripper(lambda g: 0.085 * (1 - g), "[0.085, 0.0]")),
-    "closing in metres": Dialect(gripper(lambda g: 0.085 * g), ("metres?",), refused=True),
+    "closing in metres": Dialect(gripper(lambda g: 0.085 * g), ("meters?",), refused=True),
     "angle in radians, stated": Dialect(gripper(lambda g: 0.8 * g, "[0, 0.8]")),
     "gripper reversed": Dialect(gripper(lambda g: 1 - g), ("is it reversed?", "gripper_range = [1, 0]"), log=False),
     "gripper reversed, stated": Dialect(gripper(lambda g: 1 - g, "[1, 0]")),
@@ -385,9 +385,9 @@ DIALECTS = {
     "CMYK": Dialect(images(lambda image, number: (image.convert("CMYK"), ".jpg", {"quality": 97}))),
     "16 bits": Dialect(images(sixteen_bits), scan=False),
     "12 bits in 16": Dialect(images(twelve_bits), ("of 16 bits",), refused=True),
-    "turned by EXIF": Dialect(images(exif(6, rotate=90)), ("EXIF turns 13 of 13", "320 x 240")),
-    "upside down by EXIF": Dialect(images(exif(3, rotate=180)), ("EXIF turns 13 of 13",)),
-    "some turned by EXIF": Dialect(images(some_turned), ("EXIF turns 6 of 13", "0010.jpg"), refused=True),
+    "turned by EXIF": Dialect(images(exif(6, rotate=90)), ("EXIF data rotates 13 of 13", "320 x 240")),
+    "upside down by EXIF": Dialect(images(exif(3, rotate=180)), ("EXIF data rotates 13 of 13",)),
+    "some turned by EXIF": Dialect(images(some_turned), ("EXIF data rotates 6 of 13", "0010.jpg"), refused=True),
     "images in a subfolder": Dialect(into_subfolder, ("100CANON",), refused=True),
     "images in a named subfolder": Dialect(
         both(into_subfolder, edit(TOML, 'images = "scan"', 'images = "scan/100CANON"')), scan=False

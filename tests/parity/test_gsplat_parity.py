@@ -317,9 +317,9 @@ def test_bad_scenes_are_refused(contract: Contract) -> None:
         draw(gaussians, camera, replace(options, sh_degree=2))
     with pytest.raises(BackendError, match="an image of 0 x 50 pixels"):
         draw(gaussians, replace(camera, width=0), options)
-    with pytest.raises(TypeError, match="quats: want float32"):
+    with pytest.raises(TypeError, match="quats: expected float32"):
         draw(replace(gaussians, quats=gaussians.quats.double()), camera, options)
-    with pytest.raises(ValueError, match=r"log_scales have shape \(8, 3\), want \(9, 3\)"):
+    with pytest.raises(ValueError, match=r"log_scales have shape \(8, 3\), expected \(9, 3\)"):
         draw(replace(gaussians, log_scales=gaussians.log_scales[:8]), camera, options)
     Ts = torch.eye(4, device=contract.device)[None]
     rows = torch.zeros(9, dtype=torch.int32, device=contract.device)
@@ -327,7 +327,7 @@ def test_bad_scenes_are_refused(contract: Contract) -> None:
         rows[4] = row
         with pytest.raises(BackendError, match=r"part indices -?\d to \d of 1 transforms"):
             draw(gaussians, camera, options, parts=PartTensors(indices=rows, Ts_world_part=Ts))
-    with pytest.raises(ValueError, match=r"masks have shape \(1, 3, 3\), want \(M, 50, 70\)"):
+    with pytest.raises(ValueError, match=r"masks have shape \(1, 3, 3\), expected \(M, 50, 70\)"):
         draw.contribution_weights(gaussians, camera, torch.zeros(1, 3, 3, device=contract.device), options)
 
 
@@ -372,7 +372,7 @@ def test_unknown_devices_are_refused() -> None:
 
 @pytest.mark.parametrize("version", ["1.5.2", "1.4", "2.0.0", "unknown"])
 def test_other_versions_of_gsplat_are_refused(version: str) -> None:
-    with pytest.raises(BackendError, match=f"version {version}, want 1.5.3 or later and before 2; pip"):
+    with pytest.raises(BackendError, match=f"version {version}, expected 1.5.3 or later and before 2; pip"):
         check_version(version)
 
 

@@ -242,9 +242,9 @@ def test_wrong_sizes_are_refused():
     camera, moving = make_camera(), cloud(10, 2)
     session = RenderSession(cloud(20, 1), camera)
     motion = Motion(parts=np.zeros(10, np.int32), Ts_world_part=np.eye(4)[None, None])
-    with pytest.raises(ValueError, match=r"shade has shape \(3, 4\), want \(130, 170\)"):
+    with pytest.raises(ValueError, match=r"shade has shape \(3, 4\), expected \(130, 170\)"):
         session.draw(moving, shade=np.ones((3, 4), np.float32))
-    with pytest.raises(ValueError, match="want \\(1, 130, 170\\)"):
+    with pytest.raises(ValueError, match="expected \\(1, 130, 170\\)"):
         session.draw_many(moving, motion, np.ones((2, 130, 170), np.float32))
     with pytest.raises(ValueError, match="10 part indices for 4 Gaussians"):
         session.draw_many(moving.select(np.arange(4)), motion)

@@ -167,7 +167,7 @@ class TestForeignFiles:
 
     def test_a_gripper_in_metres_is_asked_for(self, folder):
         self.put_log(folder, "L3a-grip-metres")
-        with pytest.raises(AomgenError, match=r"metres\?.*gripper_range = \[0.085, 0\]"):
+        with pytest.raises(AomgenError, match=r"meters\?.*gripper_range = \[0.085, 0\]"):
             self.check(folder)
 
     def test_a_trimmed_video_has_the_frames_that_are_shown(self, folder):

@@ -142,7 +142,8 @@ def align(
     if not result.ee_sd_m <= MAX_SD_M:
         raise AlignmentError(
             STAGE,
-            f"the end effector is known to {1000 * result.ee_sd_m:.1f} mm, want {1000 * MAX_SD_M:.0f} mm",
+            f"the position of the end effector has an uncertainty of {1000 * result.ee_sd_m:.1f} mm, limit "
+            f"{1000 * MAX_SD_M:.0f} mm",
             "scan the robot from more sides",
         )
     progress(1.0, f"support {result.support:.2f}, end effector +-{1000 * result.ee_sd_m:.1f} mm")
@@ -174,7 +175,9 @@ def _likeliest(
         if best and best[0][0].lift >= MIN_LIFT:
             break
     if not best:
-        raise AlignmentError(STAGE, "no start puts the robot into the images", "check the robot prompts")
+        raise AlignmentError(
+            STAGE, "no initial pose places the robot in the images", "check the robot prompts"
+        )
     first, S = best[0]
     if not first.lift >= MIN_LIFT / 2:
         raise _make_confidence_error(first)
@@ -221,8 +224,8 @@ def _refine_starts(
 def _make_confidence_error(found: Confirmation) -> AlignmentError:
     return AlignmentError(
         STAGE,
-        f"the images confirm {found.support:.0%} of the robot's outline, and {found.chance:.0%} of "
-        f"one drawn anywhere; want a lead of {MIN_LIFT:.0%}",
+        f"the images confirm {found.support:.0%} of the robot's outline, and {found.chance:.0%} of an outline at "
+        f"a random pose; the difference must be at least {MIN_LIFT:.0%}",
         "check the robot prompts and that the first rows of the log are the scan's joint values",
     )
 
@@ -233,7 +236,7 @@ def _refuse_unconfirmed(found: Confirmation, runner_up: float, configuration: Ro
     if not found.support - runner_up >= MIN_MARGIN:
         raise AlignmentError(
             STAGE,
-            f"two poses of the robot are confirmed alike ({found.support:.0%} and {runner_up:.0%})",
+            f"two poses of the robot are confirmed equally well ({found.support:.0%} and {runner_up:.0%})",
             "add a robot box on an image from another side",
         )
     # The base may be occluded or on a mount, and does not depend on the joints.
@@ -242,8 +245,8 @@ def _refuse_unconfirmed(found: Confirmation, runner_up: float, configuration: Ro
             joint = configuration.robot.joint_names[segment - 1]
             raise AlignmentError(
                 STAGE,
-                f"the robot is not seen where the log puts it, from {joint} on (the images confirm "
-                f"{lift:.0%} of that outline beyond chance, want {MIN_SEGMENT_LIFT:.0%})",
+                f"the images do not show the robot at its logged pose, from {joint} on (they confirm {lift:.0%} of "
+                f"that outline beyond chance, at least {MIN_SEGMENT_LIFT:.0%} are needed)",
                 "check scan_state: the joint values must be those during the scan",
             )
 
@@ -263,7 +266,7 @@ def _refuse_wrong_joints(evidence: list[ViewEvidence], configuration: RobotConfi
 def _make_joint_error(name: str, offset_rad: float, measured: str) -> AlignmentError:
     return AlignmentError(
         STAGE,
-        f"{name} looks {np.degrees(offset_rad):+.0f} deg off in the images ({measured})",
+        f"{name} is {np.degrees(offset_rad):+.0f} deg from its logged value in the images ({measured})",
         "check scan_state: the joint values must be those during the scan",
     )
 

@@ -164,7 +164,7 @@ def _estimate_joint_zeros(problem: BundleProblem, logged: BundleSolution) -> Bun
         raise AlignmentError(
             f"joint '{problem.arm.log.joint_names[worst]}'",
             f"is {np.degrees(found.zeros_rad[worst]):+.1f} deg (+-{np.degrees(found.zero_sds_rad[worst]):.1f}) "
-            f"from where the log has it, scan and videos say; limit {np.degrees(MAX_JOINT_OFFSET_RAD):.0f} deg",
+            f"from its logged value according to scan and videos, limit {np.degrees(MAX_JOINT_OFFSET_RAD):.0f} deg",
             "master this joint again, or add its offset to the log",
         )
     return found

@@ -172,7 +172,7 @@ def _evidence(
     shown = len(trace(frames, camera_in_world(S, small), clock, arm, params.points))
     if shown >= _MIN_FRAMES:
         return replace(unused, frames=frames, held_out=held_out, clock=clock)
-    reason = f"{shown} of {len(frames.times_s)} frames show the arm, want {_MIN_FRAMES}"
+    reason = f"{shown} of {len(frames.times_s)} frames show the arm, expected {_MIN_FRAMES}"
     return replace(unused, rejected=reason)
 
 
@@ -252,9 +252,9 @@ def refuse_gross(name: str, T_world_cam: Array, camera: Camera, robot_world: Arr
         return
     mistakes = {
         "it looks like T_cam_world; write its inverse": invert(T_world_cam),
-        "it looks like the robot's other base frame; correct robot.base_frame": np.diag([-1.0, -1, 1, 1])
+        "it seems to use the robot's other base frame; correct robot.base_frame": np.diag([-1.0, -1, 1, 1])
         @ T_world_cam,
-        "it looks like OpenGL axes; turn them to x right, y down, z forward": T_world_cam
+        "it seems to use OpenGL axes; convert it to x right, y down, z forward": T_world_cam
         @ np.diag([1.0, -1, -1, 1]),
     }
     # A known mistake explains a calibration when it takes three quarters of the shift away.
@@ -262,8 +262,8 @@ def refuse_gross(name: str, T_world_cam: Array, camera: Camera, robot_world: Arr
     apart_mm, apart_deg = _apart(camera, T_world_cam)
     raise AlignmentError(
         f"demo camera '{name}'",
-        f"T_world_cam in capture.toml is {apart_mm:.1f} mm, {apart_deg:.2f} deg from where scan and robot "
-        f"place the camera, and shows the robot elsewhere by {share:.0%} of the picture's width "
+        f"T_world_cam in capture.toml is {apart_mm:.1f} mm, {apart_deg:.2f} deg from the pose "
+        f"that scan and robot determine, and displaces the robot by {share:.0%} of the image width "
         f"(limit {_GROSS_SHARE:.0%})",
         [*explained, "calibrate again, or leave T_world_cam out"][0],
     )

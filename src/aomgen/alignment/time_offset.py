@@ -128,7 +128,7 @@ def _coarse_tables(frames: ClockFrames, grid: Array, masks_at: MasksAt) -> list[
     if not len(grid) > max(LAGS):
         raise SyncError(
             "joint log",
-            f"spans {len(grid) * frames.step_s:.1f} s, too little for a video of "
+            f"spans {len(grid) * frames.step_s:.1f} s, too short for a video of "
             f"{len(frames.images) * frames.step_s:.1f} s",
             "export the log of the whole demonstration",
         )
@@ -138,8 +138,8 @@ def _coarse_tables(frames: ClockFrames, grid: Array, masks_at: MasksAt) -> list[
         raise SyncError(
             "clock offset",
             f"the arm stands still in the joint log or moves out of view: its silhouette changes by at most "
-            f"{moved:.2%} of the picture, want {MIN_CHANGE:.1%}",
-            "record a demonstration that this camera sees, or give clock_offset_s",
+            f"{moved:.2%} of the image, at least {MIN_CHANGE:.1%} are needed",
+            "record a demonstration in view of this camera, or state clock_offset_s",
         )
     tables = []
     for lag in LAGS:
@@ -192,8 +192,8 @@ def _refuse_ambiguous(candidates: Array, scores: Array) -> None:
     if not gain > MIN_GAIN_SD * max(spread, 1e-9):
         raise SyncError(
             "clock offset",
-            f"no offset stands out (best {gain:.0f} over a spread of {spread:.0f})",
-            "check the camera pose, or give clock_offset_s",
+            f"no offset fits clearly better than the others (best {gain:.0f} over a spread of {spread:.0f})",
+            "check the camera pose, or state clock_offset_s",
         )
     far = np.abs(candidates - candidates[best]) > RIVAL_DISTANCE_S
     rival = float(scores[far].max() - base) / gain if far.any() else 0.0
@@ -203,7 +203,7 @@ def _refuse_ambiguous(candidates: Array, scores: Array) -> None:
             "clock offset",
             f"{candidates[best]:.2f} s and {other:.2f} s explain the video nearly equally well "
             f"({rival:.0%}, limit {MAX_RIVAL:.0%})",
-            "give clock_offset_s",
+            "state clock_offset_s",
         )
 
 

@@ -147,7 +147,7 @@ def fit_asset(asset: Asset, run: Run) -> FittedAsset:
         raise EstimationError(
             asset.name,
             f"does not fit the recorded motion: {found.detail}",
-            "choose an asset that moves alike",
+            "choose an asset with a similar motion",
         )
     return found
 
@@ -160,7 +160,7 @@ def asset_source(asset: "Asset | str | Path") -> str:
     """
     if isinstance(asset, Asset):
         if not asset.source:
-            raise ConfigError(asset.name, "is in no file that a run can read", "save it as USD and load that")
+            raise ConfigError(asset.name, "is not stored in a file", "save it as USD and load that file")
         return asset.source
     spec = str(asset)
     load_asset(spec)

@@ -103,7 +103,7 @@ def estimate_joint(
     poses = require_poses("Ts_world_ee", Ts_world_ee)
     times = require_times("times_s", times_s, len(poses))
     if not (np.isfinite(grasp_sd_m) and grasp_sd_m > 0):
-        raise ConfigError("grasp_sd_m", f"is {grasp_sd_m}", "pass a positive number of metres")
+        raise ConfigError("grasp_sd_m", f"is {grasp_sd_m}", "pass a positive number of meters")
     hold = GraspGuess(
         point_ee=require_array("grasp_ee", grasp_ee, (3,)),
         closing_ee=None if closing_ee is None else _require_direction("closing_ee", closing_ee),

@@ -262,7 +262,7 @@ def bring_up_to_date(
         AomgenError: Whatever a stage refuses.
     """
     if project.out.exists() and not project.out.is_dir():
-        raise ConfigError(project.out, "is a file, and results need a folder", "choose another name")
+        raise ConfigError(project.out, "is a file, but results need a folder", "choose another name")
     forget_refusal(project.out)
     try:
         with _open_display(progress) as shown:

@@ -100,8 +100,8 @@ def _check_sizes(asset: ArticulatedAsset) -> list[str]:
     size, foot = float((points.max(0) - points.min(0)).max()), points[:, 2].min()
     low, high = SIZE_RANGE
     return _list_failures(
-        (low <= size <= high, f"is {size:.3g} m large, want {low} to {high} m: check metersPerUnit"),
-        (abs(foot) <= 0.005, f"stands at z = {foot:.3f} m, want 0"),
+        (low <= size <= high, f"is {size:.3g} m large, expected {low} to {high} m: check metersPerUnit"),
+        (abs(foot) <= 0.005, f"stands at z = {foot:.3f} m, expected 0"),
     )
 
 
@@ -126,7 +126,7 @@ def _check_joint(asset: ArticulatedAsset) -> list[str]:
         ),
         (
             joint.upper >= least,
-            f"opens by {joint.upper:.3g} only, want at least {least:.3g} (rad or m){hint}",
+            f"opens by {joint.upper:.3g} only, expected at least {least:.3g} (rad or m){hint}",
         ),
         (
             not degrees,
@@ -142,7 +142,7 @@ def _check_links(asset: ArticulatedAsset) -> list[str]:
         names = [box.name for box in link.colliders]
         thick = all((box.half_extents > 0).all() for box in link.colliders)
         problems += _list_failures(
-            (link.mass > 0, f"link {link.name!r} has mass {link.mass}, want a positive one"),
+            (link.mass > 0, f"link {link.name!r} has mass {link.mass}, expected a positive one"),
             (bool(link.meshes), f"link {link.name!r} has no meshes"),
             (bool(names), f"link {link.name!r} has no colliders"),
             (thick, f"link {link.name!r} has a collider without thickness"),

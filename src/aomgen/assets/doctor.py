@@ -53,7 +53,7 @@ def examine(asset: ArticulatedAsset) -> list[Finding]:
     points = [sample_meshes(link.meshes, SAMPLES, rng) for link in (asset.static, asset.moving)]
     low, high = np.concatenate(points).min(0), np.concatenate(points).max(0)
     found = [Finding(name="use", state="", problem=sentence) for sentence in problems] or [
-        Finding(name="use", state="can be simulated and held")
+        Finding(name="use", state="can be simulated and grasped")
     ]
     found += [
         Finding(name="joint", state=f"{joint.type}, opens by {opening}"),
@@ -87,7 +87,7 @@ def _finger(asset: ArticulatedAsset, surface: Array) -> Finding:
     return Finding(
         name="handle",
         state=state,
-        warning=f"its meshes leave no room for a ball of {1000 * FINGER_BALL:.0f} mm" if short else "",
+        warning=f"the clearance between its meshes is less than {1000 * FINGER_BALL:.0f} mm" if short else "",
     )
 
 
@@ -107,8 +107,8 @@ def _colliders(link: AssetLink, surface: Array) -> Finding:
     far = off > 1000 * NEAR_M
     return Finding(
         name=f"colliders of {link.name}",
-        state=f"{len(link.colliders)} boxes, the surface up to {off:.1f} mm outside",
-        warning=f"farther than {1000 * NEAR_M:.0f} mm: author boxes that follow the surface" if far else "",
+        state=f"{len(link.colliders)} boxes; the surface is up to {off:.1f} mm outside",
+        warning=f"this exceeds {1000 * NEAR_M:.0f} mm: author boxes that follow the surface" if far else "",
     )
 
 
@@ -118,7 +118,7 @@ def _mass(link: AssetLink) -> Finding:
     return Finding(
         name=f"mass of {link.name}",
         state=f"{link.mass:.2f} kg, {density:.0f} kg/m^3 of its colliders",
-        warning="unlike any household object: check its unit" if odd else "",
+        warning="not plausible for a household object: check the unit" if odd else "",
     )
 
 
@@ -130,7 +130,8 @@ def _hinges(asset: ArticulatedAsset) -> list[Finding]:
     return [
         Finding(
             name="hinge",
-            state=f"{len(pairs)} pairs of colliders overlap while it is closed ({shown}); they do not touch in simulation",
+            state=f"{len(pairs)} pairs of colliders overlap in the closed state ({shown}); "
+            "they do not collide in simulation",
         )
     ]
 

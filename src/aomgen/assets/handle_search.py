@@ -46,7 +46,9 @@ def opening_direction(link: AssetLink, joint: Joint) -> Array:
     direction = np.cross(joint.axis, middle - joint.origin)
     length = float(np.linalg.norm(direction))
     if not length > 1e-4:
-        raise AssetError(link.name, "lies symmetrically around its joint axis", "state its handle: --handle")
+        raise AssetError(
+            link.name, "is symmetric about its joint axis", "state the position of its handle with --handle"
+        )
     return direction / length
 
 
@@ -86,8 +88,8 @@ def find_handle(asset: ArticulatedAsset) -> ArticulatedAsset:
         raise AssetError(
             asset.name,
             f"has no handle: nothing protrudes from '{link.name}' by {1000 * LEAST_PROTRUSION_M:.0f} mm, "
-            f"nor is it a lid thinner than {1000 * MAX_RIM_M:.0f} mm",
-            "state where its handle is: --handle X0 Y0 Z0 X1 Y1 Z1, or name a mesh of it handle",
+            f"and it is not a lid thinner than {1000 * MAX_RIM_M:.0f} mm",
+            "state its position with --handle X0 Y0 Z0 X1 Y1 Z1, or name one of its meshes 'handle'",
         )
     return first
 
@@ -135,8 +137,8 @@ def state_handle(link: AssetLink, low: Array, high: Array) -> AssetLink:
     inside = points[((points >= low) & (points <= high)).all(1)]
     if not len(inside) >= 3:
         raise AssetError(
-            "--handle", f"no surface of the moving part lies in {low.tolist()} .. {high.tolist()}",
-            "give the corners in the coordinates of the file, in metres",
+            "--handle", f"no surface of the moving part is in the box {low.tolist()} .. {high.tolist()}",
+            "give the corners in the coordinates of the file, in meters",
         )  # fmt: skip
     lower, upper = inside.min(0), inside.max(0)
     box = BoxCollider(

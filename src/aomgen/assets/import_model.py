@@ -60,7 +60,7 @@ def import_model(
         asset = complete(drawn, path, limits=limits, handle=handle)
     else:
         known = ", ".join([*SUFFIXES, *usd_read.SUFFIXES])
-        raise MalformedFileError(path, f"has suffix {suffix!r}", f"want one of {known}")
+        raise MalformedFileError(path, f"has suffix {suffix!r}", f"expected one of {known}")
     asset = asset if scale == 1.0 else asset.transform(np.diag([scale] * 3 + [1.0]))
     return replace(asset, category=category or asset.category)
 
@@ -69,5 +69,7 @@ def _joints_file(path: Path) -> Path:
     folders = path.resolve().parents
     found = next((folder / JOINTS_FILE for folder in folders if (folder / JOINTS_FILE).is_file()), None)
     if found is None:
-        raise ConfigError("--joints", f"is needed: {path.name} says nothing of joints", "see docs/assets.md")
+        raise ConfigError(
+            "--joints", f"is needed: {path.name} does not describe joints", "see docs/assets.md"
+        )
     return found

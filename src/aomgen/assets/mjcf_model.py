@@ -100,7 +100,7 @@ def _joint(model: mujoco.MjModel, data: mujoco.MjData, number: int, path: Path, 
             raise AssetError(
                 path,
                 f"has no limits at joint '{_joint_name(model, number)}'",
-                "state how far it opens: --limits 0 1.57 (rad or m)",
+                "state its limits: --limits 0 1.57 (rad or m)",
             )
         lower, upper = 0.0, 1.0
     start = float(model.qpos0[model.jnt_qposadr[number]])

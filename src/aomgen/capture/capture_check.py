@@ -120,7 +120,7 @@ def _describe_poses(capture: Recording) -> str:
     if poses is None:
         return ""
     known = len(poses.Ts_scan_cam.keys() & {path.name for path in capture.scan_images})
-    return f", {known} with a pose" + (" in metres" if poses.metric else "")
+    return f", {known} with a pose" + (" in meters" if poses.metric else "")
 
 
 def _list_strange_poses(capture: Recording) -> list[str]:
@@ -147,7 +147,7 @@ def check_robot(capture: Recording) -> RobotModel:
     if not outside[worst] <= LIMIT_SLACK:
         raise UnitsError(
             capture.folder / "capture.toml",
-            f"'{robot.joint_names[worst]}' stands at {capture.robot.scan_joints[worst]:.2f}, but {robot.name} "
+            f"'{robot.joint_names[worst]}' is at {capture.robot.scan_joints[worst]:.2f}, but {robot.name} "
             f"allows {low[worst]:.2f} to {high[worst]:.2f}",
             "check the order of robot.joints, and the log's units and zero",
         )

@@ -78,9 +78,10 @@ def _check_memory(path: Path) -> None:
     if not needed <= memory:
         raise LimitExceededError(
             path,
-            f"takes {needed / 1e9:.0f} GB decoded ({info.frames} frames of {info.width} x {info.height}), "
+            f"needs {needed / 1e9:.0f} GB of memory when decoded ({info.frames} frames of {info.width} x "
+            f"{info.height}), "
             f"this machine has {memory / 1e9:.0f} GB",
-            "cut it, or export it smaller or with fewer frames a second",
+            "cut it, or export it with a smaller size or frame rate",
         )
 
 
@@ -96,17 +97,17 @@ def check_demo_video(video: Video, path: Path) -> None:
     if not changed >= MIN_CHANGED_SHARE:
         raise IncompleteCaptureError(
             path,
-            f"shows nothing that moves ({changed:.2%} of the image changes, want {MIN_CHANGED_SHARE:.1%})",
-            "check that it is the demonstration's video and that the camera did not freeze",
+            f"shows no motion ({changed:.2%} of the image changes, at least {MIN_CHANGED_SHARE:.1%} are needed)",
+            "check that it is the video of the demonstration and that it is not frozen",
         )
     push = find_push(video)
     if push is not None:
         time_s, share = push
         raise IncompleteCaptureError(
             path,
-            f"was moved: from {time_s:.1f} s on its background is shifted by {share:.1%} of the width from where "
-            "it was at the start",
-            "fix the camera and record again, or cut the video with its part before or after the push",
+            f"was recorded by a camera that moved: from {time_s:.1f} s on its background is shifted by {share:.1%} of "
+            "the width",
+            "fix the camera and record again, or keep only the part of the video before or after the motion",
         )
 
 

@@ -49,7 +49,7 @@ STROKE_SLACK = 0.05
 MAX_OPENING_M = 0.15
 # Units of other drivers: largest value of the column, the probable unit, and what to write.
 GRIPPER_UNITS: Final = (
-    (102.0, "per cent or millimetres", "[0, 100] for per cent, [85, 0] for an opening of 85 mm"),
+    (102.0, "percent or millimeters", "[0, 100] for percent, [85, 0] for an opening of 85 mm"),
     (255.0, "counts of 0..255", "[0, 255]"),
     (np.inf, "another unit", "[0, 1000] for example"),
 )
@@ -155,14 +155,14 @@ def _read_gripper(path: Path, name: str, values: Array, stated: Sequence[float])
     if not (low >= -STROKE_SLACK and high <= 1 + STROKE_SLACK):
         unit, example = next((unit, example) for limit, unit, example in GRIPPER_UNITS if high <= limit)
         raise UnitsError(
-            path, f"{spans}, want 0 (open) to 1 (closed): {unit}?",
+            path, f"{spans}, expected 0 (open) to 1 (closed); is the unit {unit}?",
             f"state the values of open and closed: robot.gripper_range = {example}",
         )  # fmt: skip
     if high <= MAX_OPENING_M and high - low >= GRIPPER_NOISE / 2:
         raise UnitsError(
-            path, f"{spans}, which 0 (open) .. 1 (closed) reads as never closing: metres?",
+            path, f"{spans}, so with 0 (open) .. 1 (closed) it never closes; is the unit meters?",
             "state the values of open and closed: robot.gripper_range = [0.085, 0] for an opening of 85 mm, "
-            "[0, 1] where it really stays open",
+            "[0, 1] if it does stay open",
         )  # fmt: skip
     return np.clip(values, 0.0, 1.0)
 
@@ -173,7 +173,7 @@ def _check_angles(path: Path, joints: Array, joint_names: Sequence[str]) -> None
     if not largest[worst] <= MAX_ANGLE_RAD:
         raise UnitsError(
             path,
-            f"'{joint_names[worst]}' reaches {largest[worst]:.1f}, limit {MAX_ANGLE_RAD:.2f} rad: degrees?",
+            f"'{joint_names[worst]}' reaches {largest[worst]:.1f}, limit {MAX_ANGLE_RAD:.2f} rad; is the unit degrees?",
             "convert the log to radians",
         )
 
@@ -217,14 +217,14 @@ def check_log(log: JointLog, path: Path, videos_s: dict[str, float], offset_s: f
                 path,
                 f"with clock_offset_s = {offset_s:g} the video of '{name}' lasts from {offset_s:.1f} s to "
                 f"{offset_s + video_s:.1f} s, the log from {first:.1f} s to {last:.1f} s",
-                "log time = video time + offset; leave it out to have it estimated",
+                "correct it (log time = video time + offset), or leave it out to estimate it",
             )
     travel = np.ptp(log.joints, axis=0)
     if not travel.max() >= MIN_TRAVEL:
         raise IncompleteCaptureError(
             path,
-            f"has no joint that moves (at most {travel.max():.4f} rad, want {MIN_TRAVEL:g})",
-            "export the demonstration's log, joint positions as measured",
+            f"has no joint that moves (at most {travel.max():.4f} rad, at least {MIN_TRAVEL:g} rad are needed)",
+            "export the log of the demonstration with measured joint positions",
         )
     return _warnings(log, path)
 
@@ -240,7 +240,7 @@ def _check_steps(log: JointLog, path: Path, video_s: float) -> None:
         if ticks > 1 and 0.95 * video_s <= length / ticks and np.median(steps) / ticks <= MAX_STEP_S:
             raise UnitsError(
                 path,
-                f"{TIME_COLUMN} spans {length:.0f} s, the video {video_s:.1f} s: {unit}?",
+                f"{TIME_COLUMN} spans {length:.0f} s, the video {video_s:.1f} s; is the unit {unit}?",
                 f"divide time_s by {ticks:.0f}",
             )
     raise IncompleteCaptureError(
@@ -256,25 +256,26 @@ def _warnings(log: JointLog, path: Path) -> list[str]:
     rate = 1 / float(np.median(np.diff(log.times_s)))
     if rate < WANTED_RATE_HZ:
         found.append(
-            f"{rate:.0f} rows a second, want 30 or more: clock offset, contact and joint values become coarser"
+            f"it has {rate:.0f} rows per second, 30 or more are recommended: clock offset, contact and joint values "
+            "become less accurate"
         )
     travel = float(np.ptp(log.joints[log.times_s <= log.times_s[0] + REST_S], axis=0).max())
     if travel > MAX_REST_TRAVEL:
         found.append(
-            f"the arm moves by {travel:.2f} rad in the first {REST_S} s: start the log while it rests in the "
-            "scan's configuration, or give robot.scan_state"
+            f"the arm moves by {travel:.2f} rad in the first {REST_S} s: start the log while it is at rest in the "
+            "configuration of the scan, or state robot.scan_state"
         )
     wide = np.diff(log.times_s) > WIDE_STEP_S
     if rate >= WANTED_RATE_HZ and wide.any():
         found.append(
-            f"{int(wide.sum())} gaps of more than {WIDE_STEP_S} s (longest {np.diff(log.times_s).max():.2f} s), "
-            "in which the arm is interpolated"
+            f"it has {int(wide.sum())} gaps of more than {WIDE_STEP_S} s (longest {np.diff(log.times_s).max():.2f} s), "
+            "in which joint values are interpolated"
         )
-    # An open gripper closes to grasp; one that starts closed and opens has probably been logged upside down.
+    # A gripper closes to grasp; if it is closed at the start and opens, its values are probably reversed.
     grip = log.gripper
     if grip[0] >= CLOSED and grip[0] - grip.min() >= MIN_OPENING:
         found.append(
-            "the gripper starts closed and opens, where 0 is open and 1 closed: is it reversed? If 1 is open, "
+            "the gripper is closed at the start and then opens (0 is open, 1 closed); if its values are reversed, "
             "state robot.gripper_range = [1, 0]"
         )
     return [f"{path}: {warning}" for warning in found]

@@ -38,7 +38,9 @@ def read_demo_masks(
     count, height, width = shape
     if not len(files) == count:
         raise IncompleteCaptureError(
-            files[0].parent, f"has {len(files)} label images, the video {count} frames", "make one a frame"
+            files[0].parent,
+            f"has {len(files)} label images, the video {count} frames",
+            "write one label image for each frame",
         )
     labels = np.empty(shape, np.uint8)
     for k, path in enumerate(files):
@@ -81,8 +83,8 @@ def _check_names(capture: Recording, folder: Path, files: list[Path]) -> None:
     if not known:
         raise MissingFileError(
             folder,
-            f"holds {len(files)} PNG files, none named like a scan image",
-            f"name them as the images, {names} for example, or remove the folder",
+            f"contains {len(files)} PNG files, but none has the name of a scan image",
+            f"name them like the images, for example {names}, or remove the folder",
         )
 
 
@@ -98,5 +100,5 @@ def _check_labels(capture: Recording, folder: Path, files: list[Path]) -> None:
     if not found & {STATIC, MOVING}:
         wanted = ", ".join(f"{value} {name}" for name, value in PART_LABELS.items())
         raise MalformedFileError(
-            folder, f"has the labels {', '.join(map(str, sorted(found)))} only", f"want {wanted}"
+            folder, f"has the labels {', '.join(map(str, sorted(found)))} only", f"expected {wanted}"
         )

@@ -144,12 +144,12 @@ def order_rows(
     if not back[worst] <= MAX_REORDER_S:
         raise MalformedFileError(
             table.path,
-            f"time steps back by {back[worst]:.2f} s at row {table.lines[worst]}",
+            f"time decreases by {back[worst]:.2f} s at row {table.lines[worst]}",
             "keep the rows of one recording",
         )
     notes = []
     if back[worst] > 0:
-        notes.append(f"{int((np.diff(times) < 0).sum())} rows came out of order and were sorted by time")
+        notes.append(f"{int((np.diff(times) < 0).sum())} rows were not in the order of time and were sorted")
     order = np.argsort(times, kind="stable")
     times, values = times[order], values[order]
     unique, first, counts = np.unique(times, return_index=True, return_counts=True)

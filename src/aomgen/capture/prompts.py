@@ -37,7 +37,7 @@ def read_prompts(
         raise InputError(
             path,
             f"has no prompt with a box for {' and '.join(missing)}",
-            "mark it on two scan images with `aomgen prompts`, or add [[prompts]] entries with a box by hand",
+            "mark it on two scan images with `aomgen prompts`, or add [[prompts]] entries with a box to capture.toml",
         )
     return prompts
 
@@ -45,7 +45,7 @@ def read_prompts(
 def prompt_warnings(prompts: tuple[Prompt, ...]) -> list[str]:
     """Sentences about parts that only one image prompts."""
     return [
-        f"only '{min(found)}' prompts the {part} part: without that image's camera the run stops; "
+        f"only '{min(found)}' has a prompt for the {part} part: if this image cannot be registered, the run stops; "
         "draw a box on a second image"
         for part, found in list_boxed_images(prompts).items()
         if len(found) == 1
@@ -77,10 +77,16 @@ def check_prompt(section: PromptSection, names: set[str], size: tuple[int, int],
     if not (np.all(corners >= 0) and np.all(corners <= np.array(size))):
         raise InputError(where, f"lies outside {size[0]} x {size[1]}", "click inside the image")
     if corners.max() <= 1.0:
-        raise UnitsError(where, f"reaches only {corners.max():g}: shares of the image?", "give pixels")
+        raise UnitsError(
+            where,
+            f"has coordinates up to {corners.max():g} only, which seem to be relative to the image size",
+            "give pixels",
+        )
     if not np.isin(points[:, 2], (0, 1)).all():
         raise InputError(
-            where, "has a point whose third number is neither 1 nor 0", "want x, y, 1 on the part or 0 off it"
+            where,
+            "has a point whose third number is neither 1 nor 0",
+            "give x, y, and 1 (on the part) or 0 (outside of it)",
         )
     if section.box is not None:
         _check_box(section.box, points, where)
@@ -92,12 +98,12 @@ def _check_box(box: list[float], points: np.ndarray, where: str) -> None:
     if not (x1 > x0 and y1 > y0):
         raise InputError(
             where, f"has the box {box}, whose second corner is not right of and below the first",
-            "want x0, y0, x1, y1: not width and height",
+            "give x0, y0, x1, y1, not width and height",
         )  # fmt: skip
     if not min(x1 - x0, y1 - y0) >= MIN_BOX_PX:
         raise InputError(
             where,
-            f"has a box of {x1 - x0:g} x {y1 - y0:g} px, want at least {MIN_BOX_PX:g}",
+            f"has a box of {x1 - x0:g} x {y1 - y0:g} px, expected at least {MIN_BOX_PX:g}",
             "draw it around the part",
         )
     on = points[points[:, 2] == 1, :2]
@@ -108,5 +114,5 @@ def _check_box(box: list[float], points: np.ndarray, where: str) -> None:
         raise InputError(
             where,
             f"has a point ({x:g}, {y:g}) on the part, but outside its box {box}",
-            "points are x, y, boxes x0, y0, x1, y1",
+            "give points as x, y and boxes as x0, y0, x1, y1",
         )

@@ -87,7 +87,9 @@ def _gripper_range(manifest: CaptureManifest, path: Path) -> tuple[float, ...]:
     stated = tuple(manifest.robot.gripper_range or ())
     if len(set(stated)) == 1:
         raise MalformedFileError(
-            path, f"robot.gripper_range = {list(stated)} has no extent", "want the values of open and closed"
+            path,
+            f"robot.gripper_range = {list(stated)} has two equal values",
+            "give the values of open and closed",
         )
     return stated
 
@@ -119,8 +121,8 @@ def check_intrinsics(intrinsics: Intrinsics, size: tuple[int, int], where: str) 
     if not intrinsics.lens(width, height).valid:
         raise CalibrationError(
             where,
-            f"distortion {list(intrinsics.distortion or ())} folds the image's border back",
-            "want k1, k2, p1, p2 of OpenCV's model",
+            f"distortion {list(intrinsics.distortion or ())} maps two image points to one direction",
+            "give k1, k2, p1, p2 of OpenCV's model",
         )
 
 
@@ -177,7 +179,7 @@ def _robot(folder: Path, manifest: CaptureManifest, log: JointLog, path: Path) -
             raise MalformedFileError(
                 path,
                 f"robot.scan_state has {len(scan_joints)} values for {len(robot.joints)} joints",
-                "list one a joint",
+                "list one for each joint",
             )
     model_file = resolve_inside(folder, files[0], named_by=path) if files else None
     return RobotChoice(
@@ -205,7 +207,7 @@ def _cameras(folder: Path, manifest: CaptureManifest, path: Path) -> tuple[DemoC
     names = [camera.name for camera in cameras]
     if len(set(names)) != len(names):
         raise MalformedFileError(
-            path, f"names two of demo.cameras alike ({', '.join(names)})", "give each a name of its own"
+            path, f"names two of demo.cameras alike ({', '.join(names)})", "give each a different name"
         )
     for camera in cameras:
         if camera.T_world_cam is not None:
@@ -222,6 +224,7 @@ def _check_calibration(T_world_cam: Array, where: str) -> None:
     if not distance <= MAX_CAMERA_DISTANCE_M:
         raise UnitsError(
             where,
-            f"puts the camera {distance:.0f} m from the robot, limit {MAX_CAMERA_DISTANCE_M:.0f} m: millimetres?",
-            "give the translation in metres",
+            f"puts the camera {distance:.0f} m from the robot, limit {MAX_CAMERA_DISTANCE_M:.0f} m; is the "
+            "unit millimeters?",
+            "give the translation in meters",
         )

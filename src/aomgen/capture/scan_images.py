@@ -62,7 +62,7 @@ def find_images(scan: Path) -> tuple[Path, ...]:
     if foreign:
         more = f" (and {len(foreign) - 1} more)" if len(foreign) > 1 else ""
         raise MalformedFileError(
-            foreign[0], f"is neither JPEG nor PNG{more}", "export it as JPEG, or take it out of the scan"
+            foreign[0], f"is neither JPEG nor PNG{more}", "export it as JPEG, or remove it from the scan"
         )
     if not images:
         _refuse_subfolders(scan)
@@ -114,7 +114,7 @@ def _describe_rotated(images: Sequence[Path]) -> str:
         with open_image(path) as image:
             if exif_orientation(image) > 1:
                 turned.append(path.name)
-    return f"; EXIF turns {len(turned)} of {len(images)} images ({_some(turned)})" if turned else ""
+    return f"; EXIF data rotates {len(turned)} of {len(images)} images ({_some(turned)})" if turned else ""
 
 
 def check_scan(capture: Recording) -> tuple[int, list[str]]:
@@ -137,14 +137,14 @@ def check_scan(capture: Recording) -> tuple[int, list[str]]:
     if turned:
         width, height = capture.scan_size
         warnings.append(
-            f"{capture.scan_images[0].parent}{turned}, as viewers do: prompts and intrinsics must be those of "
+            f"{capture.scan_images[0].parent}{turned}; prompts and intrinsics must refer to "
             f"the {width} x {height} image"
         )
     _refuse_hopeless(capture.scan_images[0].parent, blurs)
     blurred = _beyond(BLURRED, blurs)
     if blurred:
         warnings.append(
-            f"{len(blurred)} of {len(blurs)} scan images are blurred ({_some(blurred)}): take them out, or scan again"
+            f"{len(blurred)} of {len(blurs)} scan images are blurred ({_some(blurred)}): remove them, or scan again"
         )
     return len(blurs), warnings
 
@@ -164,8 +164,8 @@ def _refuse_hopeless(where: Path, blurs: dict[str, float]) -> None:
     if not len(blurred) <= MAX_HOPELESS_SHARE * len(blurs):
         raise IncompleteCaptureError(
             where,
-            f"{len(blurred)} of {len(blurs)} images looked at are blurred ({_some(blurred)})",
-            "scan again with focus and more light, and hold still for each image",
+            f"{len(blurred)} of {len(blurs)} sampled images are blurred ({_some(blurred)})",
+            "scan again in focus and with more light, and stand still for each image",
         )
 
 

@@ -137,7 +137,9 @@ def gaussians_from_points(
     """
     points = np.asarray(points, np.float64)
     if points.ndim != 2 or np.shape(colors_srgb) != points.shape:
-        raise ValueError(f"points have shape {points.shape} and colors {np.shape(colors_srgb)}, want (N, 3)")
+        raise ValueError(
+            f"points have shape {points.shape} and colors {np.shape(colors_srgb)}, expected (N, 3)"
+        )
     scales = size * neighbour_distances(points)
     return gaussians_of(
         means=points,
@@ -158,11 +160,11 @@ def neighbour_distances(points: Array) -> Array:
     from scipy.spatial import cKDTree
 
     if not len(points) >= 2 or not np.isfinite(points).all():
-        raise ValueError(f"{len(points)} points, want at least two with finite coordinates")
+        raise ValueError(f"{len(points)} points, expected at least two with finite coordinates")
     count = min(3, len(points) - 1)
     distances, _ = cKDTree(points).query(points, k=count + 1)
     spacing = np.sqrt((distances[:, 1:] ** 2).mean(1))
     apart = spacing[spacing > 0]
     if not len(apart):
-        raise ValueError(f"{len(points)} points in one place, want at least two places")
+        raise ValueError(f"{len(points)} points at one position, expected at least two positions")
     return np.clip(spacing, 1e-3 * np.median(apart), np.percentile(apart, 99))

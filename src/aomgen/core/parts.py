@@ -88,15 +88,16 @@ class Parts:
         sentences = []
         if not self.box_misfit <= DOUBTED_MISFIT:
             sentences.append(
-                f"the parts found end {100 * self.box_misfit / 4:.0f} % of a box away from the prompts' boxes, "
-                f"want {100 * DOUBTED_MISFIT / 4:.0f} %; draw boxes that touch each part on all four sides"
+                f"the edges of the fitted parts are {100 * self.box_misfit / 4:.0f} % of a box away from the "
+                f"prompted boxes, limit {100 * DOUBTED_MISFIT / 4:.0f} %; draw boxes that touch each part on "
+                "all four sides"
             )
         for name, iou in (("static", self.static_agreement), ("moving", self.moving_agreement)):
             if not iou >= DOUBTED_AGREEMENT:
                 sentences.append(
                     f"labels of the {name} part are doubtful: they overlap with its masks by {100 * iou:.0f} %, "
-                    f"want {100 * DOUBTED_AGREEMENT:.0f} %; look at the labels, and add prompts of '{name}' on "
-                    "images that show it from other sides"
+                    f"at least {100 * DOUBTED_AGREEMENT:.0f} % are expected; inspect the labels, and add prompts of "
+                    f"'{name}' on images from other sides"
                 )
         return sentences
 

@@ -150,7 +150,7 @@ def parse_size(text: str) -> tuple[int, int]:
     """
     width, _, height = text.partition("x")
     if not (width.isdecimal() and height.isdecimal() and int(width) and int(height)):
-        raise ConfigError("--size", f"'{text}' is not WxH", "want WxH as in 128x96, [px]")
+        raise ConfigError("--size", f"'{text}' is not WxH", "expected WxH as in 128x96, [px]")
     return int(width), int(height)
 
 

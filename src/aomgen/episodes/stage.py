@@ -36,9 +36,9 @@ LOOKED_AT: Final = 200
 WIDE_NODES: Final = 13
 PICTURE: Final = "reach_map.svg"
 WORDS: Final = {
-    "outside_area": "beside the area",
+    "outside_area": "outside the area",
     "off_table": "off the table",
-    "blocked": "where something stands",
+    "blocked": "blocked by an obstacle",
     "out_of_reach": "out of the arm's reach",
 }
 
@@ -68,7 +68,7 @@ def run(
         raise NotEnoughEpisodesError(
             "episodes",
             " ".join(map(account_sentence, accounts)),
-            "ask for other poses, or choose another asset",
+            "choose other ranges of poses, or another asset",
         )
     draws = read_draws(folder)
     write_json(
@@ -159,14 +159,14 @@ def _refusal(
     )
     reached = wide.places_world[wide.reached.any(2)]
     reach = (
-        f"the arm holds its handle at {_extent(reached)}"
+        f"the arm can hold its handle at {_extent(reached)}"
         if len(reached)
-        else "the arm holds its handle nowhere"
+        else "the arm cannot hold its handle anywhere"
     )
     table = np.stack([scene.support.low_xy, scene.support.high_xy])
     return ConfigError(
         "episodes.ranges",
-        f"no place for {fitted.asset.name}: of {len(reasons)} draws, at {_extent(places)}, {counted}",
+        f"no feasible pose for {fitted.asset.name}: of {len(reasons)} samples, at {_extent(places)}, {counted}",
         f"{reach}, the free table is {_extent(table)}: {picture} shows both",
     )
 

@@ -110,29 +110,31 @@ class Ranges:
             raise ConfigError(
                 "episodes.ranges.push_m",
                 f"is {self.push_m}",
-                f"want 0 to {MAX_PUSH_M:g}, the lower one first",
+                f"expected 0 to {MAX_PUSH_M:g}, the lower one first",
             )
         for name in ("scale", "speed", "light_intensity", "light_temperature_k"):
             if not getattr(self, name)[0] > 0:
-                raise ConfigError(f"episodes.ranges.{name}", f"is {getattr(self, name)}", "want more than 0")
+                raise ConfigError(
+                    f"episodes.ranges.{name}", f"is {getattr(self, name)}", "expected more than 0"
+                )
         low, high = self.light_temperature_k
         if not (low >= COLDEST_K and high <= HOTTEST_K):
             raise ConfigError(
                 "episodes.ranges.light_temperature_k",
                 f"is {low:g} to {high:g}",
-                f"want {COLDEST_K} to {HOTTEST_K}",
+                f"expected {COLDEST_K} to {HOTTEST_K}",
             )
         if self.axes not in ("world", "object"):
             raise ConfigError("episodes.ranges.axes", f"is '{self.axes}'", 'want "world" or "object"')
         if not all(isinstance(corner, tuple) and len(corner) == 2 for corner in self.polygon):
             raise ConfigError(
-                "episodes.ranges.polygon", f"is {self.polygon}", "want its corners, [[x, y], ...] in metres"
+                "episodes.ranges.polygon", f"is {self.polygon}", "give its corners, [[x, y], ...] in meters"
             )
         if self.polygon and not (len(self.polygon) >= CORNERS and 0 < area(self.polygon) < np.inf):
             raise ConfigError(
                 "episodes.ranges.polygon",
                 f"has {len(self.polygon)} corners and an area of 0",
-                "want three corners or more around the part of the table that objects may stand on",
+                "give three or more corners of the area in which objects may be placed",
             )
 
     @property
@@ -261,4 +263,4 @@ def inside(corners: tuple[tuple[float, float], ...], point: Array) -> bool:
 
 def _require_range(value: tuple[float, ...], place: str) -> None:
     if not (len(value) == 2 and np.isfinite(value).all() and value[0] <= value[1]):
-        raise ConfigError(place, f"is {value}", "want two numbers, the lower one first")
+        raise ConfigError(place, f"is {value}", "give two numbers, the lower one first")

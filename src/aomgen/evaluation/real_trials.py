@@ -67,7 +67,7 @@ def read_real_trials(path: Path) -> dict[str, RealTrials]:
         if not policy or word.lower() not in WORDS or not (trial.isdecimal() or not trial):
             problem = f"row {number} has policy '{policy}', success '{word}', trial '{trial}'"
             raise MalformedFileError(
-                path, problem, "want a name, 1 or 0, and a number of the suite or nothing"
+                path, problem, "expected a name, 1 or 0, and a number of the suite or nothing"
             )
         found.setdefault(policy, []).append((WORDS[word.lower()], int(trial) if trial else None))
     return {policy: _collect(path, policy, items) for policy, items in found.items()}

@@ -89,7 +89,7 @@ def open_remote(name: str, task: RemoteTask) -> RemotePolicy:
     """
     found = _NAME.fullmatch(name)
     if not found or not 0 < int(found[3]) < 1 << 16:
-        raise ConfigError("--policy", f"'{name}' is no address of a server", "want openpi://HOST:PORT")
+        raise ConfigError("--policy", f"'{name}' is no address of a server", "expected openpi://HOST:PORT")
     scheme, address, dataset = found[1], f"{found[2]}:{found[3]}", found[4]
     if scheme not in SCHEMES:
         raise UnknownNameError("--policy", scheme, SCHEMES)
@@ -97,7 +97,7 @@ def open_remote(name: str, task: RemoteTask) -> RemotePolicy:
         return _open_openvla(address, dataset, task)
     if dataset:
         raise ConfigError(
-            "--policy", f"'{name}' names a dataset", "openpi knows its own: want openpi://HOST:PORT"
+            "--policy", f"'{name}' names a dataset", "openpi knows its own: expected openpi://HOST:PORT"
         )
     return _open_openpi(address, task)
 
@@ -166,7 +166,7 @@ def _chunk(where: str, answer: Any, size: int) -> Array:
         raise PolicyServerError(
             where,
             f"answers actions of shape {actions.shape}",
-            f"want (N, {size}): is it another robot's policy?",
+            f"expected (N, {size}): is it another robot's policy?",
         )
     return actions.astype(np.float64)
 

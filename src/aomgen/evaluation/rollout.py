@@ -163,7 +163,7 @@ class Rollout:
         suite = self.world.suite
         if action.shape != (suite.action_size,):
             raise ConfigError(
-                "action", f"has shape {action.shape}", f"want ({suite.action_size},), the gripper last"
+                "action", f"has shape {action.shape}", f"expected ({suite.action_size},), the gripper last"
             )
         target = self._targets.take(action)
         self.frame += 1

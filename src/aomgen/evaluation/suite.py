@@ -143,7 +143,7 @@ def require_json(path: Path) -> None:
         ConfigError: It does not end in .json.
     """
     if path.suffix != ".json":
-        raise ConfigError(path, "is no name of a suite", "want one that ends in .json")
+        raise ConfigError(path, "is no name of a suite", "expected one that ends in .json")
 
 
 def read_suite(path: Path) -> Suite:
@@ -248,7 +248,7 @@ def require_apart(suite: Suite, results: Results) -> PoseDistance | None:
             raise ConfigError(
                 f"trial {number} of the suite",
                 f"is {distance.mm:.1f} mm and {distance.deg:.2f} deg from episode {name} of the training, "
-                f"want at least {APART_MM:g} mm or {APART_DEG:g} deg",
+                f"expected at least {APART_MM:g} mm or {APART_DEG:g} deg",
                 f"{REMEDY} and another --seed",
             )
         smallest = distance if smallest is None or distance.apart < smallest.apart else smallest

@@ -116,7 +116,7 @@ def _recognise(values: Array, column: str, spans: str, where: object) -> tuple[f
     low, high = float(values.min()), float(values.max())
     is_share = low >= -STROKE_SLACK and high <= 1 + STROKE_SLACK
     if is_share and high <= MAX_OPENING_M and high - low >= GRIPPER_NOISE / 2:
-        raise UnitsError(where, f"{spans}: an opening in metres?", f"state it: {EXAMPLES}")
+        raise UnitsError(where, f"{spans}: is it an opening in meters?", f"state it: {EXAMPLES}")
     if is_share and _ANGLE.search(column):
         raise UnitsError(
             where, f"{spans}: an angle of the fingers?",
@@ -125,8 +125,8 @@ def _recognise(values: Array, column: str, spans: str, where: object) -> tuple[f
     is_count = low >= -STROKE_SLACK * MAX_COUNT and MAX_PERCENT < high <= MAX_COUNT
     if not (is_share or is_count):
         raise UnitsError(
-            where, f"{spans}: per cent, millimetres or another unit?",
-            f"state the column's values of open and closed: {EXAMPLES} in metres",
+            where, f"{spans}: is the unit percent, millimeters or another one?",
+            f"state the column's values of open and closed: {EXAMPLES} in meters",
         )  # fmt: skip
     top = 1.0 if is_share else 255.0
     if not values[0] <= OPEN * top:

@@ -81,7 +81,7 @@ def import_demo(
         StorageError: The capture cannot be written.
     """
     if options.unit not in ("", *UNITS):
-        raise ConfigError("--unit", f"is '{options.unit}'", f"want {', '.join(UNITS)}")
+        raise ConfigError("--unit", f"is '{options.unit}'", f"expected {', '.join(UNITS)}")
     demo, manifest = capture / "demo", capture / "capture.toml"
     if capture.exists() and not capture.is_dir():
         raise ConfigError(capture, "is a file", "give the folder of a capture")

@@ -61,7 +61,7 @@ def read_episode(folder: Path, number: int) -> RecordedEpisode:
         total = int(info["total_episodes"])
         if not 0 <= number < total:
             raise ConfigError(
-                "--episode", f"is {number}, but {folder} has {total} episodes", f"want 0 .. {total - 1}"
+                "--episode", f"is {number}, but {folder} has {total} episodes", f"expected 0 .. {total - 1}"
             )
         row = _read_row_v3(folder, number) if version == NEW_VERSION else _read_row_v21(folder, info, number)
         names = {"episode_index": number} | {key.removeprefix("data/"): value for key, value in row.items()}

@@ -34,7 +34,7 @@ def read_source(source: Path, number: int) -> RecordedEpisode:
         return lerobot.read_episode(source, number)
     kind = _recognise(source)
     if number != 0:
-        raise ConfigError("--episode", f"is {number}, but {source} has 1 episode", "want 0")
+        raise ConfigError("--episode", f"is {number}, but {source} has 1 episode", "expected 0")
     if kind is None:
         return csv_tables.read_episode(source)
     return ros_bags.read_episode(source, kind)

@@ -89,7 +89,7 @@ def _pinhole_camera(image: ColmapImage, path: Path) -> Camera:
     if camera.model not in ("SIMPLE_PINHOLE", "PINHOLE"):
         raise CalibrationError(
             path,
-            f"the camera of {image.name} has the model {camera.model}, want PINHOLE",
+            f"the camera of {image.name} has the model {camera.model}, expected PINHOLE",
             "run `colmap image_undistorter`",
         )
     *focal_lengths, cx, cy = camera.params

@@ -130,7 +130,7 @@ def commit_episode(
             camera = episode.cameras[name]
             want = (len(episode), camera.height, camera.width)
             if stack.shape != want or stack.dtype != _IMAGE_TYPES[kind]:
-                raise ValueError(f"{kind} of {name} has shape {stack.shape} of {stack.dtype}, want {want}")
+                raise ValueError(f"{kind} of {name} has shape {stack.shape} of {stack.dtype}, expected {want}")
             files[_image_file(name, kind)] = npz_bytes({kind: stack}, packed=True)
     digests = {name: hashlib.sha256(data).hexdigest() for name, data in files.items()}
     header = {**_header(episode), "codec": codec, "images": sorted(images), "sha256": digests}
@@ -199,7 +199,7 @@ def read_episode(folder: Path) -> CommittedEpisode:
         expected = {"frames.npz", *(f"{name}.mp4" for name in header["cameras"])}
         expected |= {file.name for files in images.values() for file in files.values()}
         if set(digests) != expected:
-            raise MalformedFileError(where, f"names files {sorted(digests)}, want {sorted(expected)}")
+            raise MalformedFileError(where, f"names files {sorted(digests)}, expected {sorted(expected)}")
         data = {name: _check(folder / name, digest) for name, digest in sorted(digests.items())}
         arrays = arrays_from_bytes(data["frames.npz"], folder / "frames.npz")
         episode = _episode(header, arrays)

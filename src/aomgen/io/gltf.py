@@ -77,7 +77,7 @@ def read_glb(path: Path, *, max_gaussians: int = MAX_GAUSSIANS) -> Gaussians:
     except (KeyError, IndexError, TypeError, ValueError, AttributeError) as error:
         raise MalformedFileError(path, f"is not a scene of Gaussians ({error!r})", _REMEDY) from error
     if sh.shape[1] not in (1, 4, 9, 16):
-        raise MalformedFileError(path, f"has {sh.shape[1]} harmonics, want 1, 4, 9 or 16", _REMEDY)
+        raise MalformedFileError(path, f"has {sh.shape[1]} harmonics, expected 1, 4, 9 or 16", _REMEDY)
     check_readable(path, gaussians)
     if not ((gaussians.scales >= 0).all() and (abs(gaussians.opacities - 0.5) <= 0.5).all()):
         raise MalformedFileError(path, "has a negative scale, or an opacity outside of 0 to 1", _REMEDY)

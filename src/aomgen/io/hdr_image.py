@@ -33,7 +33,7 @@ def read_environment(path: Path) -> EnvironmentMap:
     height, width = radiance.shape[:2]
     if width != 2 * height:
         raise MalformedFileError(
-            path, f"has {width} x {height} pixels, want 2:1", "use an equirectangular map"
+            path, f"has {width} x {height} pixels, expected 2:1", "use an equirectangular map"
         )
     if not np.isfinite(radiance).all():
         raise NonFiniteError(path, "holds NaN or infinite values", "export it again")

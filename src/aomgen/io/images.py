@@ -87,7 +87,7 @@ def read_labels(path: Path) -> NDArray[np.uint8]:
     with open_image(path) as image:
         if image.mode not in ("L", "P", "1"):
             raise MalformedFileError(
-                path, f"has mode {image.mode}, want one 8-bit channel", "export labels as PNG"
+                path, f"has mode {image.mode}, expected one 8-bit channel", "export labels as PNG"
             )
         try:
             return np.asarray(image if image.mode != "1" else image.convert("L"), np.uint8)

@@ -164,7 +164,7 @@ def _parse_header(path: Path, lines: list[str]) -> tuple[str, list[_Element]]:
             case ["format", name, "1.0"] if name in _ORDERS and not order:
                 order = _ORDERS[name]
             case ["format", name, *_] if not order:
-                raise MalformedFileError(path, f"has format {name}, want {' or '.join(_ORDERS)}", _REMEDY)
+                raise MalformedFileError(path, f"has format {name}, expected {' or '.join(_ORDERS)}", _REMEDY)
             case ["element", name, digits] if digits.isdecimal() and len(digits) < 16:
                 elements.append(_Element(name=name, count=int(digits)))
             case ["property", kind, name] if elements and kind in _TYPES:
@@ -190,7 +190,7 @@ def _check_names(path: Path, names: list[str]) -> int:
     """Count the f_rest properties, after all properties of the layout are found."""
     rest = sum(name.startswith("f_rest_") for name in names)
     if rest not in _REST_COUNTS:
-        raise MalformedFileError(path, f"has {rest} f_rest properties, want {sorted(_REST_COUNTS)}", _REMEDY)
+        raise MalformedFileError(path, f"has {rest} f_rest properties, expected {sorted(_REST_COUNTS)}", _REMEDY)
     missing = [name for name in _names(rest) if name not in names and name not in ("nx", "ny", "nz")]
     if missing:
         raise MalformedFileError(path, f"misses the properties {', '.join(missing)}", _REMEDY)

@@ -126,7 +126,7 @@ def _check_header(path: Path, header: np.void, max_gaussians: int) -> tuple[int,
         raise MalformedFileError(path, "does not start as an SPZ file", _REMEDY)
     if header["version"] != VERSION or header["degree"] > 3:
         found = f"version {header['version']} with harmonics of degree {header['degree']}"
-        raise MalformedFileError(path, f"has {found}, want version {VERSION} and degree 0 to 3", _REMEDY)
+        raise MalformedFileError(path, f"has {found}, expected version {VERSION} and degree 0 to 3", _REMEDY)
     count, degree = int(header["count"]), int(header["degree"])
     if not count <= max_gaussians:
         raise LimitExceededError(path, f"holds {count} Gaussians, limit {max_gaussians}")

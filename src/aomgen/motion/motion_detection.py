@@ -229,7 +229,7 @@ def list_warnings(odds: float) -> list[str]:
         return []
     return [
         f"contact and video fit the part prompted as 'moving' only {odds:.1f} times as well as anything else, "
-        f"want {MIN_ODDS:.0f}; check its boxes in capture.toml"
+        f"expected {MIN_ODDS:.0f}; check its boxes in capture.toml"
     ]
 
 

@@ -162,7 +162,7 @@ def train_affinity(
     sizes = np.sort(np.concatenate([view.sizes_m for view in views])) if views else np.zeros(0)
     if not len(sizes) >= 2:
         raise ReconstructionError(
-            "affinity", f"{len(sizes)} masks were found, want 2", "check the weights of the segmenter"
+            "affinity", f"{len(sizes)} masks were found, expected 2", "check the weights of the segmenter"
         )
     scene, smoothing = parameters_of(gaussians, 0).values, _neighbor_mean(gaussians)
     values = rng.normal(0, 1 / np.sqrt(params.channels), (len(gaussians), params.channels))

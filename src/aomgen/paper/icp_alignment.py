@@ -67,7 +67,7 @@ def align_as_paper(
     """
     if not len(boxes) >= 2:
         raise AlignmentError(
-            STAGE, f"{len(boxes)} prompts give a box around the robot, want 2", "add a robot box"
+            STAGE, f"{len(boxes)} prompts give a box around the robot, expected 2", "add a robot box"
         )
     S_unit_recon = unit_frame([view.camera_recon.center for view in views], views[0].camera_recon.T_world_cam)
     solid = gaussians_recon.opacities > _SOLID
@@ -91,7 +91,7 @@ def align_as_paper(
     if not matched >= min_matched:
         raise AlignmentError(
             STAGE,
-            f"{matched:.0%} of {len(points)} robot points lie on the model, want {min_matched:.0%}",
+            f"{matched:.0%} of {len(points)} robot points lie on the model, expected {min_matched:.0%}",
             "draw tighter robot boxes from other sides, or use alignment_method = 'outlines'",
         )
     return Alignment(
@@ -126,7 +126,7 @@ def robot_points(
     if not len(found) >= _MIN_POINTS:
         raise AlignmentError(
             STAGE,
-            f"{len(found)} Gaussians lie in all robot boxes, want {_MIN_POINTS}",
+            f"{len(found)} Gaussians lie in all robot boxes, expected {_MIN_POINTS}",
             "check the boxes",
         )
     found = _thin(found, 0.02 * _spread(found))

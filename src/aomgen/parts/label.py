@@ -173,7 +173,7 @@ def _check(gaussians: Gaussians, labels: NDArray[np.uint8]) -> None:
         count = int((labels == value).sum())
         if not count >= MIN_GAUSSIANS:
             raise ReconstructionError(
-                STAGE, f"the {name} part has {count} Gaussians, want {MIN_GAUSSIANS}", "check its prompts"
+                STAGE, f"the {name} part has {count} Gaussians, expected {MIN_GAUSSIANS}", "check its prompts"
             )
     solid = gaussians.opacities > SOLID_OPACITY
     moving, static = (gaussians.means[solid & (labels == value)] for value in (MOVING, STATIC))

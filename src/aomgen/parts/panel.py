@@ -183,7 +183,7 @@ def find_panel_frame(
     if not few >= MIN_POINTS:
         raise ReconstructionError(
             STAGE,
-            f"a box of the moving part shows {few} pixels of surface, want {MIN_POINTS}",
+            f"a box of the moving part shows {few} pixels of surface, expected {MIN_POINTS}",
             "draw it on an image that shows the part",
         )
     count = min(few, 3000)

@@ -119,9 +119,9 @@ class Survey:
                 continue
             views, spread = round(seen["views"]), seen["spread_deg"]
             if views < MIN_VIEWS:
-                found = f"is covered by {views} view{'' if views == 1 else 's'}, want {MIN_VIEWS}"
+                found = f"is covered by {views} view{'' if views == 1 else 's'}, expected {MIN_VIEWS}"
             elif spread < PARALLAX_DEG:
-                found = f"is covered from one direction (over {spread:.0f} deg, want {PARALLAX_DEG:.0f})"
+                found = f"is covered from one direction (over {spread:.0f} deg, expected {PARALLAX_DEG:.0f})"
             else:
                 found = f"is covered to {100 * seen['share']:.0f} % only"
             sentences.append(f"{name} {found}; its surface is guessed, add scan images that show it")

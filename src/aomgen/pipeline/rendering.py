@@ -91,7 +91,7 @@ def parse_camera(data: Any, where: Path) -> Camera:
     Raises:
         ConfigError: A key is missing, or its value is no camera's.
     """
-    wanted = f"want {', '.join(CAMERA_KEYS)}"
+    wanted = f"expected {', '.join(CAMERA_KEYS)}"
     _require_object(data, where, wanted)
     missing = [name for name in CAMERA_KEYS if name not in data]
     if missing:
@@ -100,7 +100,7 @@ def parse_camera(data: Any, where: Path) -> Camera:
     sizes = {name: round(_number(data, name, where)) for name in ("width", "height")}
     for name, value in (("fx", numbers["fx"]), ("fy", numbers["fy"]), *sizes.items()):
         if not 0 < value <= MAX_PX:
-            raise ConfigError(where, f"'{name}' is {value:g} px", f"want more than 0, at most {MAX_PX}")
+            raise ConfigError(where, f"'{name}' is {value:g} px", f"expected more than 0, at most {MAX_PX}")
     return Camera(**numbers, **sizes, T_world_cam=_pose(data, "T_world_cam", where))
 
 
@@ -147,7 +147,7 @@ def _number(data: dict[str, Any], name: str, where: Path) -> float:
 
 def _pose(data: dict[str, Any], name: str, where: Path) -> Array:
     """A rigid pose (4, 4); JSON that `read_json` gives holds no NaN."""
-    remedy = "want four rows of four numbers: rotation, translation [m], and 0, 0, 0, 1 below"
+    remedy = "expected four rows of four numbers: rotation, translation [m], and 0, 0, 0, 1 below"
     try:
         T = np.array(data[name], np.float64)
     except (TypeError, ValueError) as error:

@@ -74,7 +74,7 @@ def require_room(out: Path) -> None:
         raise StorageError(there, "is not writable", "choose another `out`")
     free = shutil.disk_usage(there).free
     if not free >= MIN_FREE:
-        problem = f"has {free >> 20} MB left on its disk, want at least {MIN_FREE >> 20}"
+        problem = f"has {free >> 20} MB left on its disk, expected at least {MIN_FREE >> 20}"
         raise StorageError(there, problem, "free space or choose another `out`")
 
 

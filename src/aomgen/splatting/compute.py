@@ -110,9 +110,9 @@ def image_loss(
     """
     for tensor in (rendered, target) if gains is None else (rendered, target, gains):
         if tensor.dtype != torch.float32 or tensor.device.type != "cpu":
-            raise TypeError(f"want float32 tensors on the CPU, got {tensor.dtype} on {tensor.device}")
+            raise TypeError(f"expected float32 tensors on the CPU, got {tensor.dtype} on {tensor.device}")
     if gains is not None and gains.shape != rendered.shape[:1]:
-        raise ValueError(f"gains have shape {tuple(gains.shape)}, want ({len(rendered)},)")
+        raise ValueError(f"gains have shape {tuple(gains.shape)}, expected ({len(rendered)},)")
     if rendered.shape != target.shape or rendered.ndim != 3:
         raise ValueError(f"images have shapes {tuple(rendered.shape)} and {tuple(target.shape)}")
     return _ImageLoss.apply(rendered, target, gains, dssim_weight, context or native.Context())  # type: ignore[return-value]
@@ -214,7 +214,7 @@ def torch_adam_step(
     Source: Kingma & Ba 2015, arXiv:1412.6980, algorithm 1.
     """
     if step < 1:
-        raise ValueError(f"step {step}, want 1 or more")
+        raise ValueError(f"step {step}, expected 1 or more")
     mean_decay, square_decay = 0.9, 0.999
     average.lerp_(gradient, 1 - mean_decay)
     square.mul_(square_decay).addcmul_(gradient, gradient, value=1 - square_decay)

@@ -150,10 +150,10 @@ class CpuRasterizer:
         )
         count = len(gaussians.means)
         if call.parts is not None and call.parts.shape != (count,):
-            raise ValueError(f"part indices have shape {tuple(call.parts.shape)}, want ({count},)")
+            raise ValueError(f"part indices have shape {tuple(call.parts.shape)}, expected ({count},)")
         if Ts.ndim != 3 or Ts.shape[1:] != (4, 4) or Ts.dtype != torch.float32 or Ts.device.type != "cpu":
             raise ValueError(
-                f"poses are {tuple(Ts.shape)} {Ts.dtype} on {Ts.device}, want (P, 4, 4) float32 on cpu"
+                f"poses are {tuple(Ts.shape)} {Ts.dtype} on {Ts.device}, expected (P, 4, 4) float32 on cpu"
             )
         g = gaussians
         images = _Rasterize.apply(
@@ -280,9 +280,9 @@ def check_tensors(gaussians: GaussianTensors, device: torch.device) -> None:
         if tensor is None:
             continue
         if tensor.dtype != torch.float32 or tensor.device != device:
-            raise TypeError(f"{name}: want float32 on {device}, got {tensor.dtype} on {tensor.device}")
+            raise TypeError(f"{name}: expected float32 on {device}, got {tensor.dtype} on {tensor.device}")
         if tensor.shape != shape:
-            raise ValueError(f"{name} have shape {tuple(tensor.shape)}, want {shape}")
+            raise ValueError(f"{name} have shape {tuple(tensor.shape)}, expected {shape}")
 
 
 def _address(tensor: Tensor | None) -> int | None:

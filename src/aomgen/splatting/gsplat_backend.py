@@ -96,7 +96,7 @@ class GsplatRasterizer:
             check_parts(gaussians, parts)
         if masks.ndim != 3 or not len(masks) or masks.shape[1:] != (camera.height, camera.width):
             raise ValueError(
-                f"masks have shape {tuple(masks.shape)}, want (M, {camera.height}, {camera.width})"
+                f"masks have shape {tuple(masks.shape)}, expected (M, {camera.height}, {camera.width})"
             )
         count = len(gaussians.means)
         channels = masks.new_zeros((count, len(masks)))

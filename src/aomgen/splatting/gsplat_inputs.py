@@ -98,7 +98,7 @@ def check_version(version: str) -> None:
     numbers = tuple(int(part) for part in version.split("+")[0].split(".") if part.isdigit())
     if not FIRST_VERSION <= numbers < END_VERSION:
         first, end = (".".join(map(str, limit)) for limit in (FIRST_VERSION, END_VERSION))
-        raise BackendError("gsplat", f"version {version}, want {first} or later and before {end}", _EXTRA)
+        raise BackendError("gsplat", f"version {version}, expected {first} or later and before {end}", _EXTRA)
 
 
 def place_in_world(means: Tensor, quats: Tensor, parts: PartTensors) -> tuple[Tensor, Tensor]:

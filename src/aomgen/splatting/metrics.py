@@ -20,7 +20,7 @@ def ssim(a: NDArray[np.floating], b: NDArray[np.floating]) -> float:
     """
     x, y = np.asarray(a, np.float64), np.asarray(b, np.float64)
     if x.shape != y.shape or x.ndim != 3:
-        raise ValueError(f"images have shapes {x.shape} and {y.shape}, want the same (H, W, C)")
+        raise ValueError(f"images have shapes {x.shape} and {y.shape}, expected the same (H, W, C)")
     taps = np.exp(-((np.arange(11) - 5) ** 2) / (2 * 1.5**2))
     taps /= taps.sum()
 

@@ -146,7 +146,7 @@ def library() -> ctypes.CDLL:
         raise BackendError(path, f"the splatting engine does not load ({error})", _REMEDY) from error
     version = loaded.aomgen_abi_version()
     if version != ABI_VERSION:
-        raise BackendError(path, f"the engine speaks version {version}, want {ABI_VERSION}", _REMEDY)
+        raise BackendError(path, f"the engine speaks version {version}, expected {ABI_VERSION}", _REMEDY)
     return loaded
 
 

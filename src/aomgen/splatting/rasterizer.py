@@ -90,7 +90,7 @@ def render(
     if features is not None:
         features = np.ascontiguousarray(features, np.float32)
         if features.ndim != 2 or len(features) != len(gaussians):
-            raise ValueError(f"features have shape {features.shape}, want ({len(gaussians)}, D)")
+            raise ValueError(f"features have shape {features.shape}, expected ({len(gaussians)}, D)")
         images["features"] = np.empty((*images["depth"].shape, features.shape[1]), np.float32)
     poses = cam_from_parts(camera, parts)
     view = native_view(camera, poses, background=background, antialiased=antialiased)
@@ -117,7 +117,7 @@ def contribution_weights(
     """
     masks = np.ascontiguousarray(masks, np.float32)
     if masks.ndim != 3 or masks.shape[1:] != (camera.height, camera.width):
-        raise ValueError(f"masks have shape {masks.shape}, want (M, {camera.height}, {camera.width})")
+        raise ValueError(f"masks have shape {masks.shape}, expected (M, {camera.height}, {camera.width})")
     weights = np.zeros((len(gaussians), len(masks)), np.float32)
     context = native.scratch_context()
     context.configure()

@@ -71,7 +71,7 @@ def _blackbody_rgb(temperature_k: float) -> Array:
     Source: Kim et al. 2002, "Design of advanced color temperature control system for HDTV applications".
     """
     if not 1667 <= temperature_k <= 25_000:
-        raise ValueError(f"a color temperature of {temperature_k:g} K, want 1667 to 25000")
+        raise ValueError(f"a color temperature of {temperature_k:g} K, expected 1667 to 25000")
     t = 1e3 / temperature_k
     warm = temperature_k <= 4000
     x = np.polyval(

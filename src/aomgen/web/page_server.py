@@ -188,7 +188,7 @@ class _Handler(BaseHTTPRequestHandler):
     def _read(self) -> bytes:
         length = int(self.headers.get("Content-Length", 0))
         if not 0 < length <= MAX_REQUEST:
-            raise ValueError(f"it has {length} bytes, want 1 to {MAX_REQUEST}")
+            raise ValueError(f"it has {length} bytes, expected 1 to {MAX_REQUEST}")
         return self.rfile.read(length)
 
 

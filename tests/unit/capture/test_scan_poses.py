@@ -29,7 +29,7 @@ def test_poses_are_read_and_described(capture_copy: Path) -> None:
     assert capture.scan_images == before.scan_images
     assert capture_digest(capture) != capture_digest(before)
     checked = check_capture(capture)
-    assert "64 images, 640 x 480, 60 with a pose in metres" in checked.summary(capture)
+    assert "64 images, 640 x 480, 60 with a pose in meters" in checked.summary(capture)
     (warning,) = [sentence for sentence in checked.warnings if SCAN_POSES_FILE in sentence]
     assert "1 images that are not in the scan (gone.jpg)" in warning
 

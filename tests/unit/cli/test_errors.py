@@ -118,7 +118,7 @@ def test_numbers_out_of_range_are_told_as_such(tmp_path, words, told):
         (("s.json", "--policy", "oracle_replay", "--actions", "joints"), 2, "did you mean 'joint'?"),
         (("s.json", "--policy", "oracle_replay", "--visuals", "splats"), 2, "did you mean 'splat'?"),
         (("suite", "out", "s.json"), 3, "project.toml: is missing"),
-        (("suite", "out", "s.json", "--size", "128"), 2, "want WxH"),
+        (("suite", "out", "s.json", "--size", "128"), 2, "expected WxH"),
         (("suite", "out", "s.json", "--actions", "delta"), 2, "'delta' is unknown"),
     ],
 )

@@ -61,7 +61,7 @@ def test_a_run_tells_the_warnings_every_time_and_checks_once(small_copy, tmp_pat
     run_pipeline(project, first)
     monkeypatch.setattr(preflight, "check_capture", None)
     run_pipeline(project, second)
-    assert "14 rows a second" in first.warnings[0]
+    assert "14 rows per second" in first.warnings[0]
     assert first.warnings == second.warnings
     assert no_work == ["stages", "stages"]
 
@@ -166,7 +166,7 @@ def test_check_and_init_tell_warnings(small_copy, tmp_path, monkeypatch):
     for words in (("check", "capture"), ("init", "capture"), ("check", "project.toml")):
         shown = aomgen(*words)[0]
         assert "warning: " in shown
-        assert "14 rows a second" in shown
+        assert "14 rows per second" in shown
         assert "a run on this machine would stop: torch: is not installed" in shown
 
 

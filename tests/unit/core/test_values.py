@@ -69,7 +69,7 @@ class Track:
 def test_one_letter_is_one_length_in_the_whole_value():
     Track(names=("a", "b"), points=np.zeros((5, 2, 3)), seen=np.ones((5, 2)))
     Track(names=(), points=np.zeros((0, 0, 3)))
-    with pytest.raises(ValueError, match=r"Track\.points: has shape \(5, 1, 3\); want \(T N 3\)"):
+    with pytest.raises(ValueError, match=r"Track\.points: has shape \(5, 1, 3\); expected \(T N 3\)"):
         Track(names=("a", "b"), points=np.zeros((5, 1, 3)))
     with pytest.raises(ValueError, match=r"Track\.seen: has shape \(2,\)"):
         Track(names=("a", "b"), points=np.zeros((5, 2, 3)), seen=np.ones(2))

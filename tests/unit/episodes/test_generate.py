@@ -287,13 +287,13 @@ def test_what_stands_in_the_scene_is_planned_and_verified_with(tmp_path):
 HOPELESS = {
     "beyond reach": (
         {"x_m": [0.9, 1.2]},
-        r"no place for drawer-0: of 200 draws, at x 1\.\d\d to .*, 200 out of the arm's reach; the arm holds its handle at",
+        r"no feasible pose for drawer-0: of 200 samples, at x 1\.\d\d to .*, 200 out of the arm's reach; the arm can hold its handle at",
     ),
     "beside the table": (
         {"polygon": [[5.0, 5.0], [5.5, 5.0], [5.0, 5.5]]},
-        r"of 200 draws, at x 5.00 to 5\.\d\d m, y 5.00 to 5\.\d\d m, \d+ off the table, \d+ beside the area; .* the free table is x",
+        r"of 200 samples, at x 5.00 to 5\.\d\d m, y 5.00 to 5\.\d\d m, \d+ off the table, \d+ outside the area; .* the free table is x",
     ),
-    "where something stands": ({"x_m": [-0.01, 0.01], "yaw_deg": [0, 0]}, "200 where something stands"),
+    "where something stands": ({"x_m": [-0.01, 0.01], "yaw_deg": [0, 0]}, "200 blocked by an obstacle"),
 }
 
 

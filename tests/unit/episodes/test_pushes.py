@@ -68,5 +68,5 @@ def test_a_pushed_demonstration_is_certified_and_its_actions_are_the_plans(
 
 
 def test_pushes_beyond_what_planning_keeps_clear_are_refused() -> None:
-    with pytest.raises(ConfigError, match=r"push_m: is \(0.0, 0.5\); want 0 to 0.02"):
+    with pytest.raises(ConfigError, match=r"push_m: is \(0.0, 0.5\); expected 0 to 0.02"):
         Ranges(push_m=(0.0, 0.5))

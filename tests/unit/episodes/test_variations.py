@@ -105,15 +105,15 @@ def test_x_and_y_may_be_the_objects_own(fitted: FittedAsset) -> None:
 
 def test_ranges_that_hold_nothing_are_refused() -> None:
     with pytest.raises(
-        ConfigError, match=r"episodes.ranges.x_m: is \(0.3, 0.1\); want two numbers, the lower"
+        ConfigError, match=r"episodes.ranges.x_m: is \(0.3, 0.1\); give two numbers, the lower"
     ):
         Ranges(x_m=(0.3, 0.1))
-    with pytest.raises(ConfigError, match=r"episodes.ranges.scale: .*want more than 0"):
+    with pytest.raises(ConfigError, match=r"episodes.ranges.scale: .*expected more than 0"):
         Ranges(scale=(0.0, 1.0))
     with pytest.raises(ConfigError, match=r"episodes.ranges.polygon: has 3 corners and an area of 0"):
         Ranges(polygon=((0, 0), (1, 1), (2, 2)))
     for wrong in ((0.0, 1.0, 2.0), ((0, 0), (1, 1, 1), (0, 1))):
-        with pytest.raises(ConfigError, match=r"episodes.ranges.polygon: is .*; want its corners"):
+        with pytest.raises(ConfigError, match=r"episodes.ranges.polygon: is .*; give its corners"):
             Ranges(polygon=wrong)  # type: ignore[arg-type]
     with pytest.raises(ConfigError, match="'table'"):
         Ranges(axes="table")  # type: ignore[arg-type]

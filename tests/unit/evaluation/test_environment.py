@@ -183,7 +183,7 @@ def test_steps_without_a_trial_are_refused(world: World) -> None:
 
 @pytest.mark.parametrize("trial", [-1, 3, "first", 1.5])
 def test_trials_that_do_not_exist_are_refused(world: World, trial) -> None:
-    with pytest.raises(ConfigError, match="want a number from 0 to 2"):
+    with pytest.raises(ConfigError, match="expected a number from 0 to 2"):
         make(world).reset(options={"trial": trial})
 
 

@@ -168,7 +168,7 @@ def closed_port() -> int:
 @pytest.mark.parametrize(
     ("name", "said"),
     [
-        ("openpi://localhost", "is no address of a server; want openpi://HOST:PORT"),
+        ("openpi://localhost", "is no address of a server; expected openpi://HOST:PORT"),
         ("openpi://localhost:70000", "is no address of a server"),
         ("openpi://local host:80", "is no address of a server"),
         ("openpi://me@host:80/act", "is no address of a server"),
@@ -261,7 +261,7 @@ def refuses_in_one_sentence(policy, where: str, said: str) -> None:
         ({}, "answers without actions"),
         ({"actions": "none"}, "answers without actions"),
         ({"actions": [[1.0], [1.0, 2.0]]}, "answers without actions"),
-        ({"actions": msgpack_array(CHUNK[:, :6])}, "answers actions of shape (5, 6); want (N, 7)"),
+        ({"actions": msgpack_array(CHUNK[:, :6])}, "answers actions of shape (5, 6); expected (N, 7)"),
         ({"actions": msgpack_array(CHUNK[None])}, "answers actions of shape (1, 5, 7)"),
         ({"actions": msgpack_array(CHUNK[:0])}, "answers actions of shape (0, 7)"),
         ({"actions": LIE}, "is not msgpack (an array of shape (5, 8) and float32 has 140 bytes)"),
@@ -289,7 +289,7 @@ def test_wrong_answers_of_openpi_are_one_sentence(answer, said):
         ({"detail": "no"}, "answers without actions"),
         (None, "answers without actions"),
         ([], "answers actions of shape (1, 0)"),
-        (json_array(CHUNK[0, :6]), "answers actions of shape (1, 6); want (N, 7)"),
+        (json_array(CHUNK[0, :6]), "answers actions of shape (1, 6); expected (N, 7)"),
         (
             {**json_array(CHUNK[0]), "shape": [8]},
             "is not JSON (an array of shape (8,) and float32 has 28 bytes)",

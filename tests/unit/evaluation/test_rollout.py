@@ -129,7 +129,7 @@ def test_no_orientation_is_no_action(world: World) -> None:
 
 
 def test_actions_of_another_shape_are_refused(world: World) -> None:
-    with pytest.raises(ConfigError, match=r"action: has shape \(8,\); want \(7,\), the gripper last"):
+    with pytest.raises(ConfigError, match=r"action: has shape \(8,\); expected \(7,\), the gripper last"):
         world.rollout(0).step(np.zeros(8))
 
 

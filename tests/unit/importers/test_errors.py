@@ -222,8 +222,8 @@ def test_video_files_without_frames(target: Path, tmp_path: Path, log: Path):
 def test_episodes(target: Path, tmp_path: Path, short: Demonstration, log: Path):
     for number, write in enumerate((write_lerobot_v3, write_lerobot_v21)):
         source = write(tmp_path / f"dataset{number}", short)
-        refuse(source, target, ConfigError, "--episode: is 2", "has 2 episodes; want 0 .. 1", episode=2)
-    refuse(log, target, ConfigError, "--episode: is 1", "has 1 episode; want 0", episode=1)
+        refuse(source, target, ConfigError, "--episode: is 2", "has 2 episodes; expected 0 .. 1", episode=2)
+    refuse(log, target, ConfigError, "--episode: is 1", "has 1 episode; expected 0", episode=1)
 
 
 def edit_info(change: Callable[[dict], object]) -> Callable[[Path], object]:
@@ -318,7 +318,7 @@ def test_units_and_numbers(target: Path, tmp_path: Path, short: Demonstration):
     few = write_table(tmp_path / "few.csv", header, [short.times_s[:5], short.joints[:5], short.gripper[:5]])
     refuse(few, target, IncompleteCaptureError, "few.csv: has 5 rows, at least 10 are needed", **camera)
     refuse(
-        write(), target, ConfigError, "--unit: is 'grad'; want rad, deg, normalized", unit="grad", **camera
+        write(), target, ConfigError, "--unit: is 'grad'; expected rad, deg, normalized", unit="grad", **camera
     )
     refuse(write(), target, ConfigError, "'ur99' is unknown; known: ur5e_2f85", robot="ur99", **camera)
 

@@ -144,7 +144,7 @@ def test_images_of_another_shape(tmp_path: Path) -> None:
 
 
 def test_distortion_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(CalibrationError, match="OPENCV, want PINHOLE; run `colmap image_undistorter`"):
+    with pytest.raises(CalibrationError, match="OPENCV, expected PINHOLE; run `colmap image_undistorter`"):
         read_colmap(write_model(tmp_path, model=4))
 
 

@@ -47,7 +47,7 @@ BAD: dict[str, tuple[bytes, type[InputError], str]] = {
     "text": (b"#?RADIANCE\nhello\n", LimitExceededError, "or names no size"),
     "empty": (b"", MalformedFileError, "no readable picture"),
     "png": (encode_png(np.zeros((16, 32, 3), np.uint8)), MalformedFileError, "but png; save it as"),
-    "square": (encoded(room(32, 32), "hdr"), MalformedFileError, "has 32 x 32 pixels, want 2:1"),
+    "square": (encoded(room(32, 32), "hdr"), MalformedFileError, "has 32 x 32 pixels, expected 2:1"),
     "black": (encoded(0 * room(), "hdr"), MalformedFileError, "is black"),
     "nan": (damaged(np.nan), NonFiniteError, "holds NaN or infinite"),
     "infinite": (damaged(np.inf), NonFiniteError, "holds NaN or infinite"),

@@ -196,7 +196,7 @@ def test_other_elements_are_skipped(file: Path, before: bool) -> None:
         (
             b"binary_little_endian",
             b"ascii",
-            "has format ascii, want binary_little_endian or binary_big_endian",
+            "has format ascii, expected binary_little_endian or binary_big_endian",
         ),
         (b"end_header", b"element face 0\nproperty list uchar int i\nend_header", "list in element face"),
         (b"element vertex 17", b"element chunk 17", "not one element called vertex"),

@@ -39,11 +39,11 @@ def test_a_setting_changes_one_field(setting, want):
     ("setting", "message"),
     [
         ("joint.node=30", "'motion.joint.node': is unknown; did you mean 'nodes'"),
-        ("joint.nodes=1.5", "'motion.joint.nodes': is 1.5; want a whole number"),
-        ("joint.nodes=true", "is True; want a whole number"),
-        ("joint=3", "'motion.joint': is 3; want its fields"),
+        ("joint.nodes=1.5", "'motion.joint.nodes': is 1.5; expected a whole number"),
+        ("joint.nodes=true", "is True; expected a whole number"),
+        ("joint=3", "'motion.joint': is 3; expected its fields"),
         ("steps=3", "'motion.steps': is 3"),
-        ("quick=1", "'motion.quick': is 1; want true or false"),
+        ("quick=1", "'motion.quick': is 1; expected true or false"),
     ],
 )
 def test_what_does_not_fit_is_refused(setting, message):

@@ -236,7 +236,7 @@ def test_doubtful_prompts_are_told() -> None:
     moved.check()
     assert moved.odds == pytest.approx(1.0)
     assert list_warnings(moved.odds) == [
-        "contact and video fit the part prompted as 'moving' only 1.0 times as well as anything else, want 2; "
+        "contact and video fit the part prompted as 'moving' only 1.0 times as well as anything else, expected 2; "
         "check its boxes in capture.toml"
     ]
     assert list_warnings(MIN_ODDS) == []

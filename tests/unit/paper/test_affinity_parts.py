@@ -175,7 +175,7 @@ def test_training_needs_two_masks():
     gaussians, labels = scene()
     view = scan_views(gaussians)[0]
     one = measure_masks(gaussians, view.camera, true_masks(gaussians, labels, view.camera)[:1], 96)
-    with pytest.raises(ReconstructionError, match="1 masks were found, want 2"):
+    with pytest.raises(ReconstructionError, match="1 masks were found, expected 2"):
         train_affinity(gaussians, [one], silent, TRAINING, np.random.default_rng(0))
 
 

@@ -234,7 +234,8 @@ def nothing_found() -> Parts:
 def test_parts_that_miss_their_boxes_are_warned_about():
     found = replace(nothing_found(), box_misfit=0.4)
     assert found.warnings() == [
-        "the parts found end 10 % of a box away from the prompts' boxes, want 5 %; draw boxes that touch each "
+        "the edges of the fitted parts are 10 % of a box away from the prompted boxes, limit 5 %; draw boxes "
+        "that touch each "
         "part on all four sides"
     ]
     assert replace(found, box_misfit=0.1).warnings() == []
@@ -244,7 +245,8 @@ def test_doubtful_labels_are_warned_about():
     found = replace(nothing_found(), moving_agreement=0.55)
     (sentence,) = found.warnings()
     assert (
-        "labels of the moving part are doubtful: they overlap with its masks by 55 %, want 60 %" in sentence
+        "labels of the moving part are doubtful: they overlap with its masks by 55 %, at least 60 %"
+        in sentence
     )
 
 

@@ -74,7 +74,7 @@ def test_a_scan_without_one_side_warns_of_it(toy_scene, side: str, outward: list
     name = f"the {side} side of the object"
     warned = [sentence for sentence in found.warnings() if sentence.startswith(name)]
     assert warned == [
-        f"{name} is covered by 0 views, want 3; its surface is guessed, add scan images that show it"
+        f"{name} is covered by 0 views, expected 3; its surface is guessed, add scan images that show it"
     ]
     opposite = {"far": "near", "near": "far", "left": "right", "right": "left"}[side]
     assert not any(f"the {opposite} side of the object" in sentence for sentence in found.warnings())

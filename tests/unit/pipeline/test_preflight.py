@@ -69,7 +69,9 @@ def test_a_video_that_does_not_fit_into_memory(small_copy, monkeypatch):
     monkeypatch.setattr(
         demo_videos.os, "sysconf", {"SC_PAGE_SIZE": 4096, "SC_PHYS_PAGES": 1 << 22}.__getitem__
     )
-    with pytest.raises(LimitExceededError, match=r"front\.mp4: takes 946 GB decoded .* has 17 GB"):
+    with pytest.raises(
+        LimitExceededError, match=r"front\.mp4: needs 946 GB of memory when decoded .* has 17 GB"
+    ):
         checked(small_copy)
 
 
@@ -166,7 +168,7 @@ def test_out_is_a_file(small_capture, tmp_path):
 
 def test_a_full_disk(small_capture, tmp_path, monkeypatch):
     monkeypatch.setattr(requirements.shutil, "disk_usage", lambda path: SimpleNamespace(free=90 << 20))
-    with pytest.raises(StorageError, match="90 MB left on its disk, want at least 250"):
+    with pytest.raises(StorageError, match="90 MB left on its disk, expected at least 250"):
         preflight.check_project(project_of(small_capture, tmp_path / "out"), read_capture(small_capture))
 
 

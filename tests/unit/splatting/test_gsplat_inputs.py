@@ -49,12 +49,12 @@ def test_wrong_shapes_and_types_are_refused(name: str) -> None:
     if name != "means":
         with pytest.raises(ValueError, match=f"{name} have shape"):
             check_scene(replace(good, **{name: value[:-1]}), CAMERA, 0)
-    with pytest.raises(TypeError, match=f"{name}: want float32 on cpu, got torch.float64 on cpu"):
+    with pytest.raises(TypeError, match=f"{name}: expected float32 on cpu, got torch.float64 on cpu"):
         check_scene(replace(good, **{name: value.double()}), CAMERA, 0)
 
 
 def test_flat_coefficients_are_refused() -> None:
-    with pytest.raises(ValueError, match=r"sh have shape \(5, 12\), want \(5, 1, 3\)"):
+    with pytest.raises(ValueError, match=r"sh have shape \(5, 12\), expected \(5, 1, 3\)"):
         check_scene(replace(gaussians(), sh=torch.zeros(5, 12)), CAMERA, 0)
 
 
