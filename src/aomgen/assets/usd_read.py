@@ -58,7 +58,9 @@ def read_usd(
     if not path.is_file():
         raise MissingFileError(path, "is missing", "check the path of the asset")
     if path.suffix.lower() not in SUFFIXES:
-        raise MalformedFileError(path, f"has suffix {path.suffix!r}", f"expected one of {', '.join(SUFFIXES)}")
+        raise MalformedFileError(
+            path, f"has suffix {path.suffix!r}", f"expected one of {', '.join(SUFFIXES)}"
+        )
     if not path.stat().st_size <= MAX_BYTES:
         raise LimitExceededError(path, f"has {path.stat().st_size} bytes, limit {MAX_BYTES}")
     with tempfile.TemporaryDirectory(prefix="aomgen-usd-") as folder:

@@ -83,7 +83,9 @@ class OpenEnv(gymnasium.Env[dict[str, Any], NDArray[np.float32]]):
         if number is None:
             number = int(self.np_random.integers(count))
         if not (isinstance(number, int | np.integer) and 0 <= number < count):
-            raise ConfigError("options['trial']", f"is {number!r}", f"expected a number from 0 to {count - 1}")
+            raise ConfigError(
+                "options['trial']", f"is {number!r}", f"expected a number from 0 to {count - 1}"
+            )
         self._rollout = self._world.rollout(int(number))
         self._seen = self._rollout.observation()
         return self._seen, self._info(self._rollout)

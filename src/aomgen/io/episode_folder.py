@@ -130,7 +130,9 @@ def commit_episode(
             camera = episode.cameras[name]
             want = (len(episode), camera.height, camera.width)
             if stack.shape != want or stack.dtype != _IMAGE_TYPES[kind]:
-                raise ValueError(f"{kind} of {name} has shape {stack.shape} of {stack.dtype}, expected {want}")
+                raise ValueError(
+                    f"{kind} of {name} has shape {stack.shape} of {stack.dtype}, expected {want}"
+                )
             files[_image_file(name, kind)] = npz_bytes({kind: stack}, packed=True)
     digests = {name: hashlib.sha256(data).hexdigest() for name, data in files.items()}
     header = {**_header(episode), "codec": codec, "images": sorted(images), "sha256": digests}

@@ -190,7 +190,9 @@ def _check_names(path: Path, names: list[str]) -> int:
     """Count the f_rest properties, after all properties of the layout are found."""
     rest = sum(name.startswith("f_rest_") for name in names)
     if rest not in _REST_COUNTS:
-        raise MalformedFileError(path, f"has {rest} f_rest properties, expected {sorted(_REST_COUNTS)}", _REMEDY)
+        raise MalformedFileError(
+            path, f"has {rest} f_rest properties, expected {sorted(_REST_COUNTS)}", _REMEDY
+        )
     missing = [name for name in _names(rest) if name not in names and name not in ("nx", "ny", "nz")]
     if missing:
         raise MalformedFileError(path, f"misses the properties {', '.join(missing)}", _REMEDY)

@@ -112,7 +112,9 @@ def override(params: T, changes: Mapping[str, Any], where: str) -> T:
             changed[name] = _tuple(value)
         else:
             kind = KINDS.get(type(old), "its fields by name")
-            raise ConfigError(f"parameter '{place}'", f"is {value!r}", f"expected {kind}; its default is {old!r}")
+            raise ConfigError(
+                f"parameter '{place}'", f"is {value!r}", f"expected {kind}; its default is {old!r}"
+            )
     return replace(params, **changed)  # type: ignore[type-var]
 
 

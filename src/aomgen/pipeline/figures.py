@@ -34,7 +34,7 @@ class Figure:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Reading:
-    """One figure, ready to be shown; what does not apply is "".
+    """One metric, formatted for display; fields that do not apply are "".
 
     Attributes:
         number: Without its unit; or words.
@@ -51,24 +51,24 @@ class Reading:
 
     @property
     def value(self) -> str:
-        """Number and unit."""
+        """Return number and unit."""
         return f"{self.number} {self.unit}".strip()
 
     @property
     def title(self) -> str:
-        """Name and unit, for the head of a column."""
+        """Return name and unit for the header of a column."""
         return f"{self.name} [{self.unit}]" if self.unit else self.name
 
     @property
     def sentence(self) -> str:
-        """Value, name and limit in reading order; says in words when the value is poor."""
+        """Return value, name and limit as a phrase, which contains "poor" if the value is poor."""
         words = f"{self.value} {self.name}" if self.counted else f"{self.name} {self.value}"
         if not self.limit:
             return words
         return f"{words} ({'poor, ' if self.verdict == 'poor' else ''}{self.limit})"
 
 
-# Limits: what the gates of the stages ask for is passed by every finished stage, so "good" is stricter.
+# Every finished stage satisfies the limits at which it would refuse, so the limits of "good" are stricter.
 # A limit that docs/results.md states as required is used here as well.
 FIGURES: Final[dict[str, dict[str, Figure]]] = {
     "structure": {
@@ -99,7 +99,7 @@ FIGURES: Final[dict[str, dict[str, Figure]]] = {
         "moving_agreement": Figure(name="labels in masks, moving", unit="%", factor=100.0, above=60.0),
         # The mean of a box's four sides; the stage warns above 5 %.
         "box_misfit": Figure(
-            name="edges off the prompted boxes", unit="% of a box", digits=1, factor=25.0, below=5.0
+            name="distance from the prompted boxes", unit="% of a box", digits=1, factor=25.0, below=5.0
         ),
     },
     "motion": {
@@ -110,9 +110,11 @@ FIGURES: Final[dict[str, dict[str, Figure]]] = {
         "moved_mm": Figure(name="moved by", unit="mm", above=100.0),
         "start_s": Figure(name="from", unit="s", digits=2),
         "end_s": Figure(name="to", unit="s", digits=2),
-        "axis_ci95_deg": Figure(name="axis known to", unit="deg", digits=1, below=2.0, zero_is_unknown=True),
+        "axis_ci95_deg": Figure(
+            name="uncertainty of the axis", unit="deg", digits=1, below=2.0, zero_is_unknown=True
+        ),
         "origin_ci95_mm": Figure(
-            name="origin known to", unit="mm", digits=1, below=10.0, zero_is_unknown=True
+            name="uncertainty of the origin", unit="mm", digits=1, below=10.0, zero_is_unknown=True
         ),
         "clock_offset_s": Figure(name="clock offset", unit="s", digits=3),
         # The stage warns below 2.
@@ -120,19 +122,19 @@ FIGURES: Final[dict[str, dict[str, Figure]]] = {
             name="fit of the prompted part against any other", unit="times better", digits=1, above=2.0
         ),
     },
-    "twin": {"gaussians": Figure(name="Gaussians"), "moving": Figure(name="of them moving")},
+    "twin": {"gaussians": Figure(name="Gaussians"), "moving": Figure(name="on moving bodies")},
     "replacement": {
         "assets": Figure(name="assets"),
         "rejected": Figure(name="assets left out"),
         "removed": Figure(name="Gaussians removed"),
-        "filled": Figure(name="filled in"),
+        "filled": Figure(name="Gaussians filled in"),
         "obstacles": Figure(name="obstacles"),
     },
     "episodes": {
         "episodes": Figure(name="episodes"),
         "short": Figure(name="missing"),
         "rejected": Figure(name="attempts rejected"),
-        "skipped": Figure(name="draws not tried"),
+        "skipped": Figure(name="samples skipped"),
         # The pass rule: 90 % of the planned way in every setting.
         "smallest_margin": Figure(
             name="least travel", unit="% of the plan", digits=1, factor=100.0, offset=90.0, above=90.0
@@ -144,49 +146,53 @@ FIGURES: Final[dict[str, dict[str, Figure]]] = {
     "verdict": {
         "target_share": Figure(name="least travel", unit="% of the plan", digits=1, factor=100.0, above=90.0),
         "contact_share": Figure(name="moved in contact", unit="%", digits=1, factor=100.0, above=80.0),
-        "tracking_mm": Figure(name="arm off its command", unit="mm", digits=1, below=20.0),
+        "tracking_mm": Figure(name="tracking error", unit="mm", digits=1, below=20.0),
         "torque_share": Figure(name="torque of the drives", unit="%", factor=100.0, below=90.0),
-        "handle_penetration_mm": Figure(name="fingers in the handle", unit="mm", digits=1, below=1.5),
-        "robot_force_n": Figure(name="force on other things", unit="N", below=15.0),
+        "handle_penetration_mm": Figure(name="penetration of the handle", unit="mm", digits=1, below=1.5),
+        "robot_force_n": Figure(name="force on other bodies", unit="N", below=15.0),
         "peak_force_n": Figure(name="peak grip force", unit="N"),
         "peak_reaction_n": Figure(name="peak force on the object", unit="N"),
         # Limits of the pass rule; a certified episode keeps them.
         "pushed_share": Figure(name="moved by other contacts", unit="%", digits=1, factor=100.0, below=10.0),
         "start_share": Figure(name="moved before contact", unit="%", digits=2, factor=100.0, below=2.0),
         "written_share": Figure(name="travel without a force", unit="%", digits=2, factor=100.0, below=5.0),
-        "penetration_mm": Figure(name="robot in other bodies", unit="mm", digits=2, below=1.0),
-        "drift_mm": Figure(name="base slid by", unit="mm", digits=1, below=5.0),
+        "penetration_mm": Figure(name="penetration of other bodies", unit="mm", digits=2, below=1.0),
+        "drift_mm": Figure(name="displacement of the base", unit="mm", digits=1, below=5.0),
     },
     # Figures of a commanded motion, before it is simulated.
     "plan": {
-        "residual_mm": Figure(name="end effector off its pose", unit="mm", digits=2, below=1.0),
-        "residual_deg": Figure(name="end effector turned off", unit="deg", digits=2, below=0.5),
-        "grip_gap_mm": Figure(name="farther pad to the handle", unit="mm", digits=2, below=10.0),
-        "handle_penetration_mm": Figure(name="planned fingers in the handle", unit="mm", digits=2, below=6.0),
-        "penetration_mm": Figure(name="planned robot in other bodies", unit="mm", digits=2, below=1.0),
-        "self_penetration_mm": Figure(name="robot in itself", unit="mm", digits=2, below=1.0),
+        "residual_mm": Figure(name="position error of the end effector", unit="mm", digits=2, below=1.0),
+        "residual_deg": Figure(name="orientation error of the end effector", unit="deg", digits=2, below=0.5),
+        "grip_gap_mm": Figure(
+            name="distance of the farther pad from the handle", unit="mm", digits=2, below=10.0
+        ),
+        "handle_penetration_mm": Figure(
+            name="planned penetration of the handle", unit="mm", digits=2, below=6.0
+        ),
+        "penetration_mm": Figure(name="planned penetration of other bodies", unit="mm", digits=2, below=1.0),
+        "self_penetration_mm": Figure(name="self-penetration", unit="mm", digits=2, below=1.0),
     },
     "coverage": {
         "views": Figure(name="views (median)"),
         "spread_deg": Figure(name="spread of directions", unit="deg"),
-        "share": Figure(name="seen enough", unit="%", factor=100.0),
+        "share": Figure(name="observed sufficiently", unit="%", factor=100.0),
     },
     "camera": {
         "offset_s": Figure(name="clock offset", unit="s", digits=3),
         "sd_s": Figure(name="standard deviation", unit="s", digits=3),
-        "moved_mm": Figure(name="moved from where the scan saw it", unit="mm", digits=1),
-        "moved_deg": Figure(name="turned", unit="deg", digits=2),
+        "moved_mm": Figure(name="displacement since the scan", unit="mm", digits=1),
+        "moved_deg": Figure(name="rotation since the scan", unit="deg", digits=2),
     },
 }
 
 
 def read_figure(group: str, name: str, value: float) -> Reading:
-    """One figure of the table by its group and name."""
+    """Format one metric of the table, selected by group and name."""
     return _read(FIGURES[group][name], value, {})
 
 
 def read_figures(stage: str, figures: Mapping[str, Any]) -> list[Reading]:
-    """The figures of a stage that mean something to a reader, in the table's order.
+    """Format the metrics of a stage that the table lists, in its order.
 
     Args:
         stage: Name of the stage.

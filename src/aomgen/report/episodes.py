@@ -43,7 +43,7 @@ WORST = {
 
 
 def episodes_section(results: Results) -> list[str]:
-    """Cards with videos of the first episodes, a table of all, and what its figures are held against."""
+    """Return cards with videos of the first episodes, and a table of all with the limits of its metrics."""
     made = [read_episode(folder) for folder in list_committed(results.folders["episodes"])]
     rule = PassRule()
     count = len({run["name"] for item in made for run in item.episode.verdict["dynamic"]})
@@ -51,28 +51,29 @@ def episodes_section(results: Results) -> list[str]:
     more = f" The first {SHOWN} of {len(made)} are shown; the table has all." if len(made) > SHOWN else ""
     return [
         paragraph(
-            f"{len(made)} episodes, each verified in physics before it was drawn: contact alone moves the passive "
-            f"joint, to at least {rule.target_share:.0%} of the planned way and for {rule.contact_share:.0%} "
-            f"of the way in contact. Each was simulated in the nominal setting and two opposite ones, which differ in "
-            f"the joint's resistance, mass, grip and latch; {count} settings in all.{more}"
+            f"{len(made)} episodes, each verified in simulation before it was rendered: contact alone moves "
+            "the passive "
+            f"joint, by at least {rule.target_share:.0%} of the planned travel, and for {rule.contact_share:.0%} "
+            f"of the travel with a pad on the handle. Each was simulated in the nominal setting and in two opposite "
+            f"settings, which differ in joint resistance, mass, friction and latch; {count} settings in all.{more}"
         ),
         f'<div class="cards">{cards}</div>',
         heading("Verdicts"),
-        paragraph("The worst of the settings. " + force_limits(results, made)),
+        paragraph("Worst values over all settings. " + force_limits(results, made)),
         fold(f"all {len(made)} episodes", _verdicts(made), opened=len(made) <= SHOWN),
     ]
 
 
 def place_words(variation: Mapping[str, Any]) -> str:
-    """Displacement of an object from the recorded one, from a stored `Variation`."""
+    """Format the displacement of an object from the recorded pose, from a stored `Variation`."""
     place = (100 * variation["x"], 100 * variation["y"], np.degrees(variation["yaw"]))
     x, y, yaw = (round(float(value)) for value in place)
     return f"{x:+d} cm, {y:+d} cm, {yaw:+d} deg"
 
 
 def force_limits(results: Results, made: list[CommittedEpisode]) -> str:
-    """Sentences on the limits of the forces of the verdicts, and on forces without a limit."""
-    words = "The grip force has no limit of its own: how deep it presses handle and pads into each other has."
+    """Return sentences about the force limits of the verdicts, and about forces without a limit."""
+    words = "The grip force has no separate limit; the penetration of handle and pads that it causes has one."
     if not all(item.episode.verdict["bolted"] for item in made):
         slide_mm = PassRule().drift_mm
         return f"{words} The force on the object is limited by its base, which may slide {slide_mm:g} mm."
@@ -82,8 +83,8 @@ def force_limits(results: Results, made: list[CommittedEpisode]) -> str:
         for fitted in results.fitted_assets
     ]
     return (
-        f"{words} None is set on the force on the object either, because it is simulated as fixed to the table; "
-        f"standing there by friction alone ({friction:g}) it would slide: {', '.join(holds)}."
+        f"{words} The force on the object has no limit either, because the object is simulated as fixed to the table. "
+        f"If it were held by friction alone ({friction:g}), it would slide: {', '.join(holds)}."
     )
 
 
@@ -107,7 +108,7 @@ def _card(item: CommittedEpisode) -> str:
 
 
 def _link(item: CommittedEpisode, path: Path) -> str:
-    """Path of an episode's file, relative to the page."""
+    """Return the path of an episode's file relative to the page."""
     return f"{item.folder.parent.name}/{item.folder.name}/{path.name}"
 
 
@@ -129,27 +130,28 @@ def _verdicts(made: list[CommittedEpisode]) -> str:
             ]
         )
     titles = [read_figure("verdict", name, 0.0).title for name in WORST]
-    return table(["episode", "asset", "moved: x, y, turn", *titles], rows)
+    return table(["episode", "asset", "displacement: x, y, yaw", *titles], rows)
 
 
 def rejects_section(results: Results) -> list[str]:
-    """One table for each reason, the commonest first."""
+    """Return one table for each reason of rejection, the most frequent reason first."""
     folder = results.folders["episodes"]
     failed = [item for item in read_draws(folder) if item["outcome"] != "committed"]
     if not failed:
-        return [paragraph("Every pose that was drawn gave an episode.")]
+        return [paragraph("Every sampled pose gave an episode.")]
     meanings = reasons()
     parts = [
         paragraph(
-            "Draws that gave no episode, most of them before anything was planned; none is rendered. Where planning "
-            "failed, each line tells of the grasp that came farthest."
+            "Samples that gave no episode. Most of them were rejected before planning, and none is rendered. "
+            "If planning "
+            "failed, the line describes the grasp that progressed farthest."
         )
     ]
     for reason, count in Counter(item["reason"] for item in failed).most_common():
         found = [item for item in failed if item["reason"] == reason]
         parts.append(heading(f"{count} {reason.replace('_', ' ')}: {meanings.get(reason, reason)}"))
         parts.append(
-            table(["asset", "moved: x, y, turn", "what was found"], [_row(item) for item in found[:LISTED]])
+            table(["asset", "displacement: x, y, yaw", "result"], [_row(item) for item in found[:LISTED]])
         )
         if len(found) > LISTED:
             parts.append(paragraph(f"{len(found) - LISTED} more in {folder.name}/{DRAWS_FILE}."))
@@ -157,18 +159,18 @@ def rejects_section(results: Results) -> list[str]:
 
 
 def reasons() -> dict[str, str]:
-    """Meaning of each reason of a rejection, with its limit."""
+    """Return the meaning of each reason of a rejection, with its limit."""
     ik, contact, rule = IkLimits(), KinematicLimits(), PassRule()
     return {
-        "outside_area": "the place lies beside the area asked for",
-        "off_table": "the object would stand beyond the table's edge",
-        "blocked": "the object would stand where something else of the scene does",
-        "out_of_reach": "the handle is farther away than the arm can hold anything",
+        "outside_area": "the position is outside the requested area",
+        "off_table": "the object would protrude beyond the edge of the table",
+        "blocked": "the object would overlap with an obstacle of the scene",
+        "out_of_reach": "the handle is out of reach of the arm",
         "out_of_view": "a camera does not show enough of the action",
         **LOST,
-        "unreachable": f"the arm misses an asked pose by more than {ik.residual_mm:g} mm or {ik.residual_deg:g} deg",
-        "joint_limit": "a joint comes too near to its limit",
-        "branch": "the arm's way back from the grasp ends in another joint configuration than the demonstrated one",
+        "unreachable": f"the arm misses a requested pose by more than {ik.residual_mm:g} mm or {ik.residual_deg:g} deg",
+        "joint_limit": "a joint is too close to its limit",
+        "branch": "the approach begins in another joint configuration than the demonstrated one",
         "too_fast": f"a joint is faster than {ik.speed:g} rad/s, also when the motion is slowed down",
         "too_jerky": f"a joint exceeds {ik.acceleration:g} rad/s^2 or {ik.jerk:g} rad/s^3, also when the motion is slowed down",
         "collision": f"robot and scene overlap by more than {contact.max_penetration_mm:g} mm",
@@ -177,19 +179,19 @@ def reasons() -> dict[str, str]:
         "grip_collision": f"fingers and handle overlap by more than {contact.max_handle_penetration_mm:g} mm",
         "no_grip": f"a finger pad stays more than {contact.max_gap_mm:g} mm away from the handle",
         "no_grasp": "the asset offers no grasp",
-        "target_too_small": "the planned way is too short to count",
-        "not_finite": "an action is no number",
+        "target_too_small": "the planned travel is too short to be evaluated",
+        "not_finite": "an action is not a number",
         "diverged": "the simulation became unstable",
-        "imposed": "something else than contact moves the part, or its joint value was written",
+        "imposed": "the part is moved by something other than contact, or its joint value was written",
         "moved_early": "the part had moved before the robot touched it",
-        "door_pushed": f"more than {rule.pushed_share:.0%} of the way was made by other contacts than pads on the handle",
-        "robot_contact": f"the robot pressed on other things than the handle with more than {rule.robot_force_n:g} N",
+        "door_pushed": f"contacts other than pads on the handle caused over {rule.pushed_share:.0%} of the travel",
+        "robot_contact": f"the robot pressed on bodies other than the handle with more than {rule.robot_force_n:g} N",
         "torque": f"a drive needed more than {rule.torque_share:.0%} of its torque for {rule.torque_s:g} s",
-        "tracking": f"the arm was more than {rule.tracking_mm:g} mm off its command",
+        "tracking": f"the arm deviated from its command by more than {rule.tracking_mm:g} mm",
         "penetration": f"gripper and handle overlapped by more than {rule.handle_penetration_mm:g} mm, or the robot and "
-        f"anything else by {rule.penetration_mm:g} mm",
-        "target": f"the part reached less than {rule.target_share:.0%} of the planned way",
-        "contact": f"less than {rule.contact_share:.0%} of the way was made in contact",
+        f"another body by {rule.penetration_mm:g} mm",
+        "target": f"the part reached less than {rule.target_share:.0%} of the planned travel",
+        "contact": f"less than {rule.contact_share:.0%} of the travel was made in contact",
         "slides": f"the object's base slid by more than {rule.drift_mm:g} mm",
     }
 
@@ -199,7 +201,7 @@ def _row(item: dict[str, Any]) -> list[object]:
 
 
 def draws_section(results: Results) -> list[str]:
-    """Histograms of everything that differs, and a map of the places."""
+    """Return histograms of all variations, and a map of the sampled positions."""
     draws = read_draws(results.folders["episodes"])
     if not draws:
         return []
@@ -208,22 +210,24 @@ def draws_section(results: Results) -> list[str]:
     charts = "".join(draw_histogram(item) for item in found)
     return [
         paragraph(
-            "Grey: all draws, spread evenly over the range asked for. Blue: those that were planned. Green: those that "
-            "became episodes."
+            "Gray: all samples, distributed evenly over the requested range. Blue: samples that were planned. "
+            "Green: samples "
+            "that became episodes."
         ),
         f'<div class="head">{charts}</div>',
         paragraph(
-            "The places from above, the robot at the cross; a line points where the object's front looks. Green: an "
-            "episode. Red: planned in vain. Grey: not worth planning; the reasons follow below. Pale green below: where "
-            "the arm can hold the handle, the stronger, the more turns of the object. Brown: the free table; dark "
-            "boxes: what else stands there."
+            "Top view of the sampled positions; the cross marks the robot, and a line the direction of the "
+            "object's front. "
+            "Green: episode. Red: planning or verification failed. Gray: rejected before planning, for the reasons "
+            "below. Pale green area: the arm can hold the handle, the darker, the more yaw angles are possible. Brown: "
+            "free table. Dark boxes: obstacles."
         ),
         _map(results, draws),
     ]
 
 
 def draw_histogram(item: Distribution) -> str:
-    """One small chart."""
+    """Draw the histogram of one variation as an SVG."""
     count, tallest = len(item.drawn), max(int(item.drawn.max()), 1)
     wide = WIDTH / count
     bars = "".join(

@@ -37,13 +37,14 @@ WIDTH_PX = 420
 
 
 def motion_section(results: Results) -> list[str]:
-    """Sentence, images and charts."""
+    """Return a sentence, images and charts of the motion."""
     return [
         paragraph(motion_sentence(results.motion)),
         picture(joint_sheet(results), "the recovered joint when the motion starts, halfway and when it ends"),
         paragraph(
-            "Blue: the axis, and the space that holds it with 95 %. Red: path of the held point. Yellow: where "
-            "fingers touched, carried by the part. Pink: outline of the twin's part; it has to lie on the real one."
+            "Blue: the axis, and the region that contains it with a probability of 95 %. Red: path of the held point. "
+            "Yellow: contact points of the fingers, which move with the part. Pink: outline of the twin's part; it "
+            "has to coincide with the real one."
         ),
         *motion_charts(results.motion),
     ]
@@ -115,27 +116,29 @@ def motion_charts(motion: MotionEstimate) -> list[str]:
         *_draw_score(motion.curve, "threshold", span),
         paragraph("The joint value with its 95 % band."),
         theta,
-        paragraph("How far the end effector slid along the part and turned against it."),
+        paragraph("Slip of the end effector along the part, and its rotation relative to the part."),
         grip,
     ]
 
 
 def motion_sentence(motion: MotionEstimate) -> str:
-    """Sentence on the moved part, the interval and the uncertainty."""
+    """Describe the moved part, the interval and the uncertainty in one sentence."""
     return (
         f"The part moves from {motion.start_s:.2f} s to {motion.end_s:.2f} s, {motion.direction}. It is a "
-        f"{motion.joint.type} joint{_certainty(motion)}. The end effector turned {motion.ee_turn_ratio:.2f} times as far "
-        f"as the part, slid up to {1e3 * motion.slip_m.max():.0f} mm along it and turned up to "
-        f"{np.degrees(motion.pivot_rad.max()):.0f} deg against it."
+        f"{motion.joint.type} joint{_certainty(motion)}. The end effector rotated by {motion.ee_turn_ratio:.2f} times "
+        f"the rotation of the part, slid up to {1e3 * motion.slip_m.max():.0f} mm along it and rotated up to "
+        f"{np.degrees(motion.pivot_rad.max()):.0f} deg relative to it."
     )
 
 
 def _certainty(motion: MotionEstimate) -> str:
-    """Sentence on the uncertainty of the axis; empty where the method does not estimate it, as the paper's."""
+    """Describe the uncertainty of the axis; empty if the method does not estimate it, as that of the paper."""
     if not motion.axis_ci95_rad > 0:
         return ""
-    place = f", its place to {1e3 * motion.origin_ci95_m:.0f} mm" if motion.joint.type == "revolute" else ""
-    return f"; with 95 %, its axis is known to {np.degrees(motion.axis_ci95_rad):.1f} deg{place}"
+    place = (
+        f", of its origin +-{1e3 * motion.origin_ci95_m:.0f} mm" if motion.joint.type == "revolute" else ""
+    )
+    return f"; the 95 % interval of its axis is +-{np.degrees(motion.axis_ci95_rad):.1f} deg{place}"
 
 
 def write_refusal(out: Path, reason: str) -> Path | None:
@@ -162,19 +165,19 @@ def write_refusal(out: Path, reason: str) -> Path | None:
 
 
 def _draw_score(curve: MotionCurve, threshold: str, span: tuple[float, float] | None) -> list[str]:
-    """The motion score over time, with what its threshold is called."""
+    """Draw the motion score over time, with its threshold and the name of the threshold."""
     chart = draw_chart(
         "motion score",
         [("score", curve.times_s, curve.scores), ("smoothed", curve.times_s, curve.smoothed)],
         level=(threshold, curve.threshold),
         span=span,
     )
-    words = "The share of the part's image that shows neither its first nor its last position."
+    words = "Share of the part's pixels that show neither its first nor its last appearance."
     return [paragraph(words), chart]
 
 
 def _draw_evidence(curve: MotionCurve) -> list[str]:
-    """Score and gripper of a refused demonstration."""
+    """Draw score and gripper of a refused demonstration."""
     gripper = draw_chart(
         "gripper, shares of the largest",
         [

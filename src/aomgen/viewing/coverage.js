@@ -23,8 +23,8 @@ function refresh(state) {
     + '<span><i style="background:#57b894"></i>the arm holds the handle</span><span><i style="background:#f3ead9"></i>free table</span><span><i style="background:#8a8f98"></i>obstacle</span><span>dashed: requested area; the line points where the front looks</span>';
   $("holes").innerHTML = state.holes.length ? state.holes.map((hole, i) => {
     const reasons = Object.entries(hole.reasons).map(([reason, n]) => `${n} ${reason.replaceAll("_", " ")}`).join(", ");
-    return `<p><b>${i + 1}.</b> About x = ${hole.x.toFixed(2)} m, y = ${hole.y.toFixed(2)} m no episode is nearer than <b>${(100 * hole.radius_m).toFixed(hole.radius_m < 0.1 ? 1 : 0)} cm</b>. ${hole.draws ? `${hole.draws} ${hole.draws === 1 ? "draw" : "draws"} there gave none: ${escape(reasons)}.` : "No draw has been made there."}</p>`;
-  }).join("") : "<p>None: no position of the requested area is farther from an episode than twice the mean distance of evenly spread ones.</p>";
+    return `<p><b>${i + 1}.</b> About x = ${hole.x.toFixed(2)} m, y = ${hole.y.toFixed(2)} m no episode is nearer than <b>${(100 * hole.radius_m).toFixed(hole.radius_m < 0.1 ? 1 : 0)} cm</b>. ${hole.draws ? `${hole.draws} ${hole.draws === 1 ? "sample" : "samples"} there gave none: ${escape(reasons)}.` : "There is no sample in this area."}</p>`;
+  }).join("") : "<p>None: no position of the requested area is farther from an episode than twice the mean distance of evenly distributed ones.</p>";
   $("histograms").innerHTML = state.histograms.map(drawHistogram).join("");
   document.body.dataset.loaded = state.draws.length;
 }

@@ -14,7 +14,7 @@ async function openEpisode(number, seconds) {
   episode = found;
   const committed = episode.outcome === "committed";
   $("player").hidden = $("decide").hidden = !committed;
-  $("name").textContent = `${committed ? "Episode" : "Draw"} ${String(number).padStart(6, "0")}`;
+  $("name").textContent = `${committed ? "Episode" : "Sample"} ${String(number).padStart(6, "0")}`;
   $("facts").textContent = [episode.asset, episode.place, committed ? `${(episode.frames / episode.fps).toFixed(1)} s` : NAMES[episode.outcome]].filter(Boolean).join(", ");
   $("twin").hidden = episode.outcome === "damaged";
   $("twin").textContent = committed ? "Show in the twin" : "Plan again and show in the twin";
@@ -119,7 +119,7 @@ function describeVerdict() {
   const differs = Object.entries(episode.variation).map(([name, value]) => `<tr><td>${escape(name)}</td><td class="n">${escape(value)}</td></tr>`);
   const facts = committed ? [["instruction", episode.instruction], ["grasp", episode.grasp], ["simulated in", episode.settings.join("; ")]] : [];
   $("limits").innerHTML = (rows.length ? `<h3>${committed ? "Limits, the nearest first" : "Figures"}</h3><table class="${committed ? "four" : ""}">${rows.join("")}</table>` : "")
-    + `<h3 style="margin-top:12px">Differs from the recording</h3><table><tr><td>position and turn</td><td class="n">${escape(episode.place)}</td></tr>${differs.join("")}</table>`
+    + `<h3 style="margin-top:12px">Differs from the recording</h3><table><tr><td>position and yaw</td><td class="n">${escape(episode.place)}</td></tr>${differs.join("")}</table>`
     + (facts.length ? `<h3 style="margin-top:12px">Made as</h3><table>${facts.map(([name, value]) => `<tr><td>${name}</td><td>${escape(value)}</td></tr>`).join("")}</table>` : "");
 }
 
@@ -137,7 +137,7 @@ async function drawWhere(ticket) {
   try {
     const state = await ask("/coverage/state");
     if (ticket !== opened || !state.draws.length) return;
-    $("where").innerHTML = `<h3>Position, seen from above</h3>` + drawMap(state, new Set([episode.number]));
+    $("where").innerHTML = `<h3>Position, top view</h3>` + drawMap(state, new Set([episode.number]));
   } catch (error) { if (ticket === opened) $("where").textContent = error.message; }
 }
 
@@ -153,7 +153,7 @@ const choose = decision => update({decision: episode.decision === decision ? "" 
 function walk(step) {
   const place = shown.findIndex(d => d.number === (episode || {}).number), next = shown[place + step];
   if (place >= 0 && next) location.hash = "episode=" + next.number;
-  else say(step > 0 ? "this is the last draw of the wall" : "this is the first draw of the wall");
+  else say(step > 0 ? "this is the last sample" : "this is the first sample");
 }
 
 function pressKey(event) {

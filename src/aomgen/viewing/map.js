@@ -23,7 +23,7 @@ function drawMap(state, lit = null) {
   });
   const holes = state.holes.map((hole, i) => {
     const [cx, cy] = at([hole.x, hole.y]).split(",");
-    return `<circle cx="${cx}" cy="${cy}" r="${(scale * hole.radius_m).toFixed(1)}" fill="#d1495b22" stroke="#b3261e" stroke-dasharray="5 4"/><text x="${cx}" y="${cy}" text-anchor="middle" style="fill:#b3261e;font-weight:600">hole ${i + 1}</text>`;
+    return `<circle cx="${cx}" cy="${cy}" r="${(scale * hole.radius_m).toFixed(1)}" fill="#d1495b22" stroke="#b3261e" stroke-dasharray="5 4"/><text x="${cx}" y="${cy}" text-anchor="middle" style="fill:#b3261e;font-weight:600">gap ${i + 1}</text>`;
   });
   return `<svg class="map" viewBox="0 0 ${MAP_PX} ${height.toFixed(0)}">
     ${state.shapes.map(s => polygon(s.points, `fill="${s.color}" fill-opacity="${s.opacity.toFixed(2)}"`)).join("")}

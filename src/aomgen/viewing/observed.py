@@ -59,14 +59,14 @@ def describe_support(
 
     Args:
         camera: View of the image.
-        alpha: Of the image (H, W), 0..1; None when parts are hidden.
+        alpha: Alpha of the image (H, W), 0..1; None if parts are hidden.
         scan: Scan cameras.
-        pivot: Middle of what was scanned (3,).
+        pivot: Center of the scanned region (3,).
         found: Survey of the scan's coverage; None before it was made.
     """
     sentences = []
     if alpha is not None and (empty := float(np.mean(alpha < SOLID_ALPHA))) > EMPTY_SHARE:
-        sentences.append(f"Nothing was scanned in {empty:.0%} of this image.")
+        sentences.append(f"{empty:.0%} of this image shows no scanned surface.")
     ours = camera.center - pivot
     rays = np.array([item.center for item in scan.values()]).reshape(-1, 3) - pivot
     cosines = rays @ ours / np.maximum(np.linalg.norm(rays, axis=1) * np.linalg.norm(ours), 1e-9)
@@ -74,7 +74,7 @@ def describe_support(
     if nearest_deg > NEAR_DEG:
         sentences.append(
             f"The nearest scan camera looks from {nearest_deg:.0f} deg beside this view: "
-            "surfaces that only this side shows were not seen."
+            "surfaces that are visible from this side only were not observed."
         )
     if found is not None:
         sentences += _list_guessed_sides(camera, found)

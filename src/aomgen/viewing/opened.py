@@ -55,12 +55,12 @@ KEPT_EPISODES: Final = 2
 CAMERA_SHARE: Final = 0.05
 # Sentences about what a run lacks, by the first stage that has not finished.
 LACKS: Final = {
-    "structure": "The scan is not reconstructed yet: its images and the recording are shown.",
-    "gaussians": "The scan has cameras but no Gaussians yet: its images and the recording are shown.",
-    "alignment": "The scene can be orbited; it is not aligned with the robot yet, so that it has no scale.",
+    "structure": "The scan is not reconstructed yet; the page shows its images and the recording.",
+    "gaussians": "The scan has cameras but no Gaussians yet; the page shows its images and the recording.",
+    "alignment": "The scene can be orbited; it is not aligned with the robot yet and therefore has no scale.",
     "parts": "The scene can be orbited; its parts are not separated yet.",
     "motion": "The scene can be orbited; the object's joint is not estimated yet.",
-    "twin": "The scene can be orbited; the twin is not built yet, so that nothing moves.",
+    "twin": "The scene can be orbited; the twin is not built yet, so nothing can move.",
     "replacement": "There are no episodes yet: no asset has replaced the object.",
     "episodes": "The episodes are not complete yet; those that are committed are shown.",
 }
@@ -297,7 +297,7 @@ class ViewedFolder:
         results, opened = self._opened.results, self._opened
         for folder in (self._folder, *([results.out] if opened.done else [])):
             if not folder.exists():
-                raise MissingFileError(folder, "has vanished", "what was read before is still shown")
+                raise MissingFileError(folder, "has vanished", "the page still shows what was read before")
         times = [
             file.stat().st_mtime_ns if (file := results.folders[stage.name] / MANIFEST).is_file() else 0
             for stage in STAGES

@@ -39,14 +39,14 @@ def replan_draw(results: Results, draw: Draw) -> CommittedEpisode:
     planned = screened or factory.plan(opened, variation)
     shown: Trajectory = results.demonstration[:1]
     if isinstance(planned, EpisodePlan):
-        shown, what = planned, "The plan is shown; the simulation has refused it."
+        shown, what = planned, "The page shows the plan, which failed in the simulation."
     elif planned.worst is not None:
         shown, what = (
             planned.worst,
-            "The state is shown in which the attempt that came farthest breaks its limit most.",
+            "The page shows the worst violation of the attempt that progressed farthest.",
         )
     else:
-        what = "The state of the arm is not known: it is shown at its start."
+        what = "The state of the arm is not known; the page shows its start."
     T_world_object, robot = variation.place_at(fitted), results.robot
     path = SceneTrajectory(
         times_s=np.arange(len(shown)) / results.fps,
@@ -59,7 +59,7 @@ def replan_draw(results: Results, draw: Draw) -> CommittedEpisode:
         # As it is read from the file of a committed episode.
         "variation": json.loads(json.dumps(asdict(variation))),
         "bolted": factory.params.bolted,
-        NOTE: f"Draw {draw.number} gave no episode: {_state_reason(planned, draw)}. {what}",
+        NOTE: f"Sample {draw.number} gave no episode: {_state_reason(planned, draw)}. {what}",
         PAIR: planned.bodies if isinstance(planned, Rejection) else (),
     }
     episode = Episode(

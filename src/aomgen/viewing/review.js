@@ -50,10 +50,10 @@ function refresh() {
   const rank = d => ORDER.indexOf(d.outcome);
   shown.sort(chosen("sort") === "room" ? (a, b) => rank(a) - rank(b) || near(a) - near(b) || a.number - b.number : (a, b) => a.number - b.number);
   const decided = value => draws.filter(d => d.outcome === "committed" && d.decision === value).length;
-  $("count").innerHTML = `${shown.length} of ${draws.length} draws; ${decided("accepted")} accepted, ${decided("rejected")} rejected, ${decided("")} undecided.`
+  $("count").innerHTML = `${shown.length} of ${draws.length} samples; ${decided("accepted")} accepted, ${decided("rejected")} rejected, ${decided("")} undecided.`
     + (decided("rejected") ? ` <code>aomgen export</code> and the next <code>aomgen run</code> leave out ${decided("rejected")}.` : "");
   $("note").hidden = draws.length > 0;
-  $("note").textContent = "There is no episode yet: the run has not come to its stage “episodes”.";
+  $("note").textContent = "There is no episode yet, because the stage “episodes” has not started.";
   $("cards").replaceChildren(...shown.map(card));
   document.body.dataset.loaded = draws.length;
 }
@@ -72,7 +72,7 @@ function card(draw) {
   const kind = draw.room === null || draw.room < 0 ? "over" : draw.room < 0.25 ? "tight" : "";
   link.innerHTML = `${images}<div class="line"><b>${String(draw.number).padStart(6, "0")}</b><span>${escape(draw.asset)}</span>${badge}</div>
     <div class="dim">${escape(draw.place)}</div><div>${cause}</div>${sentence}
-    ${share === null ? "" : `<div class="room" title="${draw.room < 0 ? "beyond the limit by" : "room to the limit:"} ${(100 * Math.abs(draw.room)).toFixed(0)} %"><i class="${kind}" style="width:${(100 * share).toFixed(0)}%"></i></div>`}
+    ${share === null ? "" : `<div class="room" title="${draw.room < 0 ? "beyond the limit by" : "margin to the limit:"} ${(100 * Math.abs(draw.room)).toFixed(0)} %"><i class="${kind}" style="width:${(100 * share).toFixed(0)}%"></i></div>`}
     ${draw.tags.map(tag => `<span class="chip">${escape(tag)}</span>`).join("")}${draw.note ? `<div class="dim">${escape(draw.note)}</div>` : ""}`;
   cards.set(draw.number, {text, card: link});
   return link;

@@ -315,7 +315,7 @@ async function poll() {
     if (continued) {
       const [name, time] = [motion ? motion.name : "recording", motion ? seconds() : 0];
       await loadMotion(run.motions.some(item => item.name === name) ? name : "recording", time, true);
-      say("the run has changed, and is shown as it is now");
+      say("the run has changed; the page shows its new state");
     }
   } catch (error) { lost = true; say(error.message, true); }
   setTimeout(poll, POLL_MS);

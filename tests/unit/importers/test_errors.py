@@ -318,7 +318,12 @@ def test_units_and_numbers(target: Path, tmp_path: Path, short: Demonstration):
     few = write_table(tmp_path / "few.csv", header, [short.times_s[:5], short.joints[:5], short.gripper[:5]])
     refuse(few, target, IncompleteCaptureError, "few.csv: has 5 rows, at least 10 are needed", **camera)
     refuse(
-        write(), target, ConfigError, "--unit: is 'grad'; expected rad, deg, normalized", unit="grad", **camera
+        write(),
+        target,
+        ConfigError,
+        "--unit: is 'grad'; expected rad, deg, normalized",
+        unit="grad",
+        **camera,
     )
     refuse(write(), target, ConfigError, "'ur99' is unknown; known: ur5e_2f85", robot="ur99", **camera)
 

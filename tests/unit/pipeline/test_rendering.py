@@ -33,7 +33,10 @@ def test_a_camera_is_read() -> None:
     ("data", "words"),
     [
         ({}, "lacks T_world_cam, fx, fy, cx, cy, width, height"),
-        ({name: value for name, value in CAMERA.items() if name != "fx"}, "lacks fx; expected T_world_cam, fx"),
+        (
+            {name: value for name, value in CAMERA.items() if name != "fx"},
+            "lacks fx; expected T_world_cam, fx",
+        ),
         ([], "is not a JSON object"),
         (CAMERA | {"fx": "wide"}, "'fx' is not a number"),
         (CAMERA | {"fx": None}, "'fx' is not a number"),

@@ -91,7 +91,7 @@ def test_figures_of_rejections_are_words() -> None:
         {"penetration_mm": 3.0, "grasps_tried": 72.0, "path_share": 0.5, "torque_share": 0.95}
     )
     assert found == {
-        "planned robot in other bodies": "3.00 mm",
+        "planned penetration of other bodies": "3.00 mm",
         "grasps tried": "72",
         "torque of the drives": "95 %",
     }

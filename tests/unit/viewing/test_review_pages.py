@@ -90,7 +90,7 @@ def test_pages_of_draws_state_their_limits_and_phases(server):
     assert [line["values"][3] for line in forces["lines"]] == [0.0, 4.0]
     rejected = ask(server, "review/draw?number=3")
     assert rejected["pair"] == "wrist_1_link and table"
-    assert rejected["figures"] == {"planned robot in other bodies": "3.00 mm"}
+    assert rejected["figures"] == {"planned penetration of other bodies": "3.00 mm"}
 
 
 def test_damage_is_one_sentence_and_the_rest_stays_up(server, out):
