@@ -225,7 +225,7 @@ def require_cluster(address: str) -> None:
     problem = "" if address == "local" else _cluster_problem(address)
     if problem:
         raise BackendError(
-            f"--ray {address}", f"no Ray cluster answers ({problem})", "start one with `ray start --head`"
+            f"--ray {address}", f"no Ray cluster replies ({problem})", "start one with `ray start --head`"
         )
 
 

@@ -30,7 +30,7 @@ def require_array(name: str, value: ArrayLike, shape: tuple[int | None, ...]) ->
         raise ShapeError(name, array.shape, f"({wanted}{',' * (len(shape) == 1)})")
     if not np.isfinite(array).all():
         first = np.argwhere(~np.isfinite(array))[0].tolist()
-        raise NonFiniteError(name, f"holds {array[tuple(first)]} at {first}", "pass finite numbers")
+        raise NonFiniteError(name, f"contains {array[tuple(first)]} at {first}", "pass finite numbers")
     return array
 
 

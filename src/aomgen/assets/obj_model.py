@@ -109,7 +109,9 @@ def _entry(path: Path, joints_file: Path) -> ModelEntry:
         folder = path.resolve().parent
         names = [n for n in models if (joints_file.resolve().parent / n) in (folder, path.resolve())]
         if not names:
-            raise AssetError(joints_file, f"says nothing of {path.name}", f"it knows {', '.join(models)}")
+            raise AssetError(
+                joints_file, f"does not describe {path.name}", f"it describes {', '.join(models)}"
+            )
         data = models[names[0]]
     try:
         return ModelEntry.model_validate(data)

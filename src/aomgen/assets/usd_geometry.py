@@ -74,7 +74,9 @@ def read_links(
         count += sum(len(mesh.faces) for mesh in meshes)
         if not count <= MAX_FACES:
             raise LimitExceededError(
-                prim.GetPath(), f"brings the asset above {MAX_FACES} faces", "simplify it"
+                prim.GetPath(),
+                f"increases the size of the asset to more than {MAX_FACES} faces",
+                "simplify it",
             )
         link.meshes += meshes if seen else []
         link.collision_meshes += meshes if collides and not prim.IsA(UsdGeom.Cube) else []

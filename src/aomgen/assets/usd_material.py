@@ -233,7 +233,7 @@ def _read_packaged(asset_path: Any, folder: Path) -> NDArray[np.uint8]:
 
 def _require_inside(place: Path, folder: Path, name: str) -> None:
     if not place.is_relative_to(folder.resolve()):
-        raise UnsafePathError(name, "lies outside the asset's folder", "copy it beside the asset")
+        raise UnsafePathError(name, "is outside the asset's folder", "copy it to the folder of the asset")
 
 
 def check_layers(stage: Any, folder: Path) -> None:

@@ -75,7 +75,11 @@ def check_prompt(section: PromptSection, names: set[str], size: tuple[int, int],
     box = np.array([] if section.box is None else section.box)
     corners = np.concatenate([points[:, :2], box.reshape(-1, 2)])
     if not (np.all(corners >= 0) and np.all(corners <= np.array(size))):
-        raise InputError(where, f"lies outside {size[0]} x {size[1]}", "click inside the image")
+        raise InputError(
+            where,
+            f"has coordinates outside the image of {size[0]} x {size[1]} px",
+            "give pixels inside the image",
+        )
     if corners.max() <= 1.0:
         raise UnitsError(
             where,

@@ -207,7 +207,9 @@ def _cameras(folder: Path, manifest: CaptureManifest, path: Path) -> tuple[DemoC
     names = [camera.name for camera in cameras]
     if len(set(names)) != len(names):
         raise MalformedFileError(
-            path, f"names two of demo.cameras alike ({', '.join(names)})", "give each a different name"
+            path,
+            f"gives two of demo.cameras the same name ({', '.join(names)})",
+            "give each a different name",
         )
     for camera in cameras:
         if camera.T_world_cam is not None:

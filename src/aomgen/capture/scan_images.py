@@ -83,7 +83,7 @@ def _refuse_subfolders(scan: Path) -> None:
         names = ", ".join(str(item.relative_to(scan)) for item in below[:SHOWN_NAMES])
         raise IncompleteCaptureError(
             scan,
-            f"holds no images itself, but its subfolders do ({names})",
+            f"contains no images, but its subfolders do ({names})",
             "put all images into one folder, or name the subfolder in scan.images",
         )
 

@@ -68,7 +68,7 @@ def audit_dataset(dataset: Path, episode_folders: Sequence[Path], progress: Prog
         audit.splits[found.split] = audit.splits.get(found.split, 0) + 1
         if found.source_index not in left:
             audit.faults.append(
-                f"episode {found.source_index} is not among the committed ones, is rejected, or is there twice"
+                f"episode {found.source_index} is not committed, is rejected, or occurs twice"
             )
             continue
         item = read_episode(left.pop(found.source_index))
@@ -119,7 +119,7 @@ def _compare_images(
         if len(likeness) != len(item.episode) or not least >= MIN_PSNR_DB:
             audit.faults.append(
                 f"camera '{camera}' of episode {number} shows {len(likeness)} frames of {len(item.episode)}, "
-                f"the least like has {least:.1f} dB of {MIN_PSNR_DB:.0f}"
+                f"with a lowest PSNR of {least:.1f} dB, limit {MIN_PSNR_DB:.0f} dB"
             )
         if least < audit.psnr_db:
             audit.psnr_db, audit.least_like = least, f"{camera} of episode {number}"

@@ -128,7 +128,7 @@ def find_format(folder: Path) -> DatasetFormat:
             return known
     marks = ", ".join(dict.fromkeys(known.mark for known in FORMATS.values()))
     raise MalformedFileError(
-        folder, f"is no dataset: it holds none of {marks}", "give the folder of a dataset"
+        folder, f"is not a dataset: it contains none of {marks}", "give the folder of a dataset"
     )
 
 

@@ -64,7 +64,7 @@ def read_lerobot(folder: Path) -> StoredDataset:
         locations = list(LOCATIONS[version](folder, videos, fps))
         if len(locations) != info["total_episodes"]:
             raise MalformedFileError(
-                where, f"says {info['total_episodes']} episodes, not {len(locations)}", REMEDY
+                where, f"states {info['total_episodes']} episodes, not {len(locations)}", REMEDY
             )
         tasks = TASKS[version](folder)
     except (KeyError, TypeError, ValueError, IndexError) as error:
@@ -174,7 +174,7 @@ def _episodes(
         table = table.slice(rows, location.length) if rows >= 0 else table.slice(0, 0)
         if table["index"].to_pylist() != list(range(location.row, location.row + location.length)):
             raise MalformedFileError(
-                location.table, f"holds other rows for episode {location.number}", REMEDY
+                location.table, f"contains the wrong rows for episode {location.number}", REMEDY
             )
         columns, images = _columns(table), {}
         task = int(columns["task_index"][0])

@@ -134,7 +134,9 @@ def decode_example(record: bytes, where: Path) -> dict[str, Feature]:
                 (_, name), (_, value) = _parts(entry)
                 features[str(name, "utf-8")] = _decode_feature(value)
     except ValueError as error:
-        raise MalformedFileError(where, f"holds a record that is no Example ({error})", REMEDY) from error
+        raise MalformedFileError(
+            where, f"contains a record that is not an Example ({error})", REMEDY
+        ) from error
     return features
 
 
@@ -216,4 +218,4 @@ def read_array_record(path: Path) -> list[bytes]:
     try:
         return require_array_record().ArrayRecordReader(str(path)).read_all()
     except RuntimeError as error:
-        raise MalformedFileError(path, f"is no sound ArrayRecord file ({error})", REMEDY) from error
+        raise MalformedFileError(path, f"is not a valid ArrayRecord file ({error})", REMEDY) from error

@@ -121,10 +121,14 @@ def write_rlds(
     """
     name = folder.name
     if not TFDS_NAME.fullmatch(name):
-        raise ConfigError(folder, "is no name for TFDS", "use letters, digits and _ in the folder's name")
+        raise ConfigError(
+            folder, "is not a valid name for TFDS", "use letters, digits and _ in the folder's name"
+        )
     if not choices.val:
         raise ConfigError(
-            "--val", "is 0", "without a val split OpenVLA takes 5 % of the training data; choose 1 or more"
+            "--val",
+            "is 0",
+            "without a val split OpenVLA validates on 5 % of the training data; choose 1 or more",
         )
     if kind == "array_record":
         require_array_record()

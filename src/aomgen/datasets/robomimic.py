@@ -48,7 +48,7 @@ def write_robomimic(
     import h5py
 
     if not choices.val:
-        raise ConfigError("--val", "is 0", "robomimic wants a mask of demonstrations to validate on")
+        raise ConfigError("--val", "is 0", "robomimic requires a mask of validation demonstrations")
     selection = select_episodes(episode_folders, folder, choices)
     limits = action_limits(selection)
     with stage_dataset(folder, selection) as staging, h5py.File(staging / FILE, "w") as file:
@@ -164,7 +164,7 @@ def read_robomimic(folder: Path) -> StoredDataset:
     except (KeyError, OSError, RuntimeError) as error:
         raise _make_damage_error(where, error) from error
     if actions not in ACTION_SPACES:
-        raise MalformedFileError(where, f"says action_space '{actions}'", suggest(actions, ACTION_SPACES))
+        raise MalformedFileError(where, f"states action_space '{actions}'", suggest(actions, ACTION_SPACES))
     return StoredDataset(
         actions=actions,  # type: ignore[arg-type]
         sizes={name: (int(shape[2]), int(shape[1])) for name, shape in shapes.items()},

@@ -129,7 +129,7 @@ def require_replaceable(folder: Path) -> None:
     """
     empty = not folder.exists() or (folder.is_dir() and not any(folder.iterdir()))
     if not empty and not (folder / MARK).is_file():
-        raise ConfigError(folder, f"is there and no dataset of AOMGen ({MARK})", "choose another folder")
+        raise ConfigError(folder, f"exists and is not a dataset of AOMGen ({MARK})", "choose another folder")
 
 
 def spread(count: int, wanted: int) -> set[int]:
@@ -191,7 +191,9 @@ def _check_alike(item: CommittedEpisode, first: CommittedEpisode) -> None:
     for name, value in have.items():
         if value != want[name]:
             raise ConfigError(
-                item.folder, f"has {name} {value}, {first.folder.name} has {want[name]}", "export them apart"
+                item.folder,
+                f"has {name} {value}, {first.folder.name} has {want[name]}",
+                "export them to separate datasets",
             )
 
 

@@ -211,7 +211,7 @@ def _judge(solver: IkSolver, Ts_world_ee: Array, joints: Array, limits: IkLimits
         mm, deg = float(residuals_mm[row]), float(residuals_deg[row])
         return Rejection(
             reason="unreachable",
-            detail=f"{mm:.1f} mm and {deg:.1f} deg from the asked pose",
+            detail=f"{mm:.1f} mm and {deg:.1f} deg from the requested pose",
             metrics={"residual_mm": mm, "residual_deg": deg, "sample": float(row)},
             excess=max(mm / limits.residual_mm, deg / limits.residual_deg) - 1.0,
         )

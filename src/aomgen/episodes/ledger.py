@@ -131,7 +131,9 @@ def read_rejection(folder: Path, unit: Unit) -> Rejection:
         stated = {name: content[name] for name in STATED}
         return Rejection(**{**stated, "bodies": tuple(stated["bodies"])})
     except (TypeError, KeyError) as error:
-        raise MalformedFileError(path, f"is no rejection ({error!r})", "delete it and run again") from error
+        raise MalformedFileError(
+            path, f"is not a rejection ({error!r})", "delete it and run again"
+        ) from error
 
 
 def list_ended_units(folder: Path) -> tuple[set[Unit], set[Unit]]:
@@ -193,7 +195,7 @@ def read_request(folder: Path) -> Request:
             attempts=int(content["attempts"]),
         )
     except (TypeError, KeyError, ValueError) as error:
-        raise MalformedFileError(path, f"is no request ({error!r})", "delete it and run again") from error
+        raise MalformedFileError(path, f"is not a request ({error!r})", "delete it and run again") from error
 
 
 def write_draws(folder: Path, draws: Iterator[dict[str, Any]]) -> None:

@@ -80,7 +80,7 @@ class Place:
         if not over_m <= OVERHANG_M:
             return Rejection(
                 reason="off_table",
-                detail=f"stands {100 * over_m:.0f} cm beyond the table's edge, limit {100 * OVERHANG_M:.0f} cm",
+                detail=f"protrudes {100 * over_m:.0f} cm beyond the table's edge, limit {100 * OVERHANG_M:.0f} cm",
                 metrics={"overhang_m": over_m},
                 excess=measure_excess(over_m, OVERHANG_M),
             )

@@ -77,7 +77,7 @@ def make_suite(
     """Draw a suite and write it; what a killed call has drawn is kept.
 
     Raises:
-        ConfigError: The seed is that of the training, a camera is unknown, or images are drawn smaller.
+        ConfigError: The seed is that of the run, a camera is unknown, or the run renders smaller images.
         NotEnoughEpisodesError: Hardly any draw passes.
         AomgenError: The run has not come that far.
     """
@@ -87,7 +87,7 @@ def make_suite(
     for size in sizes.values():
         require_smaller(request.size or size, size, "what the run draws")
     if request.seed == results.project.seed:
-        raise ConfigError("--seed", f"{request.seed} is that of the training", "choose another one")
+        raise ConfigError("--seed", f"{request.seed} is the seed of the run", "choose another one")
     twin = twin_digest(results)
     parts = SavedUnits(path.with_name(f"{path.stem}.parts"), {"twin": twin, **_plain(request)}, DrawnTrial)
     # A copy without what has been read.
@@ -128,11 +128,11 @@ def _chosen_cameras(results: Results, wanted: tuple[str, ...]) -> dict[str, Came
     usual = (*(params.cameras or fixed), *(carried if params.images.robot_cameras else ()))
     for name in wanted or usual:
         if name not in known:
-            raise ConfigError("--camera", f"'{name}' is no camera of this run", suggest(name, known))
+            raise ConfigError("--camera", f"'{name}' is not a camera of this run", suggest(name, known))
     chosen = {name: known[name] for name in wanted or usual}
     if not fixed_cameras(chosen, results.robot):
         raise ConfigError(
-            "--camera", "names only what the robot carries", f"name one of {', '.join(fixed)} too"
+            "--camera", "selects only cameras on the robot", f"name one of {', '.join(fixed)} as well"
         )
     return chosen
 
@@ -181,5 +181,5 @@ def _verify_variation(
     fitted, _ = opened.sized(variation.scale)
     found = nearest_pose(variation.place_at(fitted), training)
     if found is not None and not found[0].apart >= 1:
-        return Rejection(reason="in_training", detail=f"stands as in episode {found[1]}")
+        return Rejection(reason="in_training", detail=f"has the same pose as in episode {found[1]}")
     return factory.place.screen(variation, fitted) or factory.certify(opened, variation)

@@ -94,7 +94,7 @@ class OpenEnv(gymnasium.Env[dict[str, Any], NDArray[np.float32]]):
         """Take an action; raises ConfigError where it has another shape."""
         rollout = self._rollout
         if rollout is None or rollout.fail_reason is not None:
-            raise ConfigError("step", "was called while no trial goes on", "call reset first")
+            raise ConfigError("step", "was called without an active trial", "call reset first")
         rollout.step(np.asarray(action, np.float64))
         self._seen, info = rollout.observation(), self._info(rollout)
         over = rollout.fail_reason is not None

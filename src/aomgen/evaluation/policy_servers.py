@@ -39,7 +39,7 @@ def read_array(data: Any, dtype: Any, shape: Any) -> NDArray[Any]:
     """
     kind = np.dtype(dtype)
     if kind.kind not in NUMBERS:
-        raise ValueError(f"an array of {kind} is none of numbers")
+        raise ValueError(f"an array of {kind} is not numeric")
     if math.prod(shape) * kind.itemsize != len(data):
         raise ValueError(f"an array of shape {tuple(shape)} and {kind} has {len(data)} bytes")
     return np.frombuffer(data, kind).reshape(shape)
@@ -175,14 +175,16 @@ class OpenvlaServer:
             connection.close()
         if status != http.client.OK:
             raise PolicyServerError(
-                self._where, f"answers HTTP {status} to POST /act", "start deploy.py there"
+                self._where, f"replied with HTTP {status} to POST /act", "start deploy.py there"
             )
         try:
             content = json.loads(text, object_hook=_decode)
         except (ValueError, TypeError, KeyError, RecursionError) as error:
             raise _no_answer(self._where, "JSON", error) from error
         if isinstance(content, str):
-            raise PolicyServerError(self._where, f"failed: it says '{_last_line(content)}'", "see its log")
+            raise PolicyServerError(
+                self._where, f"failed with the message '{_last_line(content)}'", "see its log"
+            )
         return content
 
 
@@ -202,12 +204,12 @@ def _decode(content: dict[str, Any]) -> Any:
 
 def _away(where: str, error: Exception) -> PolicyServerError:
     reason = _last_line(str(error)) or type(error).__name__
-    return PolicyServerError(where, f"does not answer ({reason})", "start the server, see docs/vla.md")
+    return PolicyServerError(where, f"does not reply ({reason})", "start the server, see docs/vla.md")
 
 
 def _no_answer(where: str, want: str, error: Exception) -> PolicyServerError:
     reason = _last_line(str(error)) or type(error).__name__
-    return PolicyServerError(where, f"answers what is not {want} ({reason})", "is it another server?")
+    return PolicyServerError(where, f"sent a reply that is not {want} ({reason})", "is it another server?")
 
 
 def _last_line(text: str) -> str:

@@ -57,7 +57,7 @@ def read_real_trials(path: Path) -> dict[str, RealTrials]:
     try:
         rows = list(csv.DictReader(path.read_text("utf-8-sig").splitlines(), skipinitialspace=True))
     except (UnicodeDecodeError, csv.Error) as error:
-        raise MalformedFileError(path, f"is no CSV ({error})", "save it as CSV in UTF-8") from error
+        raise MalformedFileError(path, f"is not a CSV file ({error})", "save it as CSV in UTF-8") from error
     missing = [name for name in COLUMNS if not rows or name not in rows[0]]
     if missing:
         raise MalformedFileError(path, f"has no rows with the column {missing[0]}", "add it")
@@ -102,15 +102,21 @@ def read_twin_trials(paths: Sequence[Path]) -> dict[str, dict[int, int]]:
     for path in paths:
         figures = read_json(path)
         if not is_evaluation(figures):
-            raise MalformedFileError(path, "holds no figures of `aomgen evaluate`", "write them with --json")
+            raise MalformedFileError(
+                path, "contains no metrics of `aomgen evaluate`", "write them with --json"
+            )
         policy = str(figures["policy"])
         if policy in found:
-            raise ConfigError(path, f"judges policy '{policy}' as {homes[policy]} does", "give one of them")
+            raise ConfigError(
+                path, f"evaluates policy '{policy}', and so does {homes[policy]}", "give one of them"
+            )
         suites[str(figures["suite"])] = homes[policy] = path
         found[policy] = {int(row["trial"]): int(not row["fail_reason"]) for row in figures["rollouts"]}
     if len(suites) > 1:
         first, second = list(suites.values())[:2]
-        raise ConfigError(second, f"is of another suite than {first}", "judge all policies in one suite")
+        raise ConfigError(
+            second, f"belongs to another suite than {first}", "evaluate all policies on one suite"
+        )
     return found
 
 

@@ -89,7 +89,9 @@ def open_remote(name: str, task: RemoteTask) -> RemotePolicy:
     """
     found = _NAME.fullmatch(name)
     if not found or not 0 < int(found[3]) < 1 << 16:
-        raise ConfigError("--policy", f"'{name}' is no address of a server", "expected openpi://HOST:PORT")
+        raise ConfigError(
+            "--policy", f"'{name}' is not the address of a server", "expected openpi://HOST:PORT"
+        )
     scheme, address, dataset = found[1], f"{found[2]}:{found[3]}", found[4]
     if scheme not in SCHEMES:
         raise UnknownNameError("--policy", scheme, SCHEMES)
@@ -97,7 +99,9 @@ def open_remote(name: str, task: RemoteTask) -> RemotePolicy:
         return _open_openvla(address, dataset, task)
     if dataset:
         raise ConfigError(
-            "--policy", f"'{name}' names a dataset", "openpi knows its own: expected openpi://HOST:PORT"
+            "--policy",
+            f"'{name}' names a dataset",
+            "an openpi server has one dataset; use openpi://HOST:PORT",
         )
     return _open_openpi(address, task)
 
@@ -107,11 +111,15 @@ def _open_openpi(address: str, task: RemoteTask) -> RemotePolicy:
     space, cameras = (server.metadata.get(name) for name in (ACTION_SPACE, CAMERAS))
     if space is None or not isinstance(cameras, list):
         raise PolicyServerError(
-            where, "does not say what its policy was trained on", "serve a config of recipes/pi05_openpi.py"
+            where,
+            "does not state on which data its policy was trained",
+            "serve a config of recipes/pi05_openpi.py",
         )
     _require_space(where, str(space), task)
     if missing := [str(name) for name in cameras if name not in task.cameras]:
-        raise ConfigError(where, f"wants the camera {missing[0]}", f"the suite has {', '.join(task.cameras)}")
+        raise ConfigError(
+            where, f"requires the camera {missing[0]}", f"the suite has {', '.join(task.cameras)}"
+        )
 
     def ask(observation: Mapping[str, Any]) -> Array:
         images = {name: observation["pixels"][name] for name in cameras}
@@ -128,7 +136,7 @@ def _open_openvla(address: str, dataset: str | None, task: RemoteTask) -> Remote
     where = f"openvla://{address}"
     _require_space(where, "ee_delta", task)
     if not task.joints <= OPENVLA_JOINTS:
-        raise ConfigError(where, f"knows {OPENVLA_JOINTS} joints, the arm has {task.joints}", "use openpi")
+        raise ConfigError(where, f"supports {OPENVLA_JOINTS} joints, the arm has {task.joints}", "use openpi")
     server = OpenvlaServer(address)
 
     def ask(observation: Mapping[str, Any]) -> Array:
@@ -161,11 +169,11 @@ def _chunk(where: str, answer: Any, size: int) -> Array:
     except ValueError:
         actions = np.zeros(0, object)
     if actions.dtype.kind not in NUMBERS:
-        raise PolicyServerError(where, "answers without actions", "is it another server?")
+        raise PolicyServerError(where, "sent a reply without actions", "is it another server?")
     if not len(actions) or actions.shape[1:] != (size,):
         raise PolicyServerError(
             where,
-            f"answers actions of shape {actions.shape}",
+            f"sent actions of shape {actions.shape}",
             f"expected (N, {size}): is it another robot's policy?",
         )
     return actions.astype(np.float64)

@@ -143,7 +143,7 @@ def require_json(path: Path) -> None:
         ConfigError: It does not end in .json.
     """
     if path.suffix != ".json":
-        raise ConfigError(path, "is no name of a suite", "expected one that ends in .json")
+        raise ConfigError(path, "is not a valid name of a suite", "expected one that ends in .json")
 
 
 def read_suite(path: Path) -> Suite:

@@ -180,7 +180,7 @@ def nearest_depth(structure: Structure, names: list[str]) -> Array:
         _, depths = structure.cameras_recon[name].project(structure.points_recon[mine])
         if not (depths > 0).any():
             raise ReconstructionError(
-                name, "sees no point of the sparse model", "take it out, or register it with more overlap"
+                name, "shows no point of the sparse model", "remove it, or register it with more overlap"
             )
         result[row] = 0.7 * np.percentile(depths[depths > 0], 1)
     return result

@@ -49,7 +49,9 @@ def choose_videos(
         chosen = [_find_stated(videos, entry) for entry in stated]
         names = [video.name for video in chosen]
         if len(set(names)) != len(names):
-            raise ConfigError("--camera", f"names two cameras alike ({', '.join(names)})", "give NAME=SOURCE")
+            raise ConfigError(
+                "--camera", f"gives two cameras the same name ({', '.join(names)})", "give NAME=SOURCE"
+            )
         return chosen
     if not videos:
         raise IncompleteCaptureError(where, "holds no video", "give a video file: --camera front=FILE")
@@ -57,8 +59,8 @@ def choose_videos(
     if not fixed:
         listed = ", ".join(video.source for video in videos)
         raise ConfigError(
-            where, f"holds only videos whose names are those of cameras on the arm: {listed}",
-            "choose one that does not move with --camera NAME=SOURCE",
+            where, f"contains only videos whose names indicate cameras on the arm: {listed}",
+            "select a fixed camera with --camera NAME=SOURCE",
         )  # fmt: skip
     names = [video.name for video in fixed]
     if len(set(names)) != len(names):
@@ -74,7 +76,7 @@ def _find_stated(videos: Sequence[RecordedVideo], entry: str) -> RecordedVideo:
     wanted = source if equals else name
     if not re.fullmatch(r"[A-Za-z0-9_-]+", name):
         raise ConfigError(
-            "--camera", f"'{name}' is no name", "use letters, digits, _ and -, as in front=SOURCE"
+            "--camera", f"'{name}' is not a valid name", "use letters, digits, _ and -, as in front=SOURCE"
         )
     for video in videos:
         if wanted in (video.source, video.name):

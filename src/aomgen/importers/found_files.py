@@ -48,13 +48,13 @@ def find_capture_files(capture: Path) -> FoundFiles:
     scan = next((name for name in ("scan", SCAN_VIDEO) if (capture / name).exists()), "")
     if not scan:
         raise MissingFileError(
-            capture / "scan", "is missing", f"bring a scan in with `aomgen import scan SOURCE {capture}`"
+            capture / "scan", "is missing", f"import a scan with `aomgen import scan SOURCE {capture}`"
         )
     log, videos = capture / JOINTS_FILE, sorted((capture / "demo").glob("*.mp4"))
     for path, known in ((log, log.is_file()), (capture / "demo" / "front.mp4", bool(videos))):
         if not known:
             raise MissingFileError(
-                path, "is missing", f"bring a recording in with `aomgen import demo SOURCE {capture}`"
+                path, "is missing", f"import a recording with `aomgen import demo SOURCE {capture}`"
             )
     (table,) = read_episode(log).tables
     joints = read_description(find_known_description(DEFAULT_ROBOT)).joints

@@ -55,7 +55,7 @@ def list_photos(source: Path) -> list[Path]:
     foreign = [item for item in files if item.suffix.lower() in FOREIGN_SUFFIXES and item.stem not in stems]
     if foreign:
         raise MalformedFileError(
-            foreign[0], "is neither JPEG nor PNG nor HEIC", "export it as JPEG, or take it out"
+            foreign[0], "is neither JPEG nor PNG nor HEIC", "export it as JPEG, or remove it"
         )
     if not photos:
         raise IncompleteCaptureError(source, "holds no photos", "give a folder of JPEG, PNG or HEIC files")

@@ -37,7 +37,7 @@ def change_scan_table(text: str, images: str, intrinsics: Intrinsics | None, pat
         changed = f"{text}{gap}[scan]\n{''.join(lines)}"
     if parse_manifest_text(changed, path) != before | {"scan": table}:
         raise ConfigError(
-            path, "has a [scan] that cannot be changed line by line", "take it out, and import again"
+            path, "has a [scan] that cannot be changed line by line", "remove it, and import again"
         )
     return changed
 

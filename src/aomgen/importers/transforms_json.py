@@ -155,7 +155,9 @@ def _read_camera(stated: dict[str, Any], path: Path, image: Path) -> ColmapCamer
     if model not in COEFFICIENTS:
         raise UnknownCameraModelError(path, model, COEFFICIENTS)
     if model == "OPENCV" and stated.get("k4"):
-        raise CalibrationError(path, "states k4 of a camera that is no fisheye", "undistort the images")
+        raise CalibrationError(
+            path, "states k4 of a camera that is not a fisheye camera", "undistort the images"
+        )
     if model == "OPENCV" and stated.get("k3"):
         model = "FULL_OPENCV"
     coefficients = COEFFICIENTS[model]

@@ -152,7 +152,7 @@ def _unpack_dataclass(kind: Any, data: Any, arrays: Mapping[str, NDArray[Any]]) 
 def _require(fits: bool, kind: Any, data: Any) -> None:
     if not fits:
         wanted = getattr(kind, "__name__", str(kind))
-        raise ValueError(f"{str(data)[:60]} is no {wanted}")
+        raise ValueError(f"{str(data)[:60]} is not a {wanted}")
 
 
 def npz_bytes(arrays: Mapping[str, NDArray[Any]], *, packed: bool = False) -> bytes:

@@ -133,7 +133,7 @@ def require_distinct(path: Path, images: list[ColmapImage]) -> list[ColmapImage]
     """Return images after a check that names and numbers are unique, and that there are some.
 
     Raises:
-        MalformedFileError: A name or number stands twice, or there is no image.
+        MalformedFileError: A name or number is listed twice, or there is no image.
     """
     if not images:
         raise MalformedFileError(path, "has no registered image", "reconstruct with more overlap and texture")
@@ -141,6 +141,6 @@ def require_distinct(path: Path, images: list[ColmapImage]) -> list[ColmapImage]
         seen = set()
         for image in images:
             if getattr(image, kind) in seen:
-                raise MalformedFileError(path, f"image {image.name!r} stands twice", REMEDY)
+                raise MalformedFileError(path, f"image {image.name!r} is listed twice", REMEDY)
             seen.add(getattr(image, kind))
     return images

@@ -52,14 +52,14 @@ def _decode(path: Path) -> NDArray[np.float32]:
             decoder = container.streams.video[0].codec_context
             decoder.options = limit
             if decoder.name not in DECODERS:
-                raise MalformedFileError(path, f"is no picture of light, but {decoder.name}", CONVERT)
+                raise MalformedFileError(path, f"is not an HDR image, but {decoder.name}", CONVERT)
             picture = next(container.decode(video=0)).to_ndarray()
     except av.error.ArgumentError as error:
         raise LimitExceededError(
             path, f"has more than {MAX_PIXELS} pixels, or names no size", SMALLER
         ) from error
     except (av.error.FFmpegError, StopIteration, IndexError) as error:
-        raise MalformedFileError(path, "is no readable picture of light", CONVERT) from error
+        raise MalformedFileError(path, "is not a readable HDR image", CONVERT) from error
     if picture.ndim != 3:
         raise MalformedFileError(path, "has no colors", CONVERT)
     return np.asarray(picture, np.float32)

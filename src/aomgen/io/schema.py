@@ -133,7 +133,7 @@ def parse_setting(text: str) -> Nested:
     name, equals, value = text.partition("=")
     parts = name.strip().split(".")
     if not equals or not value.strip() or not all(parts):
-        raise ConfigError(f"--set {text}", "is no parameter", "for example --set motion.joint.nodes=30")
+        raise ConfigError(f"--set {text}", "is not a parameter", "for example --set motion.joint.nodes=30")
     nested: Any = _list(text, value.strip()) if value.strip().startswith("[") else _number(value.strip())
     for part in reversed(parts):
         nested = {part: nested}
@@ -144,7 +144,7 @@ def _list(text: str, value: str) -> list[Any]:
     try:
         return json.loads(value)
     except json.JSONDecodeError as error:
-        raise ConfigError(f"--set {text}", f"is no list ({error})", "for example [0.0, 0.3]") from error
+        raise ConfigError(f"--set {text}", f"is not a list ({error})", "for example [0.0, 0.3]") from error
 
 
 def merge(first: Nested, second: Nested) -> Nested:

@@ -65,7 +65,7 @@ def read_spz(path: Path, *, max_gaussians: int = MAX_GAUSSIANS) -> Gaussians:
     except (OSError, EOFError, zlib.error) as error:
         raise MalformedFileError(path, f"cannot be unpacked ({error})", _REMEDY) from error
     if len(data) != count * (20 + 3 * terms):
-        raise MalformedFileError(path, f"holds not the data of {count} Gaussians", _REMEDY)
+        raise MalformedFileError(path, f"does not contain the data of {count} Gaussians", _REMEDY)
     rest = io.BytesIO(data)
 
     def take(columns: int) -> NDArray[np.uint8]:

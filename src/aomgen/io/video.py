@@ -106,7 +106,7 @@ def probe_video(path: Path) -> VideoInfo:
 def _rate(times_s: Sequence[float], path: Path) -> float:
     """Mean rate of frames from their times, [1/s]."""
     if not (len(times_s) > 1 and max(times_s) > min(times_s)):
-        raise MalformedFileError(path, "does not tell the times of its frames", "export the video again")
+        raise MalformedFileError(path, "does not state the times of its frames", "export the video again")
     return (len(times_s) - 1) / (max(times_s) - min(times_s))
 
 
@@ -146,7 +146,7 @@ def _decode(path: Path) -> Iterator[tuple[float, av.VideoFrame, FrameDisplay]]:
         except (av.error.FFmpegError, IndexError) as error:
             raise MalformedFileError(
                 path,
-                f"stops being readable after frame {count} ({error})",
+                f"is not readable after frame {count} ({error})",
                 "copy or export the video again",
             ) from error
     stored = _count_stored(path) if count < declared else declared

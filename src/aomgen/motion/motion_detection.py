@@ -92,23 +92,23 @@ class MotionEvidence:
         """Refuse a demonstration in which the part rests.
 
         Raises:
-            NoMotionError: The gripper never comes near, or the part does not move.
+            NoMotionError: The gripper never approaches the part, or the part does not move.
         """
         if not self.nearest_m <= NEAR_M:
             raise NoMotionError(
                 "demonstration video",
-                f"the hand never touches the part: it stays {100 * self.nearest_m:.0f} cm away, "
+                f"the gripper never touches the part: its distance is at least {100 * self.nearest_m:.0f} cm, "
                 f"limit {100 * NEAR_M:.0f} cm",
                 "check the 'moving' prompts, and that video and joint log show the same demonstration",
             )
         if self.log_likelihood_ratio > 0:
             return
-        pulled = f"the hand moves {1e3 * self.travel_m:.0f} mm while it is near the part"
+        pulled = f"the gripper moves {1e3 * self.travel_m:.0f} mm while it is near the part"
         if np.isfinite(self.following.sd):
             pulled += f", the part follows by {100 * max(self.following.share, 0.0):.0f} % of that"
         raise NoMotionError(
             "demonstration video",
-            f"the part does not move: {pulled}, and {100 * self.changed:.0f} % of its picture changes in between "
+            f"the part does not move: {pulled}, and {100 * self.changed:.0f} % of its pixels change in between "
             f"(likelihood ratio of a motion {np.exp(self.log_likelihood_ratio):.2g}, need 1)",
             "check that the video shows the whole motion, that the part is not locked, and the 'moving' prompts",
         )
@@ -210,15 +210,15 @@ class PartIdentification:
         if self.static.weight >= self.other.weight:
             raise WrongPromptError(
                 "prompts of the moving part",
-                f"what the hand moved is the part prompted as 'static': {near}{1e3 * self.static.gap_m:.0f} mm "
+                f"the gripper moved the part that is prompted as 'static': {near}{1e3 * self.static.gap_m:.0f} mm "
                 f"from 'static', and {changed} and {100 * self.static.changed:.0f} % of 'static'",
                 "in capture.toml, swap the boxes of 'moving' and 'static', or draw 'moving' around the door or "
                 "drawer alone",
             )
         raise WrongPromptError(
             "prompts of the moving part",
-            f"what the hand moved is neither part: {near}{1e3 * self.other.gap_m:.0f} mm from something "
-            f"unprompted, and {changed}",
+            f"the object that the gripper moved is neither part: {near}{1e3 * self.other.gap_m:.0f} mm from an "
+            f"unprompted region, and {changed}",
             "in capture.toml, draw 'moving' around the part that the robot moves and 'static' around the rest of it",
         )
 
@@ -228,7 +228,7 @@ def list_warnings(odds: float) -> list[str]:
     if odds >= MIN_ODDS:
         return []
     return [
-        f"contact and video fit the part prompted as 'moving' only {odds:.1f} times as well as anything else, "
+        f"contact and video fit the part prompted as 'moving' only {odds:.1f} times as well as any other region, "
         f"expected {MIN_ODDS:.0f}; check its boxes in capture.toml"
     ]
 

@@ -93,7 +93,7 @@ class VideoObservations:
             raise NoMotionError(
                 "demonstration video",
                 f"has {int(good.sum())} frames that can be compared, need {_LEAST_FRAMES}",
-                "check that the camera stands still and that the video shows the whole motion",
+                "check that the camera does not move and that the video shows the whole motion",
             )
         way = _way(demo, float(times[0]), float(times[-1]))
         times, images, masks = times[good], matched[good], masks[good]

@@ -29,7 +29,7 @@ def write_masks(capture_folder: Path, weights: str, progress: Progress) -> Path:
     if capture.scan_video is not None:
         raise InputError(capture.scan_video, "is a video", "give the scan as a folder of images")
     if target.exists():
-        raise ConfigError(target, "exists already", "delete it to have the masks made anew")
+        raise ConfigError(target, "exists already", "delete it to compute the masks again")
     tracker = load_tracker(find_sam2(weights))
     images = {path.name: path for path in capture.scan_images}
     with stage_folder(target) as staging:

@@ -134,7 +134,9 @@ def _require_own(folder: Path) -> None:
     made = any((folder / name).is_file() for name in (MANIFEST, STARTED))
     if folder.exists() and not made and not (folder.is_dir() and not any(folder.iterdir())):
         raise StorageError(
-            folder, "was not made by a run, which would replace it", "move it away or choose another `out`"
+            folder,
+            "was not created by a run, and this run would replace it",
+            "move it away or choose another `out`",
         )
 
 
@@ -149,7 +151,7 @@ def _check_cameras(project: Project, capture: Recording) -> None:
     if project.assets and capture.cameras[0].name == NEW_CAMERA:
         raise ConfigError(
             path,
-            f"names its first camera '{NEW_CAMERA}', as the new viewpoint of the episodes is called",
+            f"gives its first camera the name '{NEW_CAMERA}', which is reserved for the new viewpoint of the episodes",
             "give it another name",
         )
     boxes = sum(prompt.part == "robot" and len(prompt.box) == 4 for prompt in capture.prompts)
@@ -162,7 +164,7 @@ def _check_cameras(project: Project, capture: Recording) -> None:
     known = (capture.cameras[0].name, NEW_CAMERA)
     for name in project.params.get("episodes", {}).get("cameras", ()):
         if name not in known:
-            raise ConfigError("episodes.cameras", f"'{name}' is no camera", suggest(str(name), known))
+            raise ConfigError("episodes.cameras", f"'{name}' is not a camera", suggest(str(name), known))
 
 
 def _check_light(light: str) -> None:
@@ -186,7 +188,7 @@ def _check_robot_cameras(project: Project, robot: RobotModel) -> None:
     if images.get("robot_cameras") and not robot.cameras:
         raise ConfigError(
             "episodes.images.robot_cameras",
-            f"is true, but {robot.name} carries no camera",
+            f"is true, but {robot.name} has no camera",
             "add [[camera]] to a robot.toml, or leave it out",
         )
 

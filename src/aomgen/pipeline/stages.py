@@ -195,7 +195,7 @@ def run_pipeline(project: Project, display: Display, *, until: str = "", **machi
     """
     names = [stage.name for stage in STAGES]
     if until and until not in names:
-        raise ConfigError("--until", f"'{until}' is no stage", suggest(until, names))
+        raise ConfigError("--until", f"'{until}' is not a stage", suggest(until, names))
     check_params(project)
     wanted = STAGES[: names.index(until) + 1] if until else STAGES
     if machine.get("ray") and "episodes" in [stage.name for stage in wanted]:

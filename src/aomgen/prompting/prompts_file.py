@@ -30,7 +30,9 @@ def save_prompts(path: Path, prompts: Sequence[PromptSection], stated: Mapping[s
     # A guard against a library that moves what it should keep.
     kept, before = (parse_manifest_text(item, path, without=["prompts"]) for item in (changed, text))
     if kept != before | dict(stated):
-        raise MalformedFileError(path, "has tables that cannot be kept as they are", "reorder them by hand")
+        raise MalformedFileError(
+            path, "has tables that cannot be preserved", "change their order in an editor"
+        )
     write_text(path, changed)
 
 

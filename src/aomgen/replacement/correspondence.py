@@ -149,7 +149,9 @@ def opening_direction(joint: Joint, held_point: Array) -> Array:
     direction = np.cross(joint.axis, held_point - joint.origin)
     length = float(np.linalg.norm(direction))
     if not length > 1e-6:
-        raise EstimationError("joint", "the held point lies on the axis", "check the contact and the joint")
+        raise EstimationError(
+            "joint", "the held point is on the joint axis", "check the contact and the joint"
+        )
     return np.asarray(direction / length, np.float64)
 
 

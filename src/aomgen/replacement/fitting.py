@@ -81,7 +81,9 @@ def fit_asset(
     else:
         turned = opens_left(asset.joint, asset.handle_point, np.array([1.0, 0.0, 0.0])) != contact.opens_left
         if turned and not params.allow_mirror:
-            return Rejection(reason="hinge_side", detail="it opens to the other side and mirroring is off")
+            return Rejection(
+                reason="hinge_side", detail="it opens to the other side, and mirroring is not allowed"
+            )
         fitted = _fit_scale(mirror_asset(asset) if turned else asset, contact, turned, params)
     if isinstance(fitted, Rejection) or contact.direction == "opening":
         return fitted

@@ -154,7 +154,7 @@ def _part_boxes(moving: Array, held: Array, bar: int, across: int) -> tuple[Arra
     if not near.sum() >= LEAST_POINTS:
         raise EstimationError(
             "original",
-            f"{near.sum()} points stand off the part where it was held, expected {LEAST_POINTS}",
+            f"{near.sum()} points protrude from the part where it was held, expected {LEAST_POINTS}",
             "scan the handle from nearby, or name other assets",
         )
     panel[0, 2] = max(panel[0, 2], GAP_M)

@@ -83,7 +83,7 @@ def choose_viewpoint(
         if best is not None:
             return best
     raise ReconstructionError(
-        "viewpoint", "no scan camera sees the action", "name a camera in the project file"
+        "viewpoint", "the action is not visible from any scan camera", "name a camera in the project file"
     )
 
 

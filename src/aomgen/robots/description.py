@@ -121,7 +121,7 @@ def read_description(path: Path) -> RobotDescription:
     if bool(found.end_effector.site) == bool(found.end_effector.body):
         raise MalformedFileError(path, "end_effector needs a site or a body", "give one of them")
     if len({camera.name for camera in found.camera}) < len(found.camera):
-        raise MalformedFileError(path, "has two cameras of one name", "give each its own")
+        raise MalformedFileError(path, "has two cameras with one name", "give each a different name")
     return found
 
 
@@ -149,7 +149,7 @@ def find_description(model_file: Path) -> Path | None:
     named = read_description(path).model
     if (path.parent / named).resolve() != model_file.resolve():
         raise MalformedFileError(
-            path, f"describes {named}, not {model_file.name}", "keep each robot in a folder of its own"
+            path, f"describes {named}, not {model_file.name}", "keep each robot in a separate folder"
         )
     return path
 

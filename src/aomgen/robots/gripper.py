@@ -84,8 +84,8 @@ def settle_fingers(
         if not apart <= OPEN_LOOP_M:
             raise MalformedFileError(
                 path,
-                f"leaves fingers {1000 * apart:.1f} mm apart that belong together or are not where gripper.open "
-                f"and .closed want them, limit {1000 * OPEN_LOOP_M:.0f} mm",
+                f"does not reach the values of gripper.open and .closed, or does not close the loops of the fingers: "
+                f"the deviation is {1000 * apart:.1f} mm, limit {1000 * OPEN_LOOP_M:.0f} mm",
                 "correct these values, or limits and loops of the file",
             )
     return GripperTable(joint_names=chain.hand_joints, values=values, positions=np.array(positions))

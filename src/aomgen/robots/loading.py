@@ -286,7 +286,8 @@ def _closing_way(
     if not way_m >= MIN_TRAVEL_M:
         raise MalformedFileError(
             path,
-            f"brings the pads {1000 * way_m:.1f} mm nearer from open to closed, expected {1000 * MIN_TRAVEL_M:.0f} mm",
+            f"decreases the distance of the pads by {1000 * way_m:.1f} mm from open to closed, at least "
+            f"{1000 * MIN_TRAVEL_M:.0f} mm are needed",
             "exchange gripper.open and .closed, or correct the pads",
         )
     if not gaps[0][1] >= MIN_COSINE * np.linalg.norm(gaps[0]):

@@ -66,7 +66,7 @@ def install_sam2(source: Path, name: str, sha256: str, folder: Path | None = Non
         BackendError: The name cannot be a folder, a file is missing, or the digest differs.
     """
     if not NAME.fullmatch(name):
-        raise BackendError(name, "is no name for weights", "use letters, digits, dots and dashes")
+        raise BackendError(name, "is not a valid name for weights", "use letters, digits, dots and dashes")
     _check(source / WEIGHTS, sha256.lower())
     if not (source / CONFIG).is_file():
         raise BackendError(source / CONFIG, "is missing", "download it to the folder of the weights")

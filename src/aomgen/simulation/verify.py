@@ -65,7 +65,7 @@ def verify_plan(
             excess=measure_excess(travel, minimum),
         )
     if not (np.isfinite(plan.joints).all() and np.isfinite(plan.gripper).all()):
-        return Rejection(reason="not_finite", detail="an action is no number")
+        return Rejection(reason="not_finite", detail="an action is not a number")
     drive = find_drive(scene)
     if drive:
         return Rejection(reason="imposed", detail=f"{drive} moves the object's joint")

@@ -136,7 +136,7 @@ def library() -> ctypes.CDLL:
     """
     path = Path(__file__).with_name(LIBRARY_NAME)
     if not path.is_file():
-        raise BackendError(path, "the splatting engine is not there", _REMEDY)
+        raise BackendError(path, "the splatting engine is missing", _REMEDY)
     try:
         loaded = ctypes.CDLL(str(path))
         for name, (result, arguments) in _SIGNATURES.items():
@@ -146,7 +146,9 @@ def library() -> ctypes.CDLL:
         raise BackendError(path, f"the splatting engine does not load ({error})", _REMEDY) from error
     version = loaded.aomgen_abi_version()
     if version != ABI_VERSION:
-        raise BackendError(path, f"the engine speaks version {version}, expected {ABI_VERSION}", _REMEDY)
+        raise BackendError(
+            path, f"the engine has interface version {version}, expected {ABI_VERSION}", _REMEDY
+        )
     return loaded
 
 

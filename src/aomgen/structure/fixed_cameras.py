@@ -171,9 +171,9 @@ def _choose(name: str, found: dict[str, Resection]) -> tuple[tuple[str, ...], st
     if not held[more].count >= CLEAR_MAJORITY * held[fewer].count:
         raise ReconstructionError(
             where,
-            f"first frame and temporal median place it {angle_deg:.1f} deg and "
+            f"its poses from the first frame and from the temporal median are {angle_deg:.1f} deg and "
             f"{share:.0%} of its distance apart, with {first.count} and {median.count} "
-            "matches, so neither can be trusted",
+            "matches, so neither is reliable",
             f"check that the camera did not move; {remedy}",
         )
     return (more,), f"they disagree, and it has {held[more].count} matches against {held[fewer].count}"

@@ -225,12 +225,12 @@ def require_lens_fits(misfit_px: float, where: str) -> None:
     """Refuse images whose lens no model describes.
 
     Raises:
-        ReconstructionError: With the shift that is left.
+        ReconstructionError: The remaining displacement exceeds its limit.
     """
     if not misfit_px <= MAX_MISFIT_PX:
         raise ReconstructionError(
             where,
-            f"is bent in a way that no lens model explains: features lie {misfit_px:.2f} px aside at the same "
-            f"places of all images, limit {MAX_MISFIT_PX:.2f} px",
+            f"has a distortion that no lens model explains: features are displaced by {misfit_px:.2f} px "
+            f"at the same positions of all images, limit {MAX_MISFIT_PX:.2f} px",
             "record with the main lens, without fisheye, zoom, stabilisation or cropping",
         )

@@ -126,7 +126,7 @@ def require_coverage(found: list[PromptVisibility]) -> None:
         if not (best.views >= MIN_VIEWS and best.angle_deg >= MIN_ANGLE_DEG):
             raise ReconstructionError(
                 "scan",
-                f"the {part} part prompted on {best.image} is seen by {best.views} images over "
+                f"the {part} part prompted on {best.image} is visible in {best.views} images over "
                 f"{best.angle_deg:.0f} deg, at least {MIN_VIEWS} over {MIN_ANGLE_DEG:.0f} deg are needed",
                 "record it from more sides",
             )

@@ -116,7 +116,7 @@ def _require_images(count: int, repeated: int) -> None:
         raise ReconstructionError(
             "scan",
             f"has {count} images{again}, at least {MIN_IMAGES} are needed",
-            "record more images from more places",
+            "record more images from more viewpoints",
         )
 
 
@@ -160,7 +160,7 @@ def _solve(
         progress(0.97, "mapping by the other method")
     if not attempts:
         raise ReconstructionError(
-            "scan", "no two images could be related", "record with more overlap and texture"
+            "scan", "no two images could be matched", "record with more overlap and texture"
         )
     names = list(attempts)
     best = names[0]

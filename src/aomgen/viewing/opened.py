@@ -273,7 +273,7 @@ class ViewedFolder:
         """Return the run as it is now.
 
         Raises:
-            MissingFileError: The folder has vanished.
+            MissingFileError: The folder was moved or deleted.
         """
         token = self._compute_token()
         if token != self._opened.token:
@@ -282,7 +282,7 @@ class ViewedFolder:
 
     @property
     def last(self) -> OpenedRun:
-        """The run as it was opened last, which can still be drawn after its folder has vanished."""
+        """The run as it was opened last; it can be rendered even if its folder was deleted."""
         return self._opened
 
     def _find_results(self) -> Results:
@@ -297,7 +297,9 @@ class ViewedFolder:
         results, opened = self._opened.results, self._opened
         for folder in (self._folder, *([results.out] if opened.done else [])):
             if not folder.exists():
-                raise MissingFileError(folder, "has vanished", "the page still shows what was read before")
+                raise MissingFileError(
+                    folder, "was moved or deleted", "the page still shows what was read before"
+                )
         times = [
             file.stat().st_mtime_ns if (file := results.folders[stage.name] / MANIFEST).is_file() else 0
             for stage in STAGES

@@ -227,7 +227,7 @@ def test_colliders_give_way_to_what_moves(tmp_path: Path) -> None:
         (
             lambda p: (p.parent / "articulation.json").write_text('{"models": {"other": {"joints": []}}}'),
             AssetError,
-            "says nothing of chest.obj",
+            "does not describe chest.obj",
         ),
         (lambda p: p.rename(p.with_suffix(".fbx")), MalformedFileError, "suffix"),
     ],

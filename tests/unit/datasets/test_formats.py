@@ -384,7 +384,7 @@ def test_other_numbers_pictures_and_episodes_are_found(exported, folders, tmp_pa
 def test_episodes_that_are_missing_or_foreign_are_found(exported, folders, tmp_path):
     dataset = exported["hdf5"]
     assert audit_dataset(dataset, folders[:3]).faults == [
-        "episode 3 is not among the committed ones, is rejected, or is there twice"
+        "episode 3 is not committed, is rejected, or occurs twice"
     ]
     more = [*folders, commit(tmp_path, 7, 8)]
     assert audit_dataset(dataset, more).faults == [

@@ -157,7 +157,7 @@ def test_wrong_files(folder: Path, text: str, code: int, said: str) -> None:
 
 
 def test_figures_that_do_not_belong_together(folder: Path) -> None:
-    with pytest.raises(ConfigError, match="judges policy 'lerobot:act' as"):
+    with pytest.raises(ConfigError, match="evaluates policy 'lerobot:act', and so does"):
         read_twin_trials([folder / "0.85.json"] * 2)
     other = json.loads((folder / "0.4.json").read_text()) | {"suite": "6" * 64}
     (folder / "0.4.json").write_text(json.dumps(other))

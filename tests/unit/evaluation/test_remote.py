@@ -168,10 +168,10 @@ def closed_port() -> int:
 @pytest.mark.parametrize(
     ("name", "said"),
     [
-        ("openpi://localhost", "is no address of a server; expected openpi://HOST:PORT"),
-        ("openpi://localhost:70000", "is no address of a server"),
-        ("openpi://local host:80", "is no address of a server"),
-        ("openpi://me@host:80/act", "is no address of a server"),
+        ("openpi://localhost", "is not the address of a server; expected openpi://HOST:PORT"),
+        ("openpi://localhost:70000", "is not the address of a server"),
+        ("openpi://local host:80", "is not the address of a server"),
+        ("openpi://me@host:80/act", "is not the address of a server"),
         ("openpie://localhost:80", "'openpie' is unknown; did you mean 'openpi'?"),
         ("http://localhost:80", "'http' is unknown; known: openpi, openvla"),
     ],
@@ -203,7 +203,7 @@ def test_another_kind_of_server_is_told():
 @pytest.mark.parametrize(
     ("metadata", "kind", "said"),
     [
-        ({}, PolicyServerError, "does not say what its policy was trained on"),
+        ({}, PolicyServerError, "does not state on which data its policy was trained"),
         ({"action_space": "joint", "cameras": "front"}, PolicyServerError, "does not say"),
         (b"\xc1", PolicyServerError, "is not msgpack"),
         (b"\x93\x01\x02\x03", PolicyServerError, "is not a map (list)"),
@@ -258,15 +258,15 @@ def refuses_in_one_sentence(policy, where: str, said: str) -> None:
 @pytest.mark.parametrize(
     ("answer", "said"),
     [
-        ({}, "answers without actions"),
-        ({"actions": "none"}, "answers without actions"),
-        ({"actions": [[1.0], [1.0, 2.0]]}, "answers without actions"),
-        ({"actions": msgpack_array(CHUNK[:, :6])}, "answers actions of shape (5, 6); expected (N, 7)"),
-        ({"actions": msgpack_array(CHUNK[None])}, "answers actions of shape (1, 5, 7)"),
-        ({"actions": msgpack_array(CHUNK[:0])}, "answers actions of shape (0, 7)"),
+        ({}, "sent a reply without actions"),
+        ({"actions": "none"}, "sent a reply without actions"),
+        ({"actions": [[1.0], [1.0, 2.0]]}, "sent a reply without actions"),
+        ({"actions": msgpack_array(CHUNK[:, :6])}, "sent actions of shape (5, 6); expected (N, 7)"),
+        ({"actions": msgpack_array(CHUNK[None])}, "sent actions of shape (1, 5, 7)"),
+        ({"actions": msgpack_array(CHUNK[:0])}, "sent actions of shape (0, 7)"),
         ({"actions": LIE}, "is not msgpack (an array of shape (5, 8) and float32 has 140 bytes)"),
-        ({"actions": WORDS}, "is not msgpack (an array of |S4 is none of numbers)"),
-        ({"actions": OBJECTS}, "is not msgpack (an array of object is none of numbers)"),
+        ({"actions": WORDS}, "is not msgpack (an array of |S4 is not numeric)"),
+        ({"actions": OBJECTS}, "is not msgpack (an array of object is not numeric)"),
         ({"actions": {b"__ndarray__": True}}, "is not msgpack"),
         (b"\xc1", "is not msgpack"),
         (b"", "is not msgpack"),
@@ -285,11 +285,11 @@ def test_wrong_answers_of_openpi_are_one_sentence(answer, said):
 @pytest.mark.parametrize(
     ("answer", "said"),
     [
-        ("error", "failed: it says 'error'; see its log"),
-        ({"detail": "no"}, "answers without actions"),
-        (None, "answers without actions"),
-        ([], "answers actions of shape (1, 0)"),
-        (json_array(CHUNK[0, :6]), "answers actions of shape (1, 6); expected (N, 7)"),
+        ("error", "failed with the message 'error'; see its log"),
+        ({"detail": "no"}, "sent a reply without actions"),
+        (None, "sent a reply without actions"),
+        ([], "sent actions of shape (1, 0)"),
+        (json_array(CHUNK[0, :6]), "sent actions of shape (1, 6); expected (N, 7)"),
         (
             {**json_array(CHUNK[0]), "shape": [8]},
             "is not JSON (an array of shape (8,) and float32 has 28 bytes)",
@@ -299,7 +299,7 @@ def test_wrong_answers_of_openpi_are_one_sentence(answer, said):
         ({"__numpy__": ""}, "is not JSON"),
         (b"<html>", "is not JSON"),
         (b"[" * 100_000, "is not JSON"),
-        (500, "answers HTTP 500 to POST /act"),
+        (500, "replied with HTTP 500 to POST /act"),
     ],
 )
 def test_wrong_answers_of_openvla_are_one_sentence(answer, said):

@@ -80,7 +80,7 @@ def test_the_seed_of_the_training_is_refused(toy: ToyResults, tmp_path: Path) ->
 
 
 def test_unknown_cameras_are_refused(toy: ToyResults, tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match=r"'frnt' is no camera of this run; did you mean 'front'\?"):
+    with pytest.raises(ConfigError, match=r"'frnt' is not a camera of this run; did you mean 'front'\?"):
         make_suite(toy, tmp_path / "s.json", SuiteRequest(cameras=("frnt",)), 1, silent)
     assert list(tmp_path.iterdir()) == []
 
@@ -92,7 +92,9 @@ def test_the_robots_own_cameras_are_in_a_suite_that_names_them(toy: ToyResults, 
     front = toy.episode_scene.cameras["front"]
     assert suite.cameras == {"wrist": carried, "front": front}
     assert suite.drawn_size == (front.width, front.height)
-    with pytest.raises(ConfigError, match=r"names only what the robot carries; name one of front, .* too"):
+    with pytest.raises(
+        ConfigError, match=r"selects only cameras on the robot; name one of front, .* as well"
+    ):
         make_suite(toy, tmp_path / "t.json", replace(request, cameras=("wrist",)), 1, silent)
 
 

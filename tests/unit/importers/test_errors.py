@@ -141,7 +141,7 @@ def test_topics(target: Path, tmp_path: Path, short: Demonstration):
     )
     refuse(path, target, IncompleteCaptureError, "holds no video; give a video file: --camera front=FILE")
     refuse(path, target, UnknownNameError, "'/front' is unknown", cameras=("front=/front",))
-    refuse(path, target, ConfigError, "'a b' is no name", cameras=("a b=/front",))
+    refuse(path, target, ConfigError, "'a b' is not a valid name", cameras=("a b=/front",))
 
 
 def test_two_robots_in_one_topic(target: Path, tmp_path: Path, short: Demonstration):
@@ -204,7 +204,7 @@ def test_cameras_that_move_or_share_a_name(target: Path, tmp_path: Path, short: 
         bag.write_jpeg("/front/image_raw/compressed", 0.0, short.frames[0])
     refuse(tmp_path / "both", target, ConfigError, "several videos of one camera", "--camera NAME=SOURCE")
     twice = ("a=/front/image_raw", "a=/front/image_raw/compressed")
-    refuse(tmp_path / "both", target, ConfigError, "names two cameras alike (a, a)", cameras=twice)
+    refuse(tmp_path / "both", target, ConfigError, "gives two cameras the same name (a, a)", cameras=twice)
 
 
 def test_video_files_without_frames(target: Path, tmp_path: Path, log: Path):

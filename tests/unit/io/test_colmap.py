@@ -183,7 +183,7 @@ def test_names_stay_inside(tmp_path: Path, name: str) -> None:
         ("images.bin", 12, struct.pack("<4d", 0, 0, 0, 0), NonFiniteError, "pose"),
         ("images.bin", 12, struct.pack("<d", np.inf), NonFiniteError, "pose"),
         ("images.bin", 72, b"\xff", MalformedFileError, "UTF-8"),
-        ("images.bin", 72, b"a.png", MalformedFileError, "stands twice"),
+        ("images.bin", 72, b"a.png", MalformedFileError, "is listed twice"),
         ("points3D.bin", 16, struct.pack("<d", np.nan), NonFiniteError, "point"),
         ("points3D.bin", 51, struct.pack("<Q", 2**61), MalformedFileError, "promises"),
     ],

@@ -53,7 +53,7 @@ def test_what_does_not_fit_is_refused(setting, message):
 
 @pytest.mark.parametrize("text", ["motion.joint.nodes", "=3", "motion..nodes=3", "motion.nodes="])
 def test_a_setting_needs_a_name_and_a_value(text):
-    with pytest.raises(ConfigError, match="is no parameter"):
+    with pytest.raises(ConfigError, match="is not a parameter"):
         parse_setting(text)
 
 

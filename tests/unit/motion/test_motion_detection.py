@@ -53,10 +53,14 @@ def test_a_hand_that_only_closes_does_not_pull() -> None:
 
 
 def test_refusals_name_their_reason() -> None:
-    with pytest.raises(NoMotionError, match="the hand never touches the part: it stays 25 cm away"):
+    with pytest.raises(
+        NoMotionError, match="the gripper never touches the part: its distance is at least 25 cm"
+    ):
         signs(0.5, near=0.25).check()
     locked = signs(0.03, FollowingEstimate(share=0.02, sd=0.01), travel=0.3)
-    with pytest.raises(NoMotionError, match=r"the hand moves 300 mm .* follows by 2 % .* 3 % of its picture"):
+    with pytest.raises(
+        NoMotionError, match=r"the gripper moves 300 mm .* follows by 2 % .* 3 % of its pixels"
+    ):
         locked.check()
     signs(0.4, FollowingEstimate(share=0.8, sd=0.01)).check()
 
@@ -203,7 +207,7 @@ def test_swapped_prompts_are_refused_with_what_to_do(grips: bool) -> None:
     with pytest.raises(WrongPromptError, match="swap the boxes") as caught:
         moved.check()
     assert str(caught.value) == (
-        "prompts of the moving part: what the hand moved is the part prompted as 'static': the fingers closed "
+        "prompts of the moving part: the gripper moved the part that is prompted as 'static': the fingers closed "
         "40 mm from 'moving' and 3 mm from 'static', and the video changed 0 % of 'moving' and 100 % of "
         "'static'; in capture.toml, swap the boxes of 'moving' and 'static', or draw 'moving' around the door "
         "or drawer alone"
@@ -236,7 +240,7 @@ def test_doubtful_prompts_are_told() -> None:
     moved.check()
     assert moved.odds == pytest.approx(1.0)
     assert list_warnings(moved.odds) == [
-        "contact and video fit the part prompted as 'moving' only 1.0 times as well as anything else, expected 2; "
+        "contact and video fit the part prompted as 'moving' only 1.0 times as well as any other region, expected 2; "
         "check its boxes in capture.toml"
     ]
     assert list_warnings(MIN_ODDS) == []

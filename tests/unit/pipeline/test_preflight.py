@@ -135,9 +135,9 @@ def test_the_paper_s_alignment_needs_two_boxes(small_copy, tmp_path):
 
 
 EPISODES = {
-    "unknown camera": ({"cameras": ["font"]}, "'font' is no camera; did you mean 'front'"),
-    "nothing like a camera": ({"cameras": ["x"]}, "'x' is no camera; known: front, side"),
-    "robot without cameras": ({"images": {"robot_cameras": True}}, "carries no camera; add"),
+    "unknown camera": ({"cameras": ["font"]}, "'font' is not a camera; did you mean 'front'"),
+    "nothing like a camera": ({"cameras": ["x"]}, "'x' is not a camera; known: front, side"),
+    "robot without cameras": ({"images": {"robot_cameras": True}}, "has no camera; add"),
 }
 
 

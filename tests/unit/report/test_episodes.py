@@ -119,7 +119,7 @@ def test_rejects_are_grouped_by_reason_with_pair_and_limit(results: Results) -> 
         "detail": detail,
         "variation": VARIATION,
     }
-    missed = {**collision, "reason": "unreachable", "detail": "7.8 mm and 0.8 deg from the asked pose"}
+    missed = {**collision, "reason": "unreachable", "detail": "7.8 mm and 0.8 deg from the requested pose"}
     hidden = {**collision, "outcome": "skipped", "reason": "out_of_view", "detail": "camera front shows 40 %"}
     good = {**collision, "outcome": "committed", "reason": "", "detail": ""}
     results.folders["episodes"].mkdir()

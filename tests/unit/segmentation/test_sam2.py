@@ -127,7 +127,7 @@ def test_changed_or_lost_weights_are_refused(tmp_path, file):
 @pytest.mark.parametrize("name", ["", "..", "a/b", "../a", ".hidden", "a" * 65])
 def test_a_name_stays_inside_the_folder(tmp_path, name):
     source = plain_weights(tmp_path / "source")
-    with pytest.raises(BackendError, match="is no name for weights"):
+    with pytest.raises(BackendError, match="is not a valid name for weights"):
         install_sam2(source, name, digest(source / "model.safetensors"), tmp_path)
 
 

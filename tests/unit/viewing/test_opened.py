@@ -86,7 +86,7 @@ def test_a_run_that_has_vanished_is_named_and_still_drawn(toy_run_copy):
     first = viewed.open()
     assert first.scene(RECORDING) is not None
     shutil.rmtree(toy_run_copy)
-    with pytest.raises(MissingFileError, match="vanished"):
+    with pytest.raises(MissingFileError, match="moved or deleted"):
         viewed.open()
     assert viewed.last is first
 
