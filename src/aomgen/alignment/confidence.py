@@ -1,9 +1,9 @@
-"""Confirmation of rendered contours by image edges and colors, and the shifts that would fit better.
+"""Confirmation of rendered contours by image edges and colors, and the shifts that would improve their fit.
 
-A share of confirmed points means little by itself: clutter confirms contours that lie anywhere. So
-each contour is also moved aside in its own image; what is confirmed there estimates chance. The rotation of the
-last joint hardly moves the contour of anything but the gripper, which then leaves the search reach, and part of
-whose contour is confirmed by chance; so other rotations are rendered, too.
+The share of confirmed points alone is not sufficient evidence, because clutter confirms contours at any position.
+Therefore each contour is also shifted within its image; the share that is confirmed there estimates chance. A
+rotation of the last joint moves only the contour of the gripper, beyond the search range, and a part of this contour
+is confirmed by chance. Therefore other rotations of this joint are rendered as well.
 """
 
 from dataclasses import dataclass, replace
@@ -33,18 +33,18 @@ from aomgen.conventions import luma_from_srgb
 from aomgen.core.camera import camera_in_world
 from aomgen.core.values import Array, freeze_arrays
 
-# A point is confirmed by an edge this near and this strong, and by a color border this near.
+# Largest distance and least strength of an edge that confirms a point, and largest distance of a color border.
 NEAR_EDGE_PX, MIN_STEP, NEAR_BORDER_PX = 2.0, 0.02, 3.0
 REACH_PX, BORDER_REACH_PX = 8, 16
-# Outlines are moved aside by this share of the image's width: far beyond the reach, near enough
-# to cross the same surroundings.
+# Shift of the outlines that estimate chance, as a share of the image width: larger than the search range, but small
+# enough that they cross the same surroundings.
 ASIDE = 0.06
-# Beyond the reach of edges, and close enough together that one of them is near any turn. A parallel
-# gripper looks alike after half a turn.
+# Rotations beyond the search range of edges, and close enough to each other that one of them is near any rotation. A
+# parallel gripper has the same outline after a rotation by 180 degrees.
 TURNS_DEG = (-60.0, -30.0, -15.0, 15.0, 30.0, 60.0, 90.0)
 # Standard deviations by which a rotated wrist must fit better, so that chance does not report one.
 CLEAR_SDS = 3.0
-# Segments with fewer contour points are not judged; ten neighbours count as one.
+# Segments with fewer contour points are not evaluated; ten neighboring points count as one.
 MIN_SEGMENT_POINTS = 100
 
 
@@ -54,13 +54,13 @@ class ViewEvidence:
 
     Attributes:
         segments: Number (C,) of arm joints that move the body at each point.
-        by_chance: (D,) bool, the same for those points that stay in the image moved aside.
-        edge_px, edge_weights: Signed shift outwards to the image's edge (C,), and its weight.
-        border_px, border_weights: The same for the border between two colors, farther reaching.
+        by_chance: (D,) bool, whether the points that remain in the image after the shift are confirmed.
+        edge_px, edge_weights: Signed outward distance to the image edge (C,), and its weight.
+        border_px, border_weights: The same for the border between two colors, with a larger search range.
         jacobian: (C, 7), see `shift_jacobian`, about the end effector.
-        joint_jacobian: (C, J), shift of the outline for a turn of each joint, [px/rad].
-        camera_jacobian: (C, 6), the shift that an error of the camera looks like: centre [m], then
-            rotation vector [rad], world frame.
+        joint_jacobian: (C, J), shift of the outline for a rotation of each joint, [px/rad].
+        camera_jacobian: (C, 6), shift of the outline for an error of the camera: center [m], then rotation
+            vector [rad], world frame.
     """
 
     name: str
@@ -132,7 +132,7 @@ def _find_confirmed(
 
 
 def _move_aside(drawn: RenderedRobot, number: int, width: int) -> RenderedRobot:
-    """The same outline elsewhere in the image; directions differ from view to view."""
+    """Shift an outline within the image; the direction of the shift differs between views."""
     golden = number * np.pi * (3 - np.sqrt(5))
     shift = np.round(ASIDE * width * np.array([np.cos(golden), np.sin(golden)]))
     contour = replace(drawn.contour, pixels=drawn.contour.pixels + shift)
@@ -142,13 +142,13 @@ def _move_aside(drawn: RenderedRobot, number: int, width: int) -> RenderedRobot:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Confirmation:
-    """Shares of outline points that images confirm.
+    """Shares of outline points that the images confirm.
 
     Attributes:
-        support: Of all points, 0..1.
-        chance: Of the outlines moved aside, 0..1.
-        lift_of_segment: Support beyond chance, as share of what was left to confirm, for every
-            segment of the arm (number of joints that move it) with enough points.
+        support: Confirmed share of all points, 0..1.
+        chance: Confirmed share of the shifted outlines, 0..1.
+        lift_of_segment: Support beyond chance divided by one minus chance, for every segment of the arm (number of
+            joints that move it) with enough points.
     """
 
     support: float
@@ -157,12 +157,12 @@ class Confirmation:
 
     @property
     def lift(self) -> float:
-        """Support of the whole robot beyond chance, 0 = as clutter would, 1 = everything."""
+        """Support of the whole robot beyond chance; 0 is the support by clutter, 1 is full support."""
         return (self.support - self.chance) / (1 - self.chance)
 
 
 def confirmation(evidence: list[ViewEvidence]) -> Confirmation:
-    """Pool the evidence of all views; nothing is confirmed where there is none."""
+    """Pool the evidence of all views; without evidence the support is zero."""
     if not evidence:
         return Confirmation(support=0.0, chance=0.0, lift_of_segment={})
     confirmed = np.concatenate([view.confirmed for view in evidence])
@@ -189,14 +189,14 @@ def find_wrist_rotation(
     The gripper is rendered at several rotations, and the confirmed shares of its contour are compared.
 
     Args:
-        drawing: Draws the robot as logged.
-        logged: Evidence for the robot as logged; of these views and perhaps more.
+        drawing: Renders the robot at its logged joint values.
+        logged: Evidence for the logged joint values, from these views and possibly others.
 
     Returns:
-        The rotation relative to the log, [rad], and the gain in the confirmed share; None where the images do
+        The rotation relative to the log, [rad], and the gain in the confirmed share; None if the images do
         not contradict the log.
 
-    Not checked: the last joint turns (one that slides finds no better turn).
+    Not checked: the last joint is assumed to be revolute (for a prismatic one the result is None).
     """
     gripper = len(drawing.configuration.joints)
     names = {view.name for view in views}

@@ -14,21 +14,21 @@ from aomgen.core.transforms import transform
 from aomgen.core.values import Array
 from aomgen.errors import AssetError
 
-# "nob" is how some makers spell it.
+# "nob" is a spelling in some models.
 HANDLE_WORDS: Final = ("handle", "knob", "nob", "grip", "pull")
 # A handle protrudes from the part by at least this, [m].
 LEAST_PROTRUSION_M: Final = 0.008
-# Fingers hold a knob from both sides where it protrudes by this, [m].
+# A knob that protrudes by at least this can be held from both sides, [m].
 LEAST_PINCH_M: Final = 0.015
-# A handle covers less than this share of the front it is on.
+# A handle covers less than this share of its front.
 MOST_AREA: Final = 0.25
-# A hinged part's handle lies in the outer share of its reach.
+# The handle of a hinged part is in this outer share of its extent.
 OUTER_SHARE: Final = 0.5
 # A collider within this of a named mesh belongs to it, [m].
 NEAR_NAMED_M: Final = 0.005
-# Colliders whose heights differ by less are equally far out, [m]; of them, this number is tried as the held bar.
+# Colliders whose heights differ by less protrude equally, [m]; this number of them is tested as the held bar.
 SAME_HEIGHT_M, MOST_BARS = 0.004, 3
-# A part thinner than this can be held at its rim, of which so much is its handle, [m].
+# Largest thickness of a part that can be held at its rim, and depth of the rim that serves as the handle, [m].
 MAX_RIM_M, RIM_DEPTH_M = 0.05, 0.03
 # A box axis within 37 degrees of the opening direction is the normal of the front.
 SAME_DIRECTION: Final = 0.8
@@ -38,7 +38,7 @@ PREFIX: Final = "handle"
 
 
 def opening_direction(link: AssetLink, joint: Joint) -> Array:
-    """Unit direction (3,) in which the middle of the moving link starts to move."""
+    """Compute the unit direction (3,) in which the middle of the moving link starts to move."""
     if joint.type == "prismatic":
         return joint.axis
     points = np.concatenate([mesh.vertices for mesh in link.meshes])
@@ -53,23 +53,23 @@ def opening_direction(link: AssetLink, joint: Joint) -> Array:
 
 
 def find_handle(asset: ArticulatedAsset) -> ArticulatedAsset:
-    """The closed asset with the handle's colliders named so, `handle_point` in the middle of the held one and `handle_axis` along it.
+    """Name the handle colliders of a closed asset, and set `handle_point` and `handle_axis` to the held collider.
 
-    Colliders that are named like a handle, or lie in a mesh named so, come first, then all that protrude
-    from the largest front in the opening direction, then from the sides, as handles of sliding doors do, then
-    the rim of a thin part far from its hinge. Of the first front with a handle that a gripper can hold, a bar
-    with room behind it is preferred to a knob that is held from both sides. Where nothing can be held, the
-    first candidate is taken, and `check_handle` says why.
+    The candidates are, in this order: colliders that are named like a handle or are inside of a mesh with such a name,
+    colliders that protrude from the largest front in the opening direction, colliders that protrude from the sides (as
+    handles of sliding doors do), and the rim of a thin part far from its hinge. On the first front with a handle that a
+    gripper can hold, a bar with clearance behind it is preferred to a knob that is held from both sides. If no
+    candidate can be held, the first one is used, and `check_handle` states the reason.
 
     Raises:
-        AssetError: Nothing protrudes, and the part has no rim.
+        AssetError: No collider protrudes, and the part has no rim.
     """
     link, joint = asset.moving, asset.joint
     named = _find_named(link)
     first: ArticulatedAsset | None = None
     for names in [named, []] if named else [[]]:
         opening, *across = [_protruding(link, joint, front, names) for front in _fronts(link, joint)]
-        # A sliding door's handle is on the side from which most protrudes.
+        # The handle of a sliding door is on the side with the largest protrusion.
         across.sort(key=lambda found: -max((deep for _, _, deep in found), default=0.0))
         for found in (opening, *across):
             bars = [_with_handle(asset, handle, bar) for handle, bar, _ in found]
@@ -95,7 +95,7 @@ def find_handle(asset: ArticulatedAsset) -> ArticulatedAsset:
 
 
 def _with_handle(asset: ArticulatedAsset, handle: Sequence[int], bar: int) -> ArticulatedAsset:
-    """The asset with some colliders, by index, named as its handle, of which one is held."""
+    """Name colliders (given by index) as the handle of an asset, and set which of them is held."""
     boxes = list(asset.moving.colliders)
     for index in handle:
         boxes[index] = replace(boxes[index], name=f"{PREFIX}_{boxes[index].name}")
@@ -109,10 +109,10 @@ def _with_handle(asset: ArticulatedAsset, handle: Sequence[int], bar: int) -> Ar
 
 
 def _on_its_front(asset: ArticulatedAsset, handle: Sequence[int], bar: int, deep: float) -> ArticulatedAsset:
-    """As `_with_handle`, with the held collider reaching down to the front, so that it is held from both sides.
+    """Do the same as `_with_handle`, and extend the held collider to the front, so that it can be held from both sides.
 
     Args:
-        deep: How far it protrudes from the front, [m].
+        deep: Protrusion of the collider from the front, [m].
     """
     held = _with_handle(asset, handle, bar)
     box = held.moving.colliders[bar]
@@ -128,7 +128,7 @@ def _on_its_front(asset: ArticulatedAsset, handle: Sequence[int], bar: int, deep
 
 
 def state_handle(link: AssetLink, low: Array, high: Array) -> AssetLink:
-    """The link with one more collider, named as its handle: the box around its surface between two corners (3,), [m].
+    """Add a handle collider to a link: the box around its surface between two corners (3,), [m].
 
     Raises:
         AssetError: The box contains no surface of the link.
@@ -153,7 +153,7 @@ def state_handle(link: AssetLink, low: Array, high: Array) -> AssetLink:
 
 
 def _find_named(link: AssetLink) -> list[int]:
-    """Indices of the colliders that are named like a handle, or lie in a mesh named so."""
+    """Return the indices of colliders that are named like a handle or are inside of a mesh with such a name."""
     bounds = [
         (mesh.vertices.min(0) - NEAR_NAMED_M, mesh.vertices.max(0) + NEAR_NAMED_M)
         for mesh in link.meshes
@@ -172,7 +172,7 @@ def _is_named(name: str) -> bool:
 
 
 def _fronts(link: AssetLink, joint: Joint) -> list[Array]:
-    """Unit normals (3,) of the faces that may carry the handle, the likeliest first."""
+    """Return unit normals (3,) of the faces that may carry the handle, the most probable first."""
     direction = opening_direction(link, joint)
     axes = link.colliders[_largest(link)].T_asset_box[:3, :3].T
     along = axes @ direction
@@ -185,15 +185,16 @@ def _fronts(link: AssetLink, joint: Joint) -> list[Array]:
 
 
 def _largest(link: AssetLink) -> int:
-    """Index of the collider with the largest face."""
+    """Return the index of the collider with the largest face."""
     return int(np.argmax([np.sort(box.half_extents)[1:].prod() for box in link.colliders]))
 
 
 def _protruding(
     link: AssetLink, joint: Joint, front: Array, named: Sequence[int]
 ) -> list[tuple[list[int], int, float]]:
-    """Indices of the colliders that stand off the largest one along a direction, with each that may be held and its
-    protrusion, [m].
+    """Return the indices of colliders that protrude from the largest one along a direction, and candidates for holding.
+
+    Each candidate is a collider with its protrusion, [m].
     """
     sides = np.linalg.svd(front[None])[2][1:]
     spans = np.array([[_span(box, axis) for axis in (front, *sides)] for box in link.colliders])
@@ -218,20 +219,20 @@ def _protruding(
         return []
     heights = np.round(spans[handle, 0].mean(1) / SAME_HEIGHT_M)
     lengths = np.array([link.colliders[index].half_extents.max() for index in handle])
-    # The outermost first, of several the longest.
+    # Sorted by height, then by length, both descending.
     order = np.lexsort((-lengths, -heights))[:MOST_BARS]
     return [(handle.tolist(), int(handle[place]), float(spans[handle[place], 0, 1] - top)) for place in order]
 
 
 def _span(box: BoxCollider, axis: Array) -> tuple[float, float]:
-    """Lowest and highest coordinate of a box along a direction."""
+    """Compute the lowest and highest coordinate of a box along a direction."""
     middle = float(box.T_asset_box[:3, 3] @ axis)
     half = float(np.abs(box.T_asset_box[:3, :3].T @ axis) @ box.half_extents)
     return middle - half, middle + half
 
 
 def _at_rim(asset: ArticulatedAsset) -> list[ArticulatedAsset]:
-    """The asset held at the strip of its largest collider that is farthest from the hinge; empty for thick or sliding parts."""
+    """Set the handle to the strip of the largest collider farthest from the hinge; empty for thick or sliding parts."""
     link, joint = asset.moving, asset.joint
     index = _largest(link)
     box = link.colliders[index]

@@ -1,9 +1,10 @@
-"""The usual grasp, which all demonstrations of a category approximate so that policies can learn from them.
+"""Choice of the usual grasp, which all demonstrations of a category approximate so that policies can learn from them.
 
-Many grasps work for a draw, and each works for some draws only. The grasp nearest to the demonstrated one
-differs from draw to draw: 150 demonstrations of a microwave would use 26 grasps, the most frequent one 46
-times, and a policy would learn their mean. All objects of a category share the grasp: how another microwave
-is held is not visible, so a policy that learned from several objects would learn the mean of their grasps.
+For a sample many grasps are feasible, and each grasp is feasible for some samples only. The feasible grasp nearest to
+the demonstrated one differs between samples: 150 demonstrations of a microwave would use 26 grasps, the most frequent
+one 46 times, and a policy would learn their mean. All objects of a category share the usual grasp, because the grasp of
+an object is not visible in its image: a policy that is trained with several objects would learn the mean of their
+grasps.
 """
 
 from collections.abc import Callable, Sequence
@@ -17,24 +18,23 @@ from numpy.typing import NDArray
 from aomgen.core.values import Array
 from aomgen.episodes.grasps import Grasp, difference
 
-# Number of draws that determine the usual grasp; with many objects fewer suffice for each,
-# but at least this many.
+# Number of samples that determine the usual grasp, and the least number for each of several objects.
 DRAWS, LEAST_DRAWS = 24, 4
 # Folder of the choices, one file per category, in the folder of all episodes.
 GRASPS_FOLDER: Final = "grasps"
 
-# A grasp in one draw, and the test whether an episode can be planned with it.
+# A grasp for one sample, and the test whether an episode can be planned with it.
 GraspTest = tuple[Grasp, Callable[[], bool]]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class GraspChoice:
-    """Usual grasp of a category's objects.
+    """Usual grasp of the objects of a category.
 
     Attributes:
-        usual: The grasp; None if no grasp works.
-        mean_rad: Mean difference of the draws' grasps from it, see `grasps.difference`.
-        draws: Number of draws that were examined.
+        usual: The grasp; None if no grasp is feasible.
+        mean_rad: Mean difference between it and the most similar feasible grasps, see `grasps.difference`.
+        draws: Number of samples that were examined.
     """
 
     usual: Grasp | None
@@ -43,19 +43,19 @@ class GraspChoice:
 
 
 def draws_of(objects: int) -> int:
-    """Return how many draws of each object are examined for a number of objects."""
+    """Return the number of samples that are examined for each of several objects."""
     return max(LEAST_DRAWS, DRAWS // objects)
 
 
 def choose_grasp(draws: Sequence[Sequence[GraspTest]]) -> GraspChoice:
-    """Choose the grasp with the smallest mean difference to the most similar working grasp of each draw.
+    """Choose the grasp with the smallest mean difference to the most similar feasible grasp of each sample.
 
-    The search is best-first: it takes the candidate that would be the best if all untested grasps worked, and tests the
-    grasps that its mean depends on, until the mean of such a candidate is known. Most grasps are never tested.
+    The search is best-first: it selects the candidate that would be the best if all untested grasps were feasible, and
+    tests the grasps that determine its mean, until the mean of the best candidate is known. Most grasps are not tested.
 
     Args:
-        draws: Grasps of every draw in order of preference; among equal candidates the first one is chosen. A draw
-            in which no grasp works does not count.
+        draws: Grasps of every sample in order of preference; among equal candidates the first one is chosen. Samples
+            without a feasible grasp are ignored.
     """
     candidates: dict[tuple[float, ...], Grasp] = {}
     for grasp, _ in chain.from_iterable(draws):
@@ -65,10 +65,10 @@ def choose_grasp(draws: Sequence[Sequence[GraspTest]]) -> GraspChoice:
     apart = np.array([[difference(a, b) for b in grasps] for a in grasps])
 
     def measure(row: NDArray[np.bool_]) -> Array:
-        """Difference of all candidates (C,) from the most similar of some of them."""
+        """Compute the difference of all candidates (C,) from the most similar one of a selection."""
         return np.asarray(apart[:, row].min(1) if row.any() else np.zeros(len(row)), np.float64)
 
-    # Grasps (D, C) that have not failed, and those that have been tested and work.
+    # Grasps (D, C) that have not failed, and grasps that have been tested and are feasible.
     possible = np.array([[number in row for number in range(len(grasps))] for row in tests], bool)
     works, useful = np.zeros_like(possible), np.ones(len(grasps), bool)
     nearest = np.array([measure(row) for row in possible])
@@ -90,5 +90,5 @@ def choose_grasp(draws: Sequence[Sequence[GraspTest]]) -> GraspChoice:
 
 
 def _key(grasp: Grasp) -> tuple[float, ...]:
-    """Identify equal grasps of different draws."""
+    """Return a key that is equal for equal grasps of different samples."""
     return (*grasp.R_object_ee.ravel().round(3), round(grasp.turn_ratio, 3))

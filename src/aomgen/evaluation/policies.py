@@ -1,4 +1,4 @@
-"""Policies that are judged in the twin, and those without learning that they are held against."""
+"""Interface of the policies that are evaluated in the twin, and baselines without learning."""
 
 from pathlib import Path
 from typing import Any, Final, Protocol
@@ -30,23 +30,23 @@ POLICIES: Final = (
 
 
 class Policy(Protocol):
-    """Chooses actions; the same for all trials of a suite."""
+    """Policy that selects actions; one object serves all trials of a suite."""
 
     def reset(self, rollout: Rollout) -> None:
-        """Begin a trial. Only what knows the truth on purpose looks into it."""
+        """Begin a trial. Only oracle baselines may read the true state of the rollout."""
         ...
 
     def looks(self, frame: int) -> bool:
-        """Return whether the policy takes images at a frame; rendering takes most of the time."""
+        """Return whether the policy uses images at a frame; rendering takes most of the time."""
         ...
 
     def act(self, observation: dict[str, Any]) -> Array:
-        """The action (D,) for an observation, whose "pixels" are there where it looks."""
+        """Return the action (D,) for an observation, which contains "pixels" if `looks` returned True."""
         ...
 
 
 class OracleReplay:
-    """The plan of the trial's own pose: what the demonstrations of a perfect memory would do."""
+    """Replay of the plan for the true pose of the trial."""
 
     def __init__(self, world: World) -> None:
         self._world = world
@@ -62,7 +62,7 @@ class OracleReplay:
         return False
 
     def act(self, observation: dict[str, Any]) -> Array:
-        """The plan's next action."""
+        """Return the next action of the plan."""
         if self._plan is None:
             raise ValueError("act was called before reset")
         action = choose_planned_action(self._plan, self._frame, self._world.suite.action_space)
@@ -71,7 +71,7 @@ class OracleReplay:
 
 
 def choose_planned_action(plan: EpisodePlan, frame: int, space: ActionSpace) -> Array:
-    """The action of a plan at a frame, which names what is to be reached at the next; after the end, where to stay."""
+    """Return the action of a plan at a frame: the target for the next frame, after the end the final target."""
     now, ahead = (min(row, len(plan) - 1) for row in (frame, frame + 1))
     target, gripper = plan.Ts_world_ee[ahead], plan.gripper[ahead]
     if space == "joint":
@@ -82,11 +82,11 @@ def choose_planned_action(plan: EpisodePlan, frame: int, space: ActionSpace) -> 
 
 
 class NearestReplay:
-    """The recorded actions of the training episode whose object stands nearest to the trial's.
+    """Replay of the recorded actions of the training episode with the object pose nearest to that of the trial.
 
     Args:
-        world: Of the trials.
-        training: A run, all of whose episodes are looked at, or a dataset of the suite's run.
+        world: World of the trials.
+        training: A run, of which all episodes are used, or a dataset of the suite's run.
 
     Raises:
         MissingFileError: There is no episode.
@@ -120,17 +120,17 @@ class NearestReplay:
         return False
 
     def act(self, observation: dict[str, Any]) -> Array:
-        """The episode's next action, at last its last one."""
+        """Return the next action of the episode; after its end, the last one."""
         self._frame += 1
         return self._actions[min(self._frame, len(self._actions)) - 1]
 
 
 def open_policy(name: str, world: World) -> Policy:
-    """A policy by its name on the command line.
+    """Create a policy from its name on the command line.
 
     Raises:
         ConfigError: There is no such policy, or it does not fit the suite.
-        AomgenError: What belongs to it is missing or damaged.
+        AomgenError: A file or server of the policy is missing or damaged.
     """
     suite = world.suite
     if name.startswith(LEROBOT):
@@ -153,7 +153,7 @@ def open_policy(name: str, world: World) -> Policy:
 
 
 def policy_digest(name: str) -> str:
-    """SHA-256 of a policy's weights; empty where they are not on this machine."""
+    """Return the SHA-256 of a policy's weights; empty if they are not on this machine."""
     if not name.startswith(LEROBOT):
         return ""
     return file_digest(checkpoint_folder(Path(name.removeprefix(LEROBOT))) / WEIGHTS)

@@ -1,8 +1,8 @@
-"""Depth for what stereo leaves open: large planes continued, and the far background.
+"""Depth of pixels for which stereo is ambiguous: continued planes and the far background.
 
-A plain floor or a soft panorama matches equally well at many depths. Few explanations are likely,
-though: the planes already found elsewhere, or infinity. Each open pixel takes the explanation under
-which its neighbours show the same color.
+A uniform floor or a blurred panorama matches equally well at many depths. Only few depths are plausible, however: those
+of planes that were found in other pixels, or infinity. Each ambiguous pixel gets the plausible depth at which the
+neighboring views show the same color.
 """
 
 from dataclasses import dataclass
@@ -24,24 +24,25 @@ from aomgen.gaussians.depth_fusion import (
     thin,
 )
 
-# Planes at most: walls, floor and ceiling of a room, or a table and its surroundings.
+# Largest number of planes: walls, floor and ceiling of a room, or a table and its surroundings.
 MAX_PLANES = 5
-# Triples of points tried for each: a plane that holds a quarter of the points is met all but surely.
+# Triples of points that are tested for each plane; a plane with a quarter of the points is found almost certainly.
 PLANE_TRIALS = 400
-# Mean color difference between views that still is the same color, 0..255.
+# Largest mean difference between views of the same color, 0..255.
 MAX_DIFFERENCE = 11.0
 # Infinity must explain a pixel better than a plane by this much.
 INFINITY_HANDICAP = 1.5
-# Every second pixel is sampled, [px]: plane regions are plain, so more samples add no detail.
+# Every second pixel is sampled, [px]; plane regions have little texture, so more samples add no detail.
 STRIDE = 2
-# Radius of the far sphere over the cameras' reach: a step aside moves it by less than a pixel.
+# Radius of the far sphere, relative to the extent of the cameras: moving a camera shifts its image by less than a
+# pixel.
 SHELL_DISTANCE = 500.0
-# Detail of points on planes, see `Samples`: below that of surfaces, as plane regions are plain.
+# Detail of points on planes, see `Samples`; less than that of surfaces, because plane regions have little texture.
 PLANE_DETAIL = 0.6
-# Directions of the coarse far sphere, about 4 degrees apart: only closes holes that no view covers.
+# Directions of the coarse far sphere, about 4 degrees apart; it only closes holes that no view covers.
 COARSE_DIRECTIONS = 3000
-# Weights of pixels that neighbours explain, and of those that only this view vouches for: the shell
-# behind everything may take them, but never against an explanation.
+# Weights of pixels that neighboring views confirm, and of pixels that only one view supports. The far shell may use the
+# latter, but they never override a confirmed pixel.
 EXPLAINED_WEIGHT, OPEN_WEIGHT = 1.5, 0.01
 # Least number of rays to infinity, over all views, for each point of the shell.
 RAYS_A_POINT = 6
@@ -49,7 +50,7 @@ RAYS_A_POINT = 6
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Plane:
-    """A plane `normal . x = offset` and points that lie on it (M, 3)."""
+    """A plane `normal . x = offset` and points (M, 3) on it."""
 
     normal: Array
     offset: float
@@ -57,11 +58,11 @@ class Plane:
 
 
 def dominant_planes(points: Array, *, min_share: float = 0.03) -> list[Plane]:
-    """Up to `MAX_PLANES` planes that hold many points, largest first.
+    """Find up to `MAX_PLANES` planes that contain many points, the largest first.
 
     Args:
-        points: (P, 3); thin them evenly first, or near surfaces win.
-        min_share: Share of all points a plane must hold.
+        points: Points (P, 3), thinned evenly, because near surfaces would dominate otherwise.
+        min_share: Least share of all points in a plane.
     """
     rng = np.random.default_rng(0)
     reach = np.median(np.linalg.norm(points - np.median(points, 0), axis=1))
@@ -85,15 +86,16 @@ def dominant_planes(points: Array, *, min_share: float = 0.03) -> list[Plane]:
 def explain(
     maps: list[DepthMap], votes: list[NDArray[np.int32]], planes: list[Plane]
 ) -> tuple[Samples, Samples]:
-    """Samples for pixels that no neighbour confirmed: on planes, and rays to infinity.
+    """Create samples for pixels that no neighboring view confirmed: points on planes, and rays to infinity.
 
     Args:
-        votes: Confirmations of each (H, W); `MIN_CONFIRMATIONS` or more are settled already.
-        planes: Explanations besides infinity.
+        votes: Number of confirmations of each pixel (H, W); from `MIN_CONFIRMATIONS` on its depth is known.
+        planes: Candidate planes in addition to infinity.
 
     Returns:
-        Samples on planes; samples whose points are unit directions instead: seen at infinity, or
-        explained by nothing, which weighs next to nothing.
+        Samples on planes, and samples whose points are unit directions: pixels at infinity and, with a very small
+            weight,
+        unexplained pixels.
     """
     blurred = [ndimage.uniform_filter(m.image_srgb.astype(np.float32), (3, 3, 1)) for m in maps]  # pyright: ignore[reportArgumentType]
     trees = [cKDTree(plane.support) for plane in planes]
@@ -123,7 +125,7 @@ def explain(
         explained = table[best, np.arange(len(best))] <= MAX_DIFFERENCE
         depth = np.stack(depths)[best, np.arange(len(best))]
         on_plane, at_infinity = undecided & explained & np.isfinite(depth), explained & ~np.isfinite(depth)
-        # Unexplained pixels are taken as far when the nearest pixel with a depth is far.
+        # Unexplained pixels are assumed to be far if the nearest pixel with a depth is far.
         known = np.where(undecided & ~explained, 0, np.where(undecided & at_infinity, 2, 1)).reshape(shape)
         nearest = np.asarray(
             ndimage.distance_transform_edt(known == 0, return_distances=False, return_indices=True)
@@ -147,7 +149,7 @@ def explain(
 
 
 def _depth_on(plane: Plane, depth_map: DepthMap, rays: Array) -> Array:
-    """Depth (R,) at which rays from the camera meet the plane; negative behind or almost parallel."""
+    """Compute the depth (R,) at which rays from the camera intersect the plane; negative behind or almost parallel."""
     slope = rays @ plane.normal
     distance = plane.offset - float(plane.normal @ depth_map.camera.center)
     steep = np.abs(slope) > 0.02 * np.linalg.norm(rays, axis=1)
@@ -162,7 +164,7 @@ def _differences(
     blurred: list[NDArray[np.float32]],
     votes: list[NDArray[np.int32]],
 ) -> Array:
-    """Mean color difference (R,) to the neighbours that see the points; infinite with less than two."""
+    """Compute the mean color difference (R,) to neighboring views of the points; infinite with fewer than two views."""
     total, count = np.zeros(len(points)), np.zeros(len(points))
     for index in depth_map.neighbours:
         other = maps[index]
@@ -174,7 +176,7 @@ def _differences(
         r, c = rows[inside], columns[inside]
         settled = votes[index][r, c] >= MIN_CONFIRMATIONS
         hidden = settled & (other.inverse_depth[r, c] - 1.0 / depths[inside] > 2 * other.step)
-        # A settled surface behind the point contradicts it: the neighbour looks through.
+        # A known surface behind the point contradicts it, because the neighboring view looks through the point.
         through = settled & (1.0 / depths[inside] - other.inverse_depth[r, c] > 2 * other.step)
         difference = np.abs(blurred[index][r, c] - own[inside]).mean(1) + 255.0 * through
         rows_inside = np.flatnonzero(inside)[~hidden]
@@ -184,7 +186,7 @@ def _differences(
 
 
 def _smooth(cost: Array) -> Array:
-    """Local mean over pixels with a finite cost; pixels without stay infinite."""
+    """Compute the local mean over pixels with a finite cost; other pixels remain infinite."""
     finite = np.isfinite(cost)
     sums = ndimage.uniform_filter(np.where(finite, cost, 0.0), 5)
     weights = ndimage.uniform_filter(finite.astype(np.float64), 5)
@@ -192,14 +194,14 @@ def _smooth(cost: Array) -> Array:
 
 
 def far_shell(rays: Samples, points_recon: Array, centers: Array, limit: int) -> Samples:
-    """Points on a far sphere: fine where views saw infinity, coarse in all other directions.
+    """Create points on a far sphere: dense in directions that views show at infinity, sparse in all others.
 
     Args:
         rays: Samples whose points are unit directions and whose footprints are angles.
         points_recon: The scene's points (P, 3); the sphere is far outside of them.
-        limit: At most about this many fine points, more where the images have detail.
+        limit: Approximate largest number of dense points; they are denser where the images have detail.
 
-    The coarse directions take the color of the nearest fine one, so that no view looks into a hole.
+    The sparse points get the color of the nearest dense one, so that no view shows a hole.
     """
     center = np.median(points_recon, axis=0)
     radius = SHELL_DISTANCE * float(np.linalg.norm(centers - center, axis=1).max())

@@ -1,9 +1,9 @@
-"""The one way files are created: staged beside their place, synced, renamed.
+"""Atomic creation of files and folders: they are written next to their destination, synced and renamed.
 
-What is being written is called staging and lies under a name that begins with `STAGING_PREFIX`. Its
-writer holds a lock on it (flock), which the kernel releases when the writer dies; `remove_staging`
-deletes only what it can lock. Programs that are started do not inherit the lock. A forked child does,
-so what a dead parent was writing may stay until its forked children have ended.
+The file that is being written is called staging; its name begins with `STAGING_PREFIX`. Its writer holds a lock on it
+(flock), which the kernel releases when the writer dies, and `remove_staging` deletes only files that it can lock.
+Started programs do not inherit the lock. A forked child does, so the staging of a dead parent may remain until its
+forked children have ended.
 """
 
 import ctypes
@@ -31,7 +31,7 @@ AT_FDCWD, RENAME_EXCHANGE = -100, 2
 
 
 def write_bytes(path: Path, data: bytes) -> None:
-    """Create or replace one file; readers see the old content or the new, never a part.
+    """Create or replace one file; readers get the complete old or the complete new content.
 
     Raises:
         StorageError: The disk refuses (full, read-only, no permission).
@@ -61,12 +61,12 @@ def write_json(path: Path, value: Any) -> None:
 
 @contextmanager
 def stage_folder(path: Path) -> Iterator[Path]:
-    """A folder that appears at `path` complete, or not at all.
+    """Create or replace the folder `path` completely, or not at all.
 
-    Yields an empty folder beside `path`; when the block ends without an error its files are
-    synced and it replaces whatever stood at `path`. On Linux old and new change places in one step.
-    Where the file system cannot do that (NFS), the old one is renamed first: a process that dies
-    before the second rename leaves nothing at `path`.
+    The context manager yields an empty folder next to `path`. When the block ends without an error, the files of this
+    folder are synced, and it replaces the file or folder at `path`. On Linux old and new folder are exchanged in one
+    step. If the file system does not support this (NFS), the old one is renamed first; a process that dies before the
+    second rename leaves no folder at `path`.
 
     Raises:
         StorageError: The disk refuses.
@@ -83,14 +83,14 @@ def stage_folder(path: Path) -> Iterator[Path]:
 
 @contextmanager
 def scratch_folder(parent: Path) -> Iterator[Path]:
-    """An empty folder below `parent` that is deleted when the block ends."""
+    """Create an empty folder in `parent` that is deleted when the block ends."""
     parent.mkdir(parents=True, exist_ok=True)
     with _staging(parent, _new_folder) as (staging, _):
         yield staging
 
 
 def remove_folder(path: Path) -> None:
-    """Delete a folder; whoever looks finds all of it or nothing.
+    """Delete a folder in one step, so that other processes never find a part of it.
 
     Raises:
         StorageError: The disk refuses.
@@ -104,7 +104,7 @@ def remove_folder(path: Path) -> None:
 
 @contextmanager
 def lock_folder(folder: Path) -> Iterator[None]:
-    """Hold the lock of a folder, for which other processes wait; a file system without locks gives no protection.
+    """Hold the lock of a folder; other processes wait for it. On a file system without locks this has no effect.
 
     Raises:
         StorageError: The folder cannot be opened.
@@ -121,9 +121,9 @@ def lock_folder(folder: Path) -> Iterator[None]:
 
 
 def remove_staging(folder: Path) -> None:
-    """Delete what dead processes left half-written directly below `folder`.
+    """Delete incomplete files and folders of dead processes directly in `folder`.
 
-    What a living process writes stays, and so does everything where the file system has no locks.
+    The staging of running processes remains. On a file system without locks, all staging remains.
 
     Raises:
         StorageError: The disk refuses.
@@ -141,7 +141,7 @@ def _remove_if_dead(path: Path) -> None:
     except FileNotFoundError:
         return
     try:
-        # By now its writer may have put it in its place, and it is a result.
+        # Its writer may have renamed it in the meantime, so that it is a result now.
         if _lock(handle, wait=False) and _is_at(handle, path):
             _delete(path)
     finally:
@@ -150,14 +150,14 @@ def _remove_if_dead(path: Path) -> None:
 
 @contextmanager
 def _staging(parent: Path, create: Callable[[Path], int]) -> Iterator[tuple[Path, int]]:
-    """A new file or folder, locked, and its descriptor; what then stands there is deleted in the end."""
+    """Create a file or folder and yield its path and locked descriptor; delete a path that remains at the end."""
     while True:
         path = parent / f"{STAGING_PREFIX}{uuid.uuid4().hex}"
         handle = create(path)
         try:
             _lock(handle, wait=True)
             if not _is_at(handle, path):
-                continue  # somebody removed it before it was locked
+                continue  # another process removed it before it was locked
             try:
                 yield path, handle
             finally:
@@ -176,12 +176,12 @@ def _new_folder(path: Path) -> int:
         path.mkdir()
         try:
             return os.open(path, os.O_RDONLY | os.O_DIRECTORY)
-        except FileNotFoundError:  # somebody removed it before it was opened
+        except FileNotFoundError:  # another process removed it before it was opened
             continue
 
 
 def _lock(handle: int, *, wait: bool) -> bool:
-    """Acquire the lock; returns False where it is taken, or where there are no locks."""
+    """Acquire the lock; return False if another process holds it, or if the file system has no locks."""
     try:
         fcntl.flock(handle, fcntl.LOCK_EX if wait else fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:
@@ -201,7 +201,7 @@ def _is_at(handle: int, path: Path) -> bool:
 
 
 def _put_in_place(staging: Path, path: Path) -> None:
-    """Move a folder to `path`; what stood there is left at `staging`, or deleted."""
+    """Move a folder to `path`; the previous content of `path` is moved to `staging` or deleted."""
     if not path.exists():
         staging.replace(path)
     elif not _exchange(staging, path):
@@ -216,7 +216,7 @@ def _put_in_place(staging: Path, path: Path) -> None:
 
 
 def _exchange(first: Path, second: Path) -> bool:
-    """Let two paths change places in one step; False where that is not possible."""
+    """Exchange two paths in one step; return False if the system does not support this."""
     libc = ctypes.CDLL(None, use_errno=True)
     if not hasattr(libc, "renameat2"):
         return False
@@ -230,7 +230,7 @@ def _exchange(first: Path, second: Path) -> bool:
 
 
 def _delete(path: Path) -> None:
-    """Delete a file or folder; what is gone already, or goes at the same time, is not missed."""
+    """Delete a file or folder; files that other processes delete in the meantime are ignored."""
 
     def unless_gone(function: Any, name: str, info: Any) -> None:
         if not isinstance(info[1], FileNotFoundError):
@@ -243,7 +243,7 @@ def _delete(path: Path) -> None:
 
 
 def _sync(path: Path) -> None:
-    """Bring a file's content, or a folder's list of what is in it, to the disk."""
+    """Write the content of a file, or the entries of a folder, to the disk."""
     handle = os.open(path, os.O_RDONLY)
     try:
         os.fsync(handle)

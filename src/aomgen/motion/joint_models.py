@@ -9,14 +9,14 @@ import numpy as np
 from aomgen.core.values import Array
 from aomgen.motion.ee_path import EePath
 
-# Distance of handles from hinges, [m]: from lids of boxes to doors at the end of an arm's reach, 0.1 to
-# 1.2 m with 95 %; and the spread of its logarithm.
+# Median distance of handles from hinges, [m], and the standard deviation of its logarithm: 95 % of the distances are
+# between 0.1 m (lids of boxes) and 1.2 m (doors at the end of an arm's reach).
 RADIUS_M, RADIUS_SPREAD = 0.35, 0.6
-# First guess of the radius of a nearly straight arc, [m].
+# Initial radius of a nearly straight arc, [m].
 _LARGE_RADIUS_M = 2.0
-# A hinge is on the object; its size is known to this share, as spread of the logarithm.
+# A hinge is on the object, whose size has this uncertainty (standard deviation of the logarithm).
 REACH_SPREAD = 0.1
-# Turn of the end effector over turn of the part: most grippers follow, some handles turn in them freely.
+# Rotation of the end effector divided by that of the part: most grippers follow, some handles rotate in them freely.
 RATIO, RATIO_SD = 0.7, 0.4
 
 
@@ -24,16 +24,16 @@ RATIO, RATIO_SD = 0.7, 0.4
 class JointModel:
     """A joint that explains an end effector path.
 
-    The first four unknowns are the axis: its tilt against `start` (2), and its place across `start` from the path's
-    middle (2). Without further ones nothing is assumed beforehand.
+    The first four unknowns describe the axis: its tilt relative to `start` (2), and its position across `start`,
+    relative to the middle of the path (2). They have no prior.
 
-    `start`: First guess of the axis (3,).
+    `start`: Initial direction of the axis (3,).
     """
 
     path: EePath
     start: Array
 
-    # Sizes of the unknowns (P,), and what each row of `data` is an error of, see `NoisePrior`.
+    # Step sizes of the unknowns (P,), and the kind of error in each row of `data`, see `NoisePrior`.
     steps: ClassVar[Array] = np.full(4, 1e-2)
     kinds: ClassVar[tuple[str, ...]] = ()
 
@@ -48,12 +48,12 @@ class JointModel:
         return make_tangent_basis(self.start)
 
     def lines(self, x: Array) -> tuple[Array, Array]:
-        """Directions and points (..., 3) of the axes that unknowns (..., P) mean."""
+        """Compute directions and points (..., 3) of the axes for unknowns (..., P)."""
         point, axis, *_ = self._frame(x)
         return axis, point
 
     def about(self, x: Array) -> tuple[Self, Array]:
-        """The same model and unknowns, tilts counted from the axis that they mean."""
+        """Return an equal model whose `start` is the axis of the unknowns, and the unknowns relative to it."""
         axis, point = self.lines(x)
         place = make_tangent_basis(axis) @ (point - self.middle)
         return replace(self, start=axis), np.concatenate([np.zeros(2), place, x[4:]])
@@ -63,7 +63,7 @@ class JointModel:
         return np.broadcast_to(self.path.hold.point_ee, (*x.shape[:-1], 3))
 
     def prior_residuals(self, x: Array) -> Array:
-        """Residuals (..., Q) of what is assumed beforehand, in standard deviations."""
+        """Compute residuals (..., Q) of the prior, in standard deviations."""
         return np.zeros((*x.shape[:-1], 0))
 
     @property
@@ -72,11 +72,11 @@ class JointModel:
         return 0.0
 
     def log_diffuse_position_prior(self, x: Array) -> float:
-        """Log density of an axis' place of which nothing but the usual size is known."""
+        """Compute the log density of the axis position if only the usual size is known."""
         return 0.0
 
     def _frame(self, x: Array) -> tuple[Array, Array, Array, Array]:
-        """Place of the axis, its direction, and two units across it that follow, (..., 3) each."""
+        """Compute position and direction of the axis, and two unit vectors across it, (..., 3) each."""
         tangents = self.tangents
         axis = self.start + x[..., :2] @ tangents
         axis = axis / np.linalg.norm(axis, axis=-1, keepdims=True)
@@ -87,7 +87,10 @@ class JointModel:
     def _coordinates(
         self, points: Array, frame: tuple[Array, Array, Array, Array]
     ) -> tuple[Array, Array, Array]:
-        """Coordinates (..., K) of points (..., K, 3): along the axis from the path's middle, and in both units across it."""
+        """Compute coordinates (..., K) of points (..., K, 3) along the axis and the two unit vectors across it.
+
+        The coordinate along the axis is relative to the middle of the path.
+        """
         place, axis, first, second = frame
         offsets = points - place[..., None, :]
         first, second = ((offsets @ unit[..., None])[..., 0] for unit in (first, second))
@@ -96,12 +99,12 @@ class JointModel:
 
 @dataclass(frozen=True, kw_only=True)
 class Revolute(JointModel):
-    """The held point rotates about an axis, and the end effector turns by a constant share of its angle.
+    """The held point rotates about an axis, and the end effector rotates by a constant share of its angle.
 
-    Further unknowns (6): radius and height of the held point (2), held point against its first guess (3), share of
-    the turn.
+    There are six further unknowns: radius and height of the held point (2), the held point relative to its initial
+    value (3), and the share of the rotation.
 
-    `reach_m`: The object's farthest point from the path's middle; no hinge is farther away.
+    `reach_m`: Distance of the object's farthest point from the middle of the path; no hinge is farther away.
     """
 
     reach_m: float = np.inf
@@ -115,7 +118,7 @@ class Revolute(JointModel):
         return self.path.hold.point_ee + x[..., 6:9]
 
     def values(self, x: Array) -> Array:
-        """Turn of the part (K,) since the first node, [rad]."""
+        """Compute the rotation of the part (K,) since the first node, [rad]."""
         return self._roll(x, self._frame(x))[2]
 
     def data(self, x: Array) -> Array:
@@ -127,7 +130,7 @@ class Revolute(JointModel):
         return np.stack(rows, axis=-2)
 
     def _roll(self, x: Array, frame: tuple[Array, Array, Array, Array]) -> tuple[Array, Array, Array]:
-        """Distance from the axis, height along it and angle about it (..., K) of the held point."""
+        """Compute distance from the axis, height along it and angle about it (..., K) of the held point."""
         Ts = self.path.Ts_world_ee
         points = (Ts[:, :3, :3] @ self.grasp(x)[..., None, :, None])[..., 0] + Ts[:, :3, 3]
         heights, first, second = self._coordinates(points, frame)
@@ -135,14 +138,14 @@ class Revolute(JointModel):
         return np.hypot(first, second), heights, angles - angles[..., :1]
 
     def first(self) -> Array:
-        """First unknowns (10,): an algebraic circle."""
+        """Compute initial unknowns (10,) from an algebraic circle."""
         turns = self.path.turns_world @ self.start
         offsets = (self.path.points_world - self.middle) @ self.tangents.T
         center, radius = fit_circle(offsets, float(turns[-1] - turns[0]))
         return np.array([0, 0, *center, radius, 0, 0, 0, 0, RATIO], np.float64)
 
     def prior_residuals(self, x: Array) -> Array:
-        """Residuals (..., 6) of held point, share of the turn, usual size and the object's size."""
+        """Compute residuals (..., 6) of held point, share of the rotation, usual size and the object's size."""
         radius = np.maximum(np.abs(x[..., 4:5]), 1e-3)
         size = np.log(radius / RADIUS_M) / RADIUS_SPREAD
         beyond = np.log(np.maximum(radius / self.reach_m, 1.0)) / REACH_SPREAD
@@ -155,28 +158,28 @@ class Revolute(JointModel):
         return -float(np.log(self.path.hold.sd_m) * 3 + np.log(RATIO_SD) + 2 * np.log(2 * np.pi))
 
     def log_diffuse_position_prior(self, x: Array) -> float:
-        """Log density of an axis' place of which only the usual size is known, see `prior_residuals`."""
+        """Compute the log density of the axis position if only the usual size is known, see `prior_residuals`."""
         return -float(np.log(2 * np.pi * x[4] ** 2) + np.log(RADIUS_SPREAD * np.sqrt(2 * np.pi)))
 
 
 @dataclass(frozen=True, kw_only=True)
 class Prismatic(JointModel):
-    """The held point moves on a line, and the end effector does not turn; there are no further unknowns.
+    """The held point moves on a line, and the end effector does not rotate; there are no further unknowns.
 
-    Fingers hold the part in the direction in which they close, and it slips along their pads. So a path
-    strays less along the closing direction, as far as that is across the way, than across it.
+    Fingers constrain the part in their closing direction, and it slips along their pads. Therefore a path deviates less
+    in the closing direction (more precisely, in its component across the motion) than across it.
     """
 
     kinds = ("straight", "bar", "tilt", "tilt", "tilt")
 
     @property
     def closing_alignment(self) -> float:
-        """Share of the closing direction in the direction of the first row of `data`, squared."""
+        """Squared cosine between the closing direction and the direction of the first row of `data`."""
         across = self.tangents @ self.path.closing_world
         return float(across @ across)
 
     def values(self, x: Array) -> Array:
-        """Travel of the part (K,) since the first node, [m]."""
+        """Compute the travel of the part (K,) since the first node, [m]."""
         along = self._coordinates(self.path.points_world, self._frame(x))[0]
         return along - along[0]
 
@@ -190,29 +193,29 @@ class Prismatic(JointModel):
         return np.concatenate([rows, np.broadcast_to(turns, (*x.shape[:-1], *turns.shape))], axis=-2)
 
     def first(self) -> Array:
-        """First unknowns (4,)."""
+        """Compute initial unknowns (4,)."""
         return np.zeros(4)
 
 
 def make_tangent_basis(axis: Array) -> Array:
-    """Two unit vectors (2, 3) that complete a unit vector (3,) to a right-handed frame."""
+    """Compute two unit vectors (2, 3) that complete a unit vector (3,) to a right-handed frame."""
     first = _cross(axis, np.eye(3)[int(np.argmin(np.abs(axis)))])
     first /= np.linalg.norm(first)
     return np.stack([first, _cross(axis, first)])
 
 
 def _cross(a: Array, b: Array) -> Array:
-    """Cross product (..., 3); several times faster on few vectors than numpy's."""
+    """Compute the cross product (..., 3); for few vectors several times faster than numpy's."""
     ax, ay, az = a[..., 0], a[..., 1], a[..., 2]
     bx, by, bz = b[..., 0], b[..., 1], b[..., 2]
     return np.stack([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx], axis=-1)
 
 
 def make_models(path: EePath, reach_m: float) -> tuple[list[Revolute], Prismatic]:
-    """Make a door about each of the axes that the path suggests, and a drawer along its chord.
+    """Make a revolute model for each plausible axis direction, and a prismatic model along the chord of the path.
 
-    A door's axes are the rotation axis of the end effector, and four directions across the chord: a short or noisy arc
-    hardly determines its plane. No hinge is farther than `reach_m` from the path's middle.
+    The axis directions are the rotation axis of the end effector and four directions across the chord, because a
+    short or noisy arc hardly determines its plane. No hinge is farther than `reach_m` from the middle of the path.
     """
     turning = np.linalg.svd(path.turns_world)[2][0]
     along, second, third = np.linalg.svd(path.points_world - path.points_world.mean(0))[2]
@@ -222,9 +225,10 @@ def make_models(path: EePath, reach_m: float) -> tuple[list[Revolute], Prismatic
 
 
 def fit_circle(flat: Array, turn: float) -> tuple[Array, float]:
-    """Algebraic circle through points (K, 2): center (2,) and radius, [m].
+    """Fit an algebraic circle to points (K, 2); return center (2,) and radius, [m].
 
-    Source: Kasa, 1976. A nearly straight path gets a circle whose arc equals the end effector's turn, [rad].
+    For a nearly straight path the arc of the circle is set to the rotation `turn` of the end effector, [rad].
+    Source: Kasa, 1976.
     """
     A = np.column_stack([2 * flat, np.ones(len(flat))])
     (x, y, c), *_ = np.linalg.lstsq(A, (flat**2).sum(1), rcond=None)

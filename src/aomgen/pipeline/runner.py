@@ -30,10 +30,10 @@ from aomgen.version import __version__
 TIMINGS = "timings.json"
 STARTED = "started.json"
 LOCK_FILE = ".lock"
-# Figures under this name are sentences that the user should read: what may go wrong with this input.
+# Name of the figures that are warnings for the user about this input.
 WARNINGS = "warnings"
 
-# Does the work of a stage in the given folder and returns figures worth reading.
+# Function that runs a stage in the given folder and returns its metrics.
 StageFunction = Callable[[Results, Path, Progress], dict[str, Any]]
 
 
@@ -44,17 +44,16 @@ class Stage:
     Attributes:
         name: For example "structure".
         folder: Folder below the run's folder, for example "01_structure".
-        title: What the user reads while it runs.
-        needs: Names of the stages it reads, "capture" when it reads the capture, "assets" when it
-            reads the files that the project names, and "review" when it leaves out rejected episodes.
-        settings: Names of the project's fields that change its result.
-        version: Raised when the same inputs may give other bytes.
-        weight: Seconds that it takes of the bundled recording on two cores, for the remaining time shown.
-        function: Does the work.
-        incremental: Works in its final folder, committing item by item or leaving checkpoints,
-            and continues there after a kill.
-        amount: Those of the settings that only change the number of items of an incremental
-            stage: items that are there stay.
+        title: Title that is shown while the stage runs.
+        needs: Names of the stages whose results it reads; "capture" if it reads the capture, "assets" if it reads the
+            asset files of the project, and "review" if it leaves out rejected episodes.
+        settings: Names of the project settings that change its result.
+        version: Version, which is increased when the same inputs may give other bytes.
+        weight: Run time with the bundled recording on two cores, [s], for the display of the remaining time.
+        function: Function that runs the stage.
+        incremental: Whether the stage works in its final folder, commits item by item or writes checkpoints, and
+            continues there after a kill.
+        amount: Settings that only change the number of items of an incremental stage; existing items remain.
     """
 
     name: str
@@ -70,7 +69,7 @@ class Stage:
 
 
 class Display(Protocol):
-    """Receiver of the runner's progress: a terminal, or nothing (tests)."""
+    """Receiver of the progress of a run, for example a terminal."""
 
     def begin(self, stage: Stage, *, fresh: bool) -> None: ...
 
@@ -82,7 +81,7 @@ class Display(Protocol):
 
 
 def results_of(project: Project, stages: Sequence[Stage], **machine: Any) -> Results:
-    """The results of a project, where they lie or shall lie; `machine` as in `Results`: `workers`, `ray`."""
+    """Return the results of a project, whose folder may not exist yet; `machine` as in `Results`: `workers`, `ray`."""
     folders = {stage.name: project.out / stage.folder for stage in stages}
     return Results(project=project, out=project.out, folders=folders, **machine)
 
@@ -99,19 +98,19 @@ def run_stages(
     """Bring every stage up to date, in order.
 
     Args:
-        project: The choices of this run.
-        stages: The pipeline, in an order in which every stage comes after what it needs.
+        project: Settings of the run.
+        stages: Stages of the pipeline; every stage follows the stages that it needs.
         display: Receives the progress.
-        inputs: Digests of what no stage makes, by the names under which stages need it.
-        until: Stop after this stage; all of them when empty.
+        inputs: Digests of the inputs that no stage creates, by the names in `Stage.needs`.
+        until: Last stage to run; all stages are run if it is empty.
         machine: See `results_of`.
 
     Returns:
         Names of the stages that were recomputed.
 
     Raises:
-        LockedError: Another process works in the same folder.
-        AomgenError: Whatever a stage refuses; nothing half-written stays.
+        LockedError: Another process uses the same folder.
+        AomgenError: A stage failed; its incomplete results are deleted.
     """
     results = results_of(project, stages, **machine)
     with lock(project.out):
@@ -135,14 +134,17 @@ def run_stages(
 
 
 def share_stages(folders: Iterable[Path], out: Path) -> None:
-    """Link finished stages of a run into the folder of another run, which must not change them; those there stay."""
+    """Link finished stages of a run into the folder of another run, which must not change them.
+
+    Stages that exist in that folder are kept.
+    """
     for folder in folders:
         if folder.is_dir() and not (out / folder.name).exists():
             shutil.copytree(folder, out / folder.name, copy_function=_link)
 
 
 def _link(source: str, target: str) -> None:
-    """Link a file, or copy it to another file system."""
+    """Link a file, or copy it if the target is on another file system."""
     try:
         os.link(source, target)
     except OSError:
@@ -150,7 +152,7 @@ def _link(source: str, target: str) -> None:
 
 
 def stage_states(project: Project, stages: tuple[Stage, ...]) -> list[tuple[Stage, str]]:
-    """Each stage with "done", "partial", "missing", without checking digests of the capture."""
+    """Return each stage with its state ("done", "partial" or "missing"), without checking digests of the capture."""
     states = []
     for stage in stages:
         folder = project.out / stage.folder
@@ -164,14 +166,14 @@ def stage_states(project: Project, stages: tuple[Stage, ...]) -> list[tuple[Stag
 
 def _identify(results: Results, stage: Stage, digests: dict[str, str]) -> Identity:
     inputs = {name: digests[name] for name in stage.needs}
-    # As JSON gives them back, so that they compare equal after a round trip.
+    # In JSON form, so that they are equal after a round trip.
     parameters = results.project.model_dump(mode="json", include=set(stage.settings))
     changed = results.project.params.get(stage.name)
     return stage.version, inputs, parameters | ({"params": changed} if changed else {})
 
 
 def _kept(results: Results, stage: Stage, digests: dict[str, str]) -> Manifest | None:
-    """The stage's manifest when its result was made from what the inputs are now."""
+    """Return the manifest of a stage if its result was computed from the current inputs, else None."""
     folder = results.folders[stage.name]
     manifest = read_manifest(folder)
     if manifest is None or not files_present(folder, manifest):
@@ -204,7 +206,7 @@ def _finish(folder: Path, stage: Stage, wanted: Identity, figures: dict[str, Any
 
 
 def _begin_in_place(folder: Path, stage: Stage, wanted: Identity) -> None:
-    """Keep what an incremental stage has made when it was started for the same inputs, else start it over."""
+    """Keep the items of an incremental stage if it was started with the same inputs, else delete them."""
     version, inputs, parameters = wanted
     deciding = {name: value for name, value in parameters.items() if name not in stage.amount}
     identity = text_digest(repr((__version__, (version, inputs, deciding))))
@@ -213,7 +215,7 @@ def _begin_in_place(folder: Path, stage: Stage, wanted: Identity) -> None:
         remove_folder(folder)
     _make_folder(folder)
     remove_staging(folder)
-    (folder / MANIFEST).unlink(missing_ok=True)  # until the stage is finished again
+    (folder / MANIFEST).unlink(missing_ok=True)  # deleted until the stage is finished again
     write_json(started_file, {"identity": identity})
 
 
@@ -226,7 +228,7 @@ def _make_folder(folder: Path) -> None:
 
 @contextmanager
 def lock(out: Path) -> Iterator[None]:
-    """Hold the lock of a run's folder, which is made; the system releases it when the process dies.
+    """Create the folder of a run and hold its lock, which the system releases when the process dies.
 
     Raises:
         LockedError: Another run holds it.

@@ -1,8 +1,8 @@
 """Correspondence of an asset and the recorded object: front, held point and the path of that point.
 
 Source: AOMGen, sec. 4.3, "Physical Interaction Adaptation" (the NOCS-like contact map). The paper
-normalises both parts in axis-aligned unit cubes; here the cubes are aligned with the objects' own
-fronts, and an asset that names a handle is held at its handle.
+normalizes both parts to axis-aligned unit cubes; here the cubes are aligned with the fronts of the
+objects, and an asset with a named handle is held at this handle.
 """
 
 from dataclasses import dataclass, replace
@@ -25,34 +25,35 @@ from aomgen.errors import EstimationError
 
 # World frame, z up.
 UP: Final = np.array([0.0, 0.0, 1.0])
-# Part of the motion's first step that must be level for the front to be read from it; below it
+# Least horizontal share of the first motion step from which the front is determined; with a smaller share
 # the part opens upwards (a lid).
 MIN_LEVEL: Final = 0.5
-# A box's side further than this from the opening direction is not the front; below 45 degrees, where the next side is as near, [rad].
+# Largest angle between the normal of the front and the opening direction, [rad]; less than 45 degrees, at which two
+# sides of the box are equally near.
 MAX_FRONT_CORRECTION_RAD: Final = np.deg2rad(25.0)
-# Kept free at both ends of a handle's bar, so that the pads stay off its posts, [m].
+# Length at both ends of a handle's bar that is not grasped, so that the pads do not touch its posts, [m].
 BAR_MARGIN_M: Final = 0.03
-# Fingers hold by no more than the length of their pads, [m].
+# Length of the finger pads, [m].
 PAD_LENGTH_M: Final = 0.02
-# Colliders nearer to each other than this are one handle, [m].
+# Colliders with a smaller distance belong to one handle, [m].
 TOUCH_M: Final = 0.002
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RecordedContact:
-    """The recorded motion as the fit needs it: from closed to open, a closing one backwards in time.
+    """The recorded motion from closed to open, as the fit uses it; a closing motion is reversed in time.
 
     Attributes:
-        direction: Of the recorded motion.
-        path_world: Held point while the part moves, [m].
-        shares: Time share 0..1 of each point.
-        thetas: Recovered joint value, first 0, never falling, [rad] or [m].
-        R_world_front: Upright frame of the recorded object's front, columns right, into the object, up. An asset's
-            own frame is of this kind, as its front looks along -y.
-        opens_left: Seen from the front, the part swings about its left side or slides to the left.
-        held_share: Held point in the normalised cube of the moving part, along right, inward, up.
-        size: Extent of the moving part along these, [m].
-        support_z: Height of the support, [m].
+        direction: Direction of the recorded motion.
+        path_world: Path (K, 3) of the held point while the part moves, [m].
+        shares: Normalized time (K,) of each point, 0..1.
+        thetas: Recovered joint values (K,), [rad] or [m]; they begin at 0 and do not decrease.
+        R_world_front: Upright frame of the recorded object's front; its columns point right, into the object, and up.
+            The frame of an asset has the same convention, because its front points along -y.
+        opens_left: Whether the part, viewed from the front, rotates about its left side or slides to the left.
+        held_share: Held point (3,) in the normalized cube of the moving part, along right, inward, up.
+        size: Extent (3,) of the moving part along these axes, [m].
+        support_z: Height of the support plane, [m].
     """
 
     direction: Direction
@@ -69,14 +70,14 @@ class RecordedContact:
 
     @property
     def yaw(self) -> float:
-        """Turn about the vertical that takes an asset's axes to the front, [rad]."""
+        """Rotation about the vertical from the axes of an asset to those of the front, [rad]."""
         return float(np.arctan2(self.R_world_front[1, 0], self.R_world_front[0, 0]))
 
 
 def describe_contact(demo: Demonstration, recorded: RecordedObject, direction: Direction) -> RecordedContact:
-    """Cut the contact out of the demonstration and describe the recorded object's front.
+    """Describe the contact of the demonstration and the front of the recorded object.
 
-    An opening begins at the closed object, a closing ends there.
+    An opening is assumed to begin at the closed object, and a closing to end there.
 
     Raises:
         EstimationError: The part's front is ambiguous (see `find_front`).
@@ -89,7 +90,7 @@ def describe_contact(demo: Demonstration, recorded: RecordedObject, direction: D
         moving = apply(joint.motion(closed), moving)
         joint, thetas, times = replace(joint, axis=-joint.axis), closed - thetas, -times
     Ts_world_ee, grasp = demo.Ts_world_ee[frames], demo.grasp_ee
-    # Both parts together are a box more often than a door with its handle is.
+    # The box is fitted to both parts, because a door with its handle is box-like less often.
     held = apply(Ts_world_ee[0], grasp)
     R = find_front(joint, held, np.concatenate([moving, recorded.static_points_world]))
     low, high = np.quantile(moving @ R, QUANTILES, axis=0)
@@ -110,14 +111,15 @@ def describe_contact(demo: Demonstration, recorded: RecordedObject, direction: D
 
 
 def measure_rim_distance(held: Array, R_front_ee: Array, low: Array, high: Array) -> float:
-    """Distance from a recorded held point (3,) to the rim of a thin part, along the pads, [m]; 0 where no rim is held.
+    """Measure the distance from a held point to the rim of a thin part, along the pads, [m]; 0 if no rim is held.
 
-    A rim lies between the pads, but where along them is the least known: the point is put on the part. Where the
-    part is thicker than fingers open, a handle is held that may lie off the part's box.
+    A rim is between the pads, but its position along them is uncertain, so the point is moved onto the part. If the
+    part is thicker than the opening of the fingers, they hold a handle, which may be outside of the part's box.
 
     Args:
-        held: Recorded held point, upright front frame.
-        R_front_ee: Orientation of the end effector (3, 3) in that frame: z along its approach, fingers close along y.
+        held: Recorded held point (3,), upright front frame, [m].
+        R_front_ee: Orientation of the end effector (3, 3) in that frame; z is the approach direction, and the fingers
+            close along y.
         low, high: Corners of the part's box (3,), the same frame.
     """
     closing, approach = (np.where(np.abs(d) < 1e-9, 1e-9, d) for d in (R_front_ee[:, 1], R_front_ee[:, 2]))
@@ -129,7 +131,7 @@ def measure_rim_distance(held: Array, R_front_ee: Array, low: Array, high: Array
 
 
 def smooth_rise(thetas: Array) -> Array:
-    """The nearest never-falling curve to (K,) noisy joint values, smoothed, starting at 0."""
+    """Return the nearest non-decreasing curve to noisy joint values (K,), smoothed and starting at 0."""
     window = min(7, len(thetas) - (len(thetas) + 1) % 2)
     smooth = savgol_filter(thetas, window, 2) if window >= 5 else np.asarray(thetas, np.float64)
     smooth = smooth.copy()
@@ -139,10 +141,10 @@ def smooth_rise(thetas: Array) -> Array:
 
 
 def opening_direction(joint: Joint, held_point: Array) -> Array:
-    """Unit direction (3,) in which the held point starts to move, in the joint's frame.
+    """Compute the unit direction (3,) in which the held point starts to move, in the joint's frame.
 
     Raises:
-        EstimationError: The point lies on the axis.
+        EstimationError: The point is on the joint axis.
     """
     if joint.type == "prismatic":
         return joint.axis
@@ -156,16 +158,16 @@ def opening_direction(joint: Joint, held_point: Array) -> Array:
 
 
 def find_front(joint: Joint, held: Array, points: Array) -> Array:
-    """Find the upright frame (3, 3) of an object's front, see `RecordedContact`, from the way it opens, refined by the box of its points (N, 3).
+    """Find the upright frame (3, 3) of an object's front, see `RecordedContact`, from its opening direction and points.
 
-    A part on an upright hinge starts to move out of its front; a handle stands off its door, so
-    that motion leans a few degrees, and the side of the smallest upright box nearest to it is
-    taken instead, when one lies within 25 degrees. A level hinge (lid, flap) runs along the
-    front. A part that slides moves out of the front or along it: the front is where the held
-    point stands out farthest. All in one frame with z up, part closed.
+    A part with a vertical hinge starts to move out of its front. Because a handle protrudes from its door, the
+    direction of this motion deviates by a few degrees; therefore the side of the smallest upright box around the
+    points (N, 3) that is nearest to this direction is used, if one is within 25 degrees. A horizontal hinge (lid,
+    flap) is parallel to the front. A sliding part moves out of the front or along it; the front is then the side from
+    which the held point protrudes farthest. All arguments are in one frame with z up, with the part closed.
 
     Raises:
-        EstimationError: The part neither opens forward or sideways nor swings up about a side.
+        EstimationError: The part opens neither forward nor sideways, and does not rotate up about a side.
     """
     outward = opening_direction(joint, held)
     if np.linalg.norm(outward[:2]) < MIN_LEVEL:
@@ -185,9 +187,9 @@ def find_front(joint: Joint, held: Array, points: Array) -> Array:
 
 
 def opens_left(joint: Joint, held_point: Array, right: Array) -> bool:
-    """Return whether a part seen from the front swings about its left side, or slides to the left; `right` is unit (3,).
+    """Return whether a part, viewed from the front, rotates about its left side or slides to the left.
 
-    What a mirror leaves as it is (a drawer, a lid, a flap) counts as not.
+    The result is False for parts that a reflection does not change (drawer, lid, flap). `right` is a unit vector (3,).
     """
     if joint.type == "prismatic":
         return bool(joint.axis @ right < -MIN_LEVEL)
@@ -195,21 +197,21 @@ def opens_left(joint: Joint, held_point: Array, right: Array) -> bool:
 
 
 def face_sides(joint: Joint, held_point: Array) -> list[int]:
-    """The two of right, inward and up along which a part's size is well scanned.
+    """Select the two of the axes right, inward and up along which the scanned size of a part is reliable.
 
-    Width and height of what opens forward or sideways: of its depth the scan shows what is visible. Width and depth of a lid:
-    blur makes thin ones several times as thick.
+    For a part that opens forward or sideways these are width and height, because its depth is only partly visible.
+    For a lid they are width and depth, because a thin lid is reconstructed several times too thick.
     """
     return [0, 1] if np.linalg.norm(opening_direction(joint, held_point)[:2]) < MIN_LEVEL else [0, 2]
 
 
 def held_point_of(asset: ArticulatedAsset, recorded_share: Array) -> Array:
-    """Point of an asset's moving part (3,), asset frame, part closed, that corresponds to the recorded held point.
+    """Compute the point (3,) of an asset that corresponds to the recorded held point, asset frame, part closed.
 
-    That lies at a share 0..1 (3,) of the recorded part's cube along right, inward, up. The height along the handle's
-    axis is kept as far as handle and pads allow.
+    `recorded_share` (3,) is the recorded point in the normalized cube of its part, along right, inward, up. The
+    position along the axis of the handle is preserved as far as handle and pads permit.
 
-    Not checked: a bent handle's bar is taken to run along `handle_axis` everywhere.
+    Not checked: the bar of a bent handle is assumed to be parallel to `handle_axis` everywhere.
     """
     low, high = asset.moving.bounds
     mapped = low + np.clip(recorded_share, 0, 1) * (high - low)
@@ -217,9 +219,9 @@ def held_point_of(asset: ArticulatedAsset, recorded_share: Array) -> Array:
 
 
 def slide_along_handle(asset: ArticulatedAsset, along_m: float) -> Array:
-    """Point (3,) on the handle at a distance from `handle_point` along its axis, limited by the pads' room, asset frame.
+    """Compute the point (3,) on the handle at a distance from `handle_point` along its axis, asset frame.
 
-    Beyond the collider that holds `handle_point` the colliders of a bent handle are followed.
+    The distance is limited by the space for the pads. The point follows the colliders of a bent handle.
     """
     reach = bar_reach(asset)
     along = float(np.clip(along_m, -reach, reach))
@@ -231,7 +233,7 @@ def slide_along_handle(asset: ArticulatedAsset, along_m: float) -> Array:
 
 
 def bar_reach(asset: ArticulatedAsset) -> float:
-    """Largest distance from `handle_point` along the handle at which a gripper may hold it, [m]."""
+    """Compute the largest distance from `handle_point` along the handle at which a gripper can hold it, [m]."""
     _, spans = _handle_spans(asset)
     low, high = spans[0]
     for _ in spans:
@@ -241,9 +243,10 @@ def bar_reach(asset: ArticulatedAsset) -> float:
 
 
 def _handle_spans(asset: ArticulatedAsset) -> tuple[Array, Array]:
-    """Middles (B, 3) of the handle's boxes, nearest to `handle_point` first, and how far they reach along its axis.
+    """Return centers (B, 3) of the handle's boxes, sorted by distance from `handle_point`, and their spans (B, 2).
 
-    The reach (B, 2) is from `handle_point`, [m]. Where no box is named a handle, the nearest moving one is taken.
+    A span is the lowest and highest coordinate along the handle axis, relative to `handle_point`, [m]. If no box is
+    named as a handle, the nearest moving box is used.
     """
     named = asset.handle_boxes
     boxes = sorted(named or asset.moving.colliders, key=lambda box: box.distance(asset.handle_point))
@@ -254,11 +257,10 @@ def _handle_spans(asset: ArticulatedAsset) -> tuple[Array, Array]:
 
 
 def mirror_asset(asset: ArticulatedAsset) -> ArticulatedAsset:
-    """The asset as a mirror shows it: x turned round, so that the hinge changes sides.
+    """Reflect the asset in x, so that the hinge changes sides.
 
-    Faces are wound the other way round, textures stay on their faces (writing reads
-    backwards), and the axis of a revolute joint, being a pseudo-vector, keeps the opening
-    direction positive.
+    The winding of faces is reversed, and textures remain on their faces, so text is mirrored. The axis of a revolute
+    joint is transformed as a pseudo-vector, so the opening direction remains positive.
     """
     M = np.diag([-1.0, 1.0, 1.0])
     sign = -1.0 if asset.joint.type == "revolute" else 1.0
@@ -279,7 +281,7 @@ def _mirror_link(link: AssetLink, M: Array) -> AssetLink:
             source, vertices=source.vertices @ M, faces=source.faces[:, ::-1], uvs=source.uvs[:, ::-1]
         )
 
-    # A box is its own mirror image, so turning its axes round as well leaves a proper rotation.
+    # A box is symmetric, so reflecting its axes as well gives a proper rotation.
     colliders = tuple(
         replace(box, T_asset_box=transform(M @ box.T_asset_box[:3, :3] @ M, M @ box.T_asset_box[:3, 3]))
         for box in link.colliders
@@ -292,7 +294,7 @@ def _upright(joint: Joint) -> bool:
 
 
 def _standing_out(way: Array, held: Array, points: Array) -> Array:
-    """Choose from the directions along and across a level direction (3,) the one in which `held` is outermost."""
+    """Choose, of the directions along and across a horizontal direction (3,), the one in which `held` is outermost."""
     across = np.cross(way, UP)
     sides = [way, across, -across, -way]
     beyond = [float(held @ side - np.percentile(points @ side, 98)) for side in sides]
@@ -300,7 +302,7 @@ def _standing_out(way: Array, held: Array, points: Array) -> Array:
 
 
 def _nearest_box_side(level: Array, points: Array) -> Array:
-    """Normal (3,) of the smallest upright box's side nearest to `level`; `level` when none is near."""
+    """Return the side normal (3,) of the smallest upright box that is nearest to `level`; `level` if none is near."""
     axis, normal = find_upright_axes(points)[:2, :2].T
     sides = [s * d for d in (axis, normal) for s in (-1.0, 1.0)]
     side = np.append(max(sides, key=lambda d: float(d @ level[:2])), 0.0)

@@ -1,8 +1,8 @@
-"""Bring an asset to where the recorded object stood, by the path of the held point.
+"""Fit of an asset to the pose of the recorded object, by the path of the held point.
 
-Two ways: "object" scales the asset until its handle follows the recorded path (the paper's
-two-stage fit, with repairs), "trajectory" keeps its true size and lets the path change. "auto" is the first where it
-works, else the second.
+Mode "object" scales the asset until its handle follows the recorded path (the paper's two-stage fit, with corrections).
+Mode "trajectory" keeps the true size of the asset and recomputes the path. Mode "auto" is "object" if that fits, else
+"trajectory".
 Source: AOMGen, sec. 4.3, "Physical Interaction Adaptation".
 """
 
@@ -30,9 +30,9 @@ from aomgen.replacement.correspondence import (
     smooth_rise,
 )
 
-# Allowed scale relative to the ratio of the moving parts' boxes: household sizes of one kind of object.
+# Permitted scale relative to the ratio of the moving parts' boxes: range of household sizes of one category.
 SCALE_RANGE = (0.6, 1.6)
-# Standard deviation of the scale about that ratio, as a share of it: the true size is preferred.
+# Standard deviation of the scale about that ratio, as a share of it; it makes the fit prefer the true size.
 SCALE_PRIOR_SD = 0.2
 # Standard deviation of sliding along the face, stage two, [m]: a finger's width.
 SLIDE_SD_M = 0.010
@@ -58,14 +58,16 @@ def fit_asset(
     mode: Adaptation | Literal["auto"],
     params: FitParams,
 ) -> FittedAsset | Rejection:
-    """Place an asset (closed at joint value 0, front along -y, support at z = 0) in the recorded object's stead.
+    """Fit an asset to the pose and the motion of the recorded object.
+
+    The asset has to be closed at joint value 0, with its front along -y and its support at z = 0.
 
     Returns:
-        The fitted asset, with the motion in the recorded direction; or a Rejection "joint_type" (another kind of
-        joint), "hinge_side" (mode "object" without mirroring), "size" or "path" (mode "object": no scale in bounds
+        The fitted asset, with the motion in the recorded direction; or a Rejection "joint_type" (another joint
+        type), "hinge_side" (mode "object" without mirroring), "size" or "path" (mode "object": no permitted scale
         follows the recorded path).
 
-    Not checked: reach, collisions and forces; planning and verification do that.
+    Not checked: reach, collisions and forces; planning and verification check these.
     """
     if mode == "auto":
         scaled = fit_asset(asset, contact, recorded_type, "object", params)
@@ -91,9 +93,9 @@ def fit_asset(
 
 
 def _keep_size(asset: ArticulatedAsset, contact: RecordedContact, params: FitParams) -> FittedAsset:
-    """Mode "trajectory": true size, upright on the support, held point where the recorded one was (seen from above).
+    """Fit an asset of true size, upright on the support, with its held point at the recorded horizontal position.
 
-    The hinge may be on the other side: the path is recomputed along the asset's own joint.
+    This is mode "trajectory". The hinge may be on the other side, because the path is recomputed for the asset's joint.
     """
     held = held_point_of(asset, contact.held_share)
     R = matrix_from_rotvec(np.array([0.0, 0.0, contact.yaw]))
@@ -118,11 +120,11 @@ def _keep_size(asset: ArticulatedAsset, contact: RecordedContact, params: FitPar
 def _fit_scale(
     asset: ArticulatedAsset, contact: RecordedContact, turned: bool, params: FitParams
 ) -> FittedAsset | Rejection:
-    """Mode "object": g = [s, r, offset_x, offset_y] in two stages.
+    """Fit g = [s, r, offset_x, offset_y] (scale, travel, horizontal offset) in two stages; this is mode "object".
 
-    Stage one assumes constant speed, r being the whole travel; stage two takes the joint value
-    of every frame from geometry, so neither speed nor sliding along the face bends the fit.
-    The ratio of the boxes keeps s where the path says little (a low handle, a short arc).
+    Stage one assumes constant speed with the total travel r. Stage two computes the joint value of every frame from
+    geometry, so neither a varying speed nor sliding along the face biases the fit. The ratio of the boxes is a prior of
+    s, which is weakly determined by the path for a low handle or a short arc.
     """
     held = held_point_of(asset, contact.held_share)
     low, high = asset.moving.bounds
@@ -130,7 +132,7 @@ def _fit_scale(
     ratio = float(np.exp(np.mean(np.log(contact.size[sides] / (high - low)[sides]))))
     R = matrix_from_rotvec(np.array([0.0, 0.0, contact.yaw]))
     first = contact.path_world[0] - R @ held * ratio
-    # A gripper may hold a bar anywhere.
+    # A gripper may hold a bar at any point along it.
     bar, bar_m = R @ asset.handle_axis, ratio * bar_reach(asset)
 
     def noise_along(direction: ArrayLike, noise_m: float) -> float:
@@ -179,7 +181,7 @@ def _scale(
     turned: bool,
     params: FitParams,
 ) -> FittedAsset | Rejection:
-    """Bake the scale into the asset and read its joint values from the recorded path."""
+    """Apply the scale to the asset and compute its joint values from the recorded path."""
     scale = float(np.linalg.norm(S_world_asset[:3, 0]))
     sized = asset.transform(similarity(scale, np.eye(3), np.zeros(3)))
     T = transform(S_world_asset[:3, :3] / scale, S_world_asset[:3, 3])
@@ -212,7 +214,7 @@ def _scale(
 def _shift_along_bar(
     asset: ArticulatedAsset, T_world_asset: Array, held: Array, motions: Array, path: Array
 ) -> Array:
-    """The held point (3,) moved along the handle's bar to where the recorded path passes it."""
+    """Move the held point (3,) along the bar of the handle to the recorded path."""
     moved = apply(motions, apply(T_world_asset, held)[None])
     bars = motions[:, :3, :3] @ (T_world_asset[:3, :3] @ asset.handle_axis)
     now = float((held - asset.handle_point) @ asset.handle_axis)
@@ -221,10 +223,11 @@ def _shift_along_bar(
 
 
 def face_thetas(joint: Joint, held_point: Array, path: Array) -> Array:
-    """Joint values (K,) at which the part's face passes through the points of a path (K, 3).
+    """Compute the joint values (K,) at which the face of the part contains the points of a path (K, 3).
 
-    Prismatic: the distance along the axis. Revolute: the angle at which the half plane of the axis and the point held at
-    joint value 0 passes, whatever slides along it; exact where sliding is not.
+    For a prismatic joint this is the distance along the axis. For a revolute joint it is the angle at which the half
+    plane through the axis and the point held at joint value 0 contains the path point; sliding along the half plane
+    does not change this angle.
     """
     if joint.type == "prismatic":
         return (path - held_point) @ joint.axis
@@ -232,7 +235,7 @@ def face_thetas(joint: Joint, held_point: Array, path: Array) -> Array:
     outward /= np.linalg.norm(outward)
     along = np.cross(outward, joint.axis)
     relative = path - joint.origin
-    # The face holds the held point and the axis' direction; `outward` is its normal and h is 0.
+    # The face contains the held point and the direction of the axis; `outward` is its normal and h is 0.
     return np.unwrap(np.arctan2(relative @ outward, relative @ along)).astype(np.float64)
 
 
@@ -244,9 +247,9 @@ def _weigh_slide(
     noise_along: Callable[[ArrayLike, float], float],
     params: FitParams,
 ) -> Array:
-    """Distances (K, 2) over their noise: across the motion, and along the face, where a gripper slides.
+    """Return distances (K, 2) divided by their noise: across the motion, and along the face, where a gripper may slide.
 
-    `noise_along` gives the standard deviation along a unit direction (3,) from that of the path, [m].
+    `noise_along` returns the standard deviation of the path along a unit direction (3,), [m].
     """
     outward = joint.axis if joint.type == "prismatic" else np.cross(joint.axis, point - joint.origin)
     outward = outward / np.linalg.norm(outward)

@@ -1,8 +1,8 @@
-"""Gaussians drawn by gsplat on an NVIDIA GPU, behind the interface of the CPU rasterizer.
+"""Rasterizer on an NVIDIA GPU by gsplat, with the interface of the CPU rasterizer.
 
-The conventions are those of `differentiable.Rasterizer`. Two constants of gsplat's kernels differ from the
-engine's and stay as they are, because neither changes what a scene looks like: a Gaussian takes at most
-0.999 of the light (engine: 0.99), and the one that would leave less than 1e-4 is not drawn (engine: drawn).
+The conventions are those of `differentiable.Rasterizer`. Two constants of gsplat's kernels differ from those of the
+engine, with a negligible effect on images: the largest alpha of a Gaussian is 0.999 (engine: 0.99), and the Gaussian
+that reduces the transmittance below 1e-4 is not rendered (engine: rendered).
 """
 
 from dataclasses import replace
@@ -28,10 +28,10 @@ _DILATION = 0.1  # [px^2]
 
 
 class GsplatRasterizer:
-    """Draws Gaussians whose tensors are on a CUDA device; differentiable by all of them.
+    """Renders Gaussians whose tensors are on a CUDA device, with gradients of all tensors.
 
     Args:
-        gsplat: The module to draw with; None loads and checks the installed one.
+        gsplat: The module of gsplat; None imports and checks the installed one.
 
     Raises:
         BackendError: gsplat or CUDA is missing, or gsplat's kernels do not build.
@@ -49,7 +49,7 @@ class GsplatRasterizer:
         T_cam_world: Tensor | None = None,
         parts: PartTensors | None = None,
     ) -> TensorRendering:
-        """Draw as `Rasterizer` says; Gaussians with NaN or infinite values are left out."""
+        """Render as described in `Rasterizer`; Gaussians with NaN or infinite values are left out."""
         check_scene(gaussians, camera, options.sh_degree)
         if parts is not None:
             check_parts(gaussians, parts)
@@ -86,10 +86,10 @@ class GsplatRasterizer:
         *,
         parts: PartTensors | None = None,
     ) -> Tensor:
-        """As `rasterizer.contribution_weights`, for masks (M, H, W) on the same device.
+        """Compute the same as `rasterizer.contribution_weights`, for masks (M, H, W) on the same device.
 
-        A feature's image is the sum of weights times the feature, so the gradient by the features of the
-        image's product with the masks is the result.
+        The image of a feature is the sum of the features times their weights. Therefore the gradient of the sum of
+        image times mask with respect to the features is the result.
         """
         check_scene(gaussians, camera, 0)
         if parts is not None:
@@ -117,7 +117,7 @@ class GsplatRasterizer:
         options: RasterOptions,
         painting: tuple[Tensor, Tensor | None, str],
     ) -> tuple[Tensor, Tensor, dict]:
-        """Images (1, H, W, D), alphas (1, H, W, 1) and tile lists of channels, background and mode."""
+        """Render images (1, H, W, D), alphas (1, H, W, 1) and tile lists for given channels, background and mode."""
         (camera, T_cam_world, parts), (channels, background, mode) = view, painting
         means, quats = gaussians.means, gaussians.quats
         if parts is not None:
@@ -137,18 +137,18 @@ class GsplatRasterizer:
             radius_clip=0.0,
             backgrounds=background,
             render_mode=mode,
-            packed=False,  # rows of the lists are then rows of the Gaussians
+            packed=False,  # then the rows of the lists are rows of the Gaussians
             rasterize_mode="antialiased" if options.antialiased else "classic",
         )
 
     @torch.no_grad()
     def _read_lists(self, lists: dict) -> tuple[Tensor, Tensor]:
-        """Median depth and largest contribution (H, W), from every pixel's list of Gaussians."""
+        """Compute median depth and largest contribution (H, W) from the list of Gaussians of every pixel."""
         centers, conics, opacities = lists["means2d"], lists["conics"], lists["opacities"]
         height, width = lists["height"], lists["width"]
         gaussians, pixels, _ = self._gsplat.rasterize_to_indices_in_range(
             0,
-            2**31 - 1,  # all, at once: a pixel that is full must not go on in a second range
+            2**31 - 1,  # all in one range: a saturated pixel must not continue in a second range
             centers.new_ones((1, height, width)),
             centers,
             conics,
@@ -174,7 +174,7 @@ def _viewmat(camera: Camera, gaussians: GaussianTensors) -> Tensor:
 def _nothing(
     gaussians: GaussianTensors, camera: Camera, background: Tensor, with_ids: bool
 ) -> TensorRendering:
-    """Rendering of no Gaussians, with gradients of no rows; gsplat divides by their number."""
+    """Return the rendering of zero Gaussians, with empty gradients; gsplat would divide by their number."""
     shape, features = (camera.height, camera.width), gaussians.features
     arrays = (gaussians.means, gaussians.quats, gaussians.log_scales, gaussians.logit_opacities, gaussians.sh)
     zeros = background.new_zeros(shape) + sum(array.sum() for array in arrays)
@@ -192,17 +192,17 @@ def _nothing(
 def median_depth_and_max_id(
     pixels: Tensor, gaussians: Tensor, alphas: Tensor, depths: Tensor, shape: tuple[int, int]
 ) -> tuple[Tensor, Tensor]:
-    """Depth where less than half of the light is left, and the Gaussian of the largest weight.
+    """Compute the depth at which the transmittance falls below one half, and the Gaussian of the largest weight.
 
     Args:
-        pixels: (M,) row-major index of the pixel, ascending; within a pixel near to far.
+        pixels: (M,) row-major index of the pixel, ascending; within a pixel from near to far.
         gaussians: (M,) index of the Gaussian.
-        alphas: (M,) what it takes of the light, 0 <= alpha < 1.
-        depths: (N,) of the Gaussians, [m].
+        alphas: (M,) alpha of the Gaussian at the pixel, 0 <= alpha < 1.
+        depths: (N,) depths of the Gaussians, [m].
         shape: Height and width of the images.
 
     Returns:
-        Median depth, 0 where half of the light gets through; largest contribution, -1 where nothing is drawn.
+        Median depth, 0 if the transmittance remains above one half; largest contribution, -1 if there is none.
     """
     count = shape[0] * shape[1]
     depth = torch.zeros(count, dtype=torch.float32, device=depths.device)
@@ -218,7 +218,7 @@ def median_depth_and_max_id(
 
 
 def _light_left(pixels: Tensor, alphas: Tensor) -> tuple[Tensor, Tensor]:
-    """Light left behind every pair (M,), and the pair's weight (M,), float64."""
+    """Compute the transmittance behind every pair (M,), and the weight of the pair (M,), float64."""
     alphas = alphas.double()
     logs = torch.log1p(-alphas)
     sums = logs.cumsum(0)
@@ -229,7 +229,7 @@ def _light_left(pixels: Tensor, alphas: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def _first_of_pixels(pixels: Tensor, chosen: Tensor, count: int) -> tuple[Tensor, Tensor]:
-    """Pixels that have a chosen pair, and the row of the first one."""
+    """Return the pixels that have a chosen pair, and the row of the first chosen pair."""
     rows = torch.arange(len(pixels), device=pixels.device)
     first = rows.new_full((count,), len(rows)).scatter_reduce_(0, pixels[chosen], rows[chosen], "amin")
     which = (first < len(rows)).nonzero()[:, 0]

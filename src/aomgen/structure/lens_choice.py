@@ -1,8 +1,8 @@
-"""Choice of the lens model that a scan supports, by tracks that the fit has not seen.
+"""Choice of the lens model of a scan by held-out tracks.
 
-A richer model always fits better what it was fitted to. So the tracks are split in two halves:
-cameras and optics are adjusted on one half under each model, and every result has to explain the
-other half, where only the points may move. Where no richer model wins, the stated values stay.
+A richer model always has a smaller error on the tracks to which it is fitted. Therefore the tracks are split into two
+halves: cameras and lens are adjusted on one half under each model, and evaluated on the other half, for which only the
+points are adjusted. If no richer model improves the held-out error, the stated values are used.
 """
 
 from collections.abc import Callable
@@ -23,34 +23,35 @@ from aomgen.structure.sparse_model import (
     set_lens,
 )
 
-# Held-out evidence for a richer model: the mean gain over images in standard errors of that mean, and
-# the share of the squared error it removes. Where the simpler model is right they stay below 1 and 0.1 %;
-# a lens that bends the border by two pixels, or a focal length 2 % off, gives 4 to 6 and 2 %.
+# Held-out evidence for a richer model: the mean gain over images in standard errors of that mean, and the relative
+# reduction of the squared error. If the simpler model is correct, they are below 1 and 0.1 %; a distortion of two
+# pixels at the border, or an error of 2 % of the focal length, gives 4 to 6 and 2 %.
 MIN_SIGNIFICANCE = 3.0
-# Least relative gain: well below the 2 % that a real distortion gives.
+# Least relative reduction: well below the 2 % of a real distortion.
 MIN_GAIN = 0.005
-# Errors above this many medians are outliers and count no more than this.
+# Errors are clipped at this multiple of their median, because larger ones are outliers.
 OUTLIER_MEDIANS = 2.0
-# Best repeatability of focal lengths from two halves of a scan, as a share: blur and compression
-# move the features of both halves alike.
+# Least relative standard deviation of a focal length; two halves of a scan cannot show a smaller one, because blur and
+# compression displace the features of both halves in the same way.
 MIN_FOCAL_SD = 0.002
 # Cells across and down the image.
 CELLS = np.array([8, 6])
-# Features a cell for a stable median.
+# Features in a cell for a stable median.
 MIN_FEATURES = 30
-# The right model leaves 0.01 to 0.02 px, a pinhole where the border is bent by 5 px leaves 0.07 px.
+# The correct model has a misfit of 0.01 to 0.02 px; a pinhole model of a lens with a distortion of 5 px at the border
+# has one of 0.07 px.
 MAX_MISFIT_PX = 0.25
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LensChoice:
-    """The lens model chosen on held-out tracks.
+    """The lens model chosen by held-out tracks.
 
     Attributes:
-        lens: Fitted to all tracks under the chosen model.
-        model: What was refined.
-        gain: Share of the squared held-out error that the richest model tried removes.
-        significance: Mean gain of the images in standard errors.
+        lens: Lens that was fitted to all tracks under the chosen model.
+        model: The chosen model.
+        gain: Relative reduction of the squared held-out error by the last model that was tested.
+        significance: Mean gain over the images in standard errors.
     """
 
     lens: Lens
@@ -63,8 +64,8 @@ def choose_lens(model: pycolmap.Reconstruction, stated: Intrinsics | None, *, se
     """Choose the lens model of a mapped scan, and adjust the scan under it in place.
 
     Args:
-        model: A model of one camera, which has the stated optics if there are any.
-        stated: The prior, or None when nothing is known.
+        model: A reconstruction with one camera, which has the stated intrinsics if there are any.
+        stated: The prior, or None if no intrinsics are stated.
     """
     halves = _halves(model, seed)
     errors: dict[LensModel, list[Array]] = {}
@@ -86,7 +87,7 @@ def choose_lens(model: pycolmap.Reconstruction, stated: Intrinsics | None, *, se
 def fit_lens(
     model: pycolmap.Reconstruction, kind: LensModel, stated: Intrinsics | None, *, seed: int
 ) -> Lens:
-    """Adjust a scan in place, with what a lens model leaves free under the prior; the lens."""
+    """Adjust a scan in place under a lens model and the prior; return the lens."""
     _adjust_lens(model, kind)
     if stated is not None and kind != "stated":
         fits = [_with_points(model, half) for half in _halves(model, seed)]
@@ -102,11 +103,11 @@ def fit_lens(
 def climb(
     held_out_errors: Callable[[LensModel], list[Array]], stated: Intrinsics | None
 ) -> tuple[LensModel, float, float]:
-    """The richest lens model that held-out errors call for; gain and significance of the last one tried.
+    """Find the richest lens model that held-out errors support; return it with gain and significance of the last test.
 
     Args:
-        held_out_errors: Squared errors by group under a model, see `compare`.
-        stated: The prior; a calibrated distortion is not touched.
+        held_out_errors: Returns the squared errors by group under a model, see `compare`.
+        stated: The prior; a calibrated distortion is not changed.
     """
     base: LensModel = "focal" if stated is None else "stated"
     richer: tuple[LensModel, ...] = ("radial", "full")
@@ -127,10 +128,10 @@ def climb(
 
 
 def lean_on_stated(free: Lens, stated: Intrinsics, focal_sd: float) -> Lens:
-    """The fitted lens with its focal length drawn towards the stated one, as their deviations say.
+    """Combine the fitted focal length with the stated one, weighted by their standard deviations.
 
     Args:
-        focal_sd: Of the fitted focal length, as a share of it.
+        focal_sd: Relative standard deviation of the fitted focal length.
     """
     evidence, prior = 1 / max(focal_sd, MIN_FOCAL_SD) ** 2, 1 / stated.focal_sd**2
     toward = prior / (evidence + prior)
@@ -143,10 +144,10 @@ def _convincing(gain: float, significance: float) -> bool:
 
 
 def compare(before: list[Array], after: list[Array]) -> tuple[float, float]:
-    """Share of the squared error removed, and its significance, from squared errors by group.
+    """Compute the relative reduction of the squared error and its significance, from squared errors by group.
 
-    Groups (images, or folds of one image) are the independent samples; errors within one share
-    a pose. Outliers are cut at the same value in both.
+    Groups (images, or folds of one image) are the independent samples, because the errors within a group share a pose.
+    Outliers are clipped at the same value before and after.
     """
     limit = OUTLIER_MEDIANS**2 * float(np.median(np.concatenate(before)))
     pairs = [(b, a) for b, a in zip(before, after, strict=True) if len(b)]
@@ -157,12 +158,12 @@ def compare(before: list[Array], after: list[Array]) -> tuple[float, float]:
 
 
 def compute_squared_errors(model: pycolmap.Reconstruction) -> list[Array]:
-    """Squared reprojection errors of each registered image, [px^2]."""
+    """Compute the squared reprojection errors of each registered image, [px^2]."""
     return [(shifts**2).sum(1) for _, shifts in residuals(model)]
 
 
 def residuals(model: pycolmap.Reconstruction) -> list[tuple[Array, Array]]:
-    """Features (F, 2) of each registered image that show points, and their shifts to these (F, 2), [px]."""
+    """Return, for each registered image, the features (F, 2) of points and their offsets to these (F, 2), [px]."""
     found = []
     for image_id in sorted(model.reg_image_ids()):
         image = model.images[image_id]
@@ -177,7 +178,7 @@ def residuals(model: pycolmap.Reconstruction) -> list[tuple[Array, Array]]:
 
 
 def _adjust_lens(model: pycolmap.Reconstruction, kind: LensModel, *, focal: bool = True) -> None:
-    """Adjust poses, points and what a lens model leaves free; the focal length can be held."""
+    """Adjust poses, points and the free parameters of a lens model; the focal length can be fixed."""
     for camera in model.cameras.values():
         free_lens(camera, kind)
     adjust(model, focal=focal and kind != "stated", distortion=kind in ("radial", "full"))
@@ -205,7 +206,7 @@ def _copy_cameras(source: pycolmap.Reconstruction, target: pycolmap.Reconstructi
 
 
 def lens_misfit_px(model: pycolmap.Reconstruction) -> float:
-    """Root mean square, over cells of the image, of the median shift of features from their points, [px]."""
+    """Compute the RMS over image cells of the median offset between features and their points, [px]."""
     found = residuals(model)
     pixels, shifts = (np.concatenate(part) for part in zip(*found, strict=True))
     camera = next(iter(model.cameras.values()))
@@ -222,7 +223,7 @@ def lens_misfit_px(model: pycolmap.Reconstruction) -> float:
 
 
 def require_lens_fits(misfit_px: float, where: str) -> None:
-    """Refuse images whose lens no model describes.
+    """Refuse images with a distortion that no lens model describes.
 
     Raises:
         ReconstructionError: The remaining displacement exceeds its limit.

@@ -1,4 +1,4 @@
-"""All draws of a run, finished or not: committed episodes, rejected attempts, and draws that were not tried."""
+"""List of all samples (draws) of a run, finished or not: committed episodes, rejected and skipped samples."""
 
 import threading
 from collections.abc import Callable, Iterator, Mapping
@@ -27,17 +27,17 @@ UNKNOWN_ASSET: Final = "unknown"
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Draw:
-    """One draw of an asset and its outcome.
+    """One sample (draw) for an asset and its outcome.
 
     Attributes:
-        number: Of its episode.
+        number: Number of its episode.
         asset: Name of the object.
         outcome: See `Outcome`.
-        reason, detail: Why there is no episode; or the limit that came nearest, and its figure in words.
-        room: Distance to the limit that came nearest, 0..1 (see `LimitReading`); below 0 beyond it; None where no limit is stated.
-        variation: As stored; empty where it is unknown.
-        metrics: Figures of a rejection.
-        bodies: Names of the bodies whose overlap is the reason.
+        reason, detail: Reason and detail of a rejection; for an episode, the nearest limit and the metric in words.
+        room: Margin to the nearest limit, 0..1 (see `LimitReading`); negative beyond it; None if no limit is stated.
+        variation: The stored variation; empty if it is unknown.
+        metrics: Metrics of a rejection.
+        bodies: Names of the bodies whose overlap is the reason of the rejection.
         content: Digest of a committed episode, by which its review is found.
         cameras: Names of its videos.
     """
@@ -56,7 +56,7 @@ class Draw:
 
 
 class DrawList:
-    """Draws of the run in a folder, read again only where a file has changed since.
+    """Samples of the run in a folder; files are read again only if they have changed.
 
     Args:
         out: Folder of the run.
@@ -70,11 +70,11 @@ class DrawList:
         self._known: dict[Path, tuple[tuple[int, int], list[Draw]]] = {}
 
     def read(self) -> list[Draw]:
-        """All draws by number; none as long as the run has not come to its episodes.
+        """Return all samples by number; the list is empty before the stage "episodes" has started.
 
         Raises:
-            MissingFileError: The folder of the run has gone.
-            MalformedFileError: A file that all draws depend on is damaged.
+            MissingFileError: The folder of the run does not exist any more.
+            MalformedFileError: A file with information on all samples is damaged.
         """
         if not self.out.is_dir():
             raise MissingFileError(self.out, "is missing", "has it been moved or deleted?")
@@ -83,10 +83,10 @@ class DrawList:
             return [self._found[number] for number in sorted(self._found)]
 
     def find(self, number: int) -> Draw:
-        """One draw as `read` found it last; the draws are read again when it was not among them.
+        """Return one sample as `read` last found it; if it was not found, all samples are read again.
 
         Raises:
-            ValueError: There is no draw of that number.
+            ValueError: There is no sample with this number.
         """
         if number not in self._found:
             self.read()
@@ -95,7 +95,7 @@ class DrawList:
         return self._found[number]
 
     def _list(self) -> Iterator[Draw]:
-        """Draws in the order of the files that report them: what a later one reports holds."""
+        """Yield samples in the order of the files that report them; later files override earlier ones."""
         if not (self.episodes / REQUEST_FILE).is_file():
             return
         names = dict(enumerate(read_request(self.episodes).assets))
@@ -106,7 +106,7 @@ class DrawList:
             yield from self._cached(folder / EPISODE_FILE, lambda path: [_read_committed(path, names)])
 
     def _cached(self, path: Path, read: Callable[[Path], list[Draw]]) -> list[Draw]:
-        """Draws of a file; none where it has gone meanwhile."""
+        """Return the samples of a file; none if it was deleted in the meantime."""
         try:
             status = path.stat()
         except FileNotFoundError:
@@ -187,6 +187,6 @@ def _describe_damage(number: int, asset: str, path: Path, error: Exception) -> D
 
 
 def _room(item: Mapping[str, Any]) -> float | None:
-    # Runs of earlier versions state no excess.
+    # Runs of earlier versions do not state the excess.
     excess = item.get("excess")
     return None if excess is None else -excess
