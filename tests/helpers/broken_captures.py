@@ -237,14 +237,14 @@ CAPTURES = {
         ("moves by", "scan_state"),
     ),
     "gripper reversed": Case(
-        log(lambda rows: [[*row[:-1], str(1 - 1.25 * float(row[-1]))] for row in rows]), None, ("is it reversed?",)
+        log(lambda rows: [[*row[:-1], str(1 - 1.25 * float(row[-1]))] for row in rows]), None, ("reversed",)
     ),
     "known offset of the wrong sign": Case(
         edit(TOML, 'joints = "demo/joints.csv"', 'joints = "demo/joints.csv"\nclock_offset_s = -4.0'),
         IncompleteCaptureError,
         ("clock_offset_s = -4", "leave it out"),
     ),
-    "frozen camera": Case(still_film, IncompleteCaptureError, ("front.mp4", "nothing that moves")),
+    "frozen camera": Case(still_film, IncompleteCaptureError, ("front.mp4", "shows no motion")),
     "demonstration of another camera": Case(
         edit(TOML, "160.0, 120.0]\n\n[demo]", "640.0, 360.0]\n\n[demo]"), CalibrationError, ("front", "320 x 240")
     ),
@@ -256,7 +256,7 @@ CAPTURES = {
     ),
     "masks of 255": Case(masks(255), MalformedFileError, ("labels 0, 255 only", "2 static")),
     "masks of another size": Case(masks(2, size=(640, 480)), MalformedFileError, ("(640, 480)", "(320, 240)")),
-    "masks named otherwise": Case(masks(2, prefix="mask_"), MissingFileError, ("named like", "0003.png")),
+    "masks named otherwise": Case(masks(2, prefix="mask_"), MissingFileError, ("none has the name of", "0003.png")),
     "damaged mask": Case(
         both(masks(2), truncate("masks/ours/0010.png", 0.5)), MalformedFileError, ("0010.png", "cannot be decoded")
     ),

@@ -339,9 +339,9 @@ DIALECTS = {
     "gap of 0.2 s": Dialect(without(400, 419), ("1 gaps of more than 0.1 s",)),
     "gap of 0.4 s": Dialect(without(400, 439), ("0.40 s apart",), refused=True),
     "packets sent twice": Dialect(table(resent(50)), ("repeated a time stamp",)),
-    "packets out of order": Dialect(table(swapped), ("out of order",)),
+    "packets out of order": Dialect(table(swapped), ("not in the order of time",)),
     "stamps rounded to 20 ms": Dialect(times("time_s", lambda t: f"{int(50 * t) / 50:.2f}"), ("repeated a time stamp",)),
-    "two recordings in one file": Dialect(table(lambda h, r: (h, [*r, *r])), ("steps back",), refused=True),
+    "two recordings in one file": Dialect(table(lambda h, r: (h, [*r, *r])), ("time decreases",), refused=True),
     # Angles of the log.
     "wrapped to half turns": Dialect(wrapped(1, -np.pi), ("shoulder_pan_joint", "unwrapped")),
     "wrapped to whole turns": Dialect(wrapped(6, 0.0), ("wrist_3_joint", "unwrapped")),
@@ -358,7 +358,7 @@ DIALECTS = {
     "opening in metres, stated": Dialect(gripper(lambda g: 0.085 * (1 - g), "[0.085, 0.0]")),
     "closing in metres": Dialect(gripper(lambda g: 0.085 * g), ("meters?",), refused=True),
     "angle in radians, stated": Dialect(gripper(lambda g: 0.8 * g, "[0, 0.8]")),
-    "gripper reversed": Dialect(gripper(lambda g: 1 - g), ("is it reversed?", "gripper_range = [1, 0]"), log=False),
+    "gripper reversed": Dialect(gripper(lambda g: 1 - g), ("reversed", "gripper_range = [1, 0]"), log=False),
     "gripper reversed, stated": Dialect(gripper(lambda g: 1 - g, "[1, 0]")),
     "gripper that stays open": Dialect(gripper(lambda g: 0.003), log=False),
     # Video.

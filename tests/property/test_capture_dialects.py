@@ -90,7 +90,7 @@ HIGHLIGHTS = {
     "L18-jitter-ros": (),
     "L5-wrap": ("unwrapped",),
     "L9a-blank-last": (),
-    "L4-reversed-ends-holding": ("is it reversed?", "gripper_range"),
+    "L4-reversed-ends-holding": ("reversed", "gripper_range"),
 }
 
 

@@ -133,7 +133,7 @@ def test_a_cluster_that_is_not_there_is_named():
     if importlib.util.find_spec("ray") is None:
         pytest.skip("ray is not installed")
     for address in ("127.0.0.1:1", "127.0.0.1:99999"):
-        with pytest.raises(BackendError, match=f"--ray {address}: no Ray cluster answers"):
+        with pytest.raises(BackendError, match=f"--ray {address}: no Ray cluster replies"):
             require_cluster(address)
 
 
@@ -143,5 +143,5 @@ def test_an_address_where_something_else_listens_is_named(monkeypatch):
     monkeypatch.setattr(executors, "RAY_PROBE_S", 2.0)
     with socket.create_server(("127.0.0.1", 0)) as server:
         address = f"127.0.0.1:{server.getsockname()[1]}"
-        with pytest.raises(BackendError, match=r"no Ray cluster answers \(nothing said within 2 s\)"):
+        with pytest.raises(BackendError, match=r"no Ray cluster replies \(nothing said within 2 s\)"):
             require_cluster(address)

@@ -75,7 +75,7 @@ def test_a_resting_arm_tells_nothing() -> None:
 
 def test_a_log_that_is_too_short_is_refused() -> None:
     video = film(disc(path)(TIMES, 160, 120))
-    with pytest.raises(SyncError, match="too little"):
+    with pytest.raises(SyncError, match="too short"):
         estimate_clock(video, np.arange(0, 0.5, 0.01), disc(path))
 
 

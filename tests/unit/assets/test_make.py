@@ -264,7 +264,7 @@ def test_what_overlaps_in_the_closed_state_is_a_hinge_and_said_so(made: Made) ->
     assert check_asset(sealed) == []
     (hinge,) = (finding.state for finding in examine(sealed) if finding.name == "hinge")
     assert "'seal'" in hinge
-    assert "do not touch in simulation" in hinge
+    assert "do not collide in simulation" in hinge
 
 
 def test_check_wants_room_for_a_finger_behind_the_handle(made: Made) -> None:

@@ -72,9 +72,11 @@ def test_a_foreign_folder_is_kept(run, tmp_path):
     (tmp_path / "photos").mkdir()
     (tmp_path / "photos" / "cat.jpg").write_bytes(b"cat")
     one_sentence(
-        aomgen("export", run, "photos", "--format", "hdf5", folder=tmp_path), 2, "no dataset of AOMGen"
+        aomgen("export", run, "photos", "--format", "hdf5", folder=tmp_path), 2, "not a dataset of AOMGen"
     )
-    one_sentence(aomgen("export", run, run, "--format", "hdf5", folder=tmp_path), 2, "no dataset of AOMGen")
+    one_sentence(
+        aomgen("export", run, run, "--format", "hdf5", folder=tmp_path), 2, "not a dataset of AOMGen"
+    )
     assert (tmp_path / "photos" / "cat.jpg").read_bytes() == b"cat"
     assert (run / PROJECT_FILE).is_file()
 

@@ -80,7 +80,7 @@ def test_somebody_s_dataset_is_not_replaced(small_capture, tmp_path, no_work):
     project = project_of(small_capture, tmp_path)
     run_pipeline(project, Heard())
     (tmp_path / "dataset" / "years_of_work.h5").write_text("")
-    with pytest.raises(StorageError, match="dataset: was not made by a run"):
+    with pytest.raises(StorageError, match="dataset: was not created by a run"):
         run_pipeline(project, Heard())
     assert no_work == ["stages"]
 

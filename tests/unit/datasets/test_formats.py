@@ -202,11 +202,11 @@ def test_a_dataset_of_ours_is_replaced_and_a_foreign_folder_is_not(folders, expo
     shutil.rmtree(foreign)
     (foreign / "meta").mkdir(parents=True)
     (foreign / "meta" / "info.json").write_text("{}")
-    with pytest.raises(ConfigError, match="no dataset of AOMGen"):
+    with pytest.raises(ConfigError, match="not a dataset of AOMGen"):
         export_dataset(folders, foreign, "lerobot-v3")
     file = tmp_path / "notes"
     file.write_text("mine")
-    with pytest.raises(ConfigError, match="no dataset of AOMGen"):
+    with pytest.raises(ConfigError, match="not a dataset of AOMGen"):
         export_dataset(folders, file, "lerobot-v3")
     assert [p.name for p in foreign.rglob("*")] == ["meta", "info.json"]
     assert file.read_text() == "mine"
@@ -247,7 +247,7 @@ def test_one_episode_cannot_be_split(folders, tmp_path, kind):
 
 
 def test_a_name_that_tfds_does_not_take_is_refused(folders, tmp_path):
-    with pytest.raises(ConfigError, match="no name for TFDS"):
+    with pytest.raises(ConfigError, match="not a valid name for TFDS"):
         export_dataset(folders, tmp_path / "my-data", "rlds")
 
 
@@ -393,7 +393,7 @@ def test_episodes_that_are_missing_or_foreign_are_found(exported, folders, tmp_p
 
 
 def test_a_folder_that_is_no_dataset_is_refused(folders, tmp_path):
-    with pytest.raises(MalformedFileError, match="is no dataset"):
+    with pytest.raises(MalformedFileError, match="is not a dataset"):
         audit_dataset(tmp_path, folders)
     with pytest.raises(MissingFileError):
         audit_dataset(tmp_path / "none", folders)

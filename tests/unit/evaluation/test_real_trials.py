@@ -161,9 +161,9 @@ def test_figures_that_do_not_belong_together(folder: Path) -> None:
         read_twin_trials([folder / "0.85.json"] * 2)
     other = json.loads((folder / "0.4.json").read_text()) | {"suite": "6" * 64}
     (folder / "0.4.json").write_text(json.dumps(other))
-    with pytest.raises(ConfigError, match="is of another suite than"):
+    with pytest.raises(ConfigError, match="belongs to another suite than"):
         read_twin_trials([folder / "0.4.json", folder / "0.85.json"])
-    with pytest.raises(MalformedFileError, match="holds no figures"):
+    with pytest.raises(MalformedFileError, match="contains no metrics"):
         read_twin_trials([folder / "other.json"])
     with pytest.raises(UnknownNameError):
         compare_with_reality(read_real_trials(folder / "trials.csv"), {"x": {0: 1}}, folder / "trials.csv")

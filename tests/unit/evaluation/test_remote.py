@@ -186,13 +186,13 @@ def test_addresses_are_refused(name, said):
 def test_a_server_that_is_away_is_told_before_work_starts(scheme, space):
     with pytest.raises(PolicyServerError) as caught:
         open_remote(f"{scheme}://127.0.0.1:{closed_port()}", task_in(space))
-    assert "does not answer" in str(caught.value)
+    assert "does not reply" in str(caught.value)
     assert "start the server" in str(caught.value)
     assert caught.value.exit_code == BackendError.exit_code
 
 
 def test_another_kind_of_server_is_told():
-    with openvla_server(lambda _: {}) as served, pytest.raises(PolicyServerError, match="does not answer"):
+    with openvla_server(lambda _: {}) as served, pytest.raises(PolicyServerError, match="does not reply"):
         open_remote(f"openpi://{served.address}", task_in("joint"))
     with openpi_server(lambda _: {}) as served:
         policy = open_remote(f"openvla://{served.address}", task_in("ee_delta"))
@@ -204,7 +204,7 @@ def test_another_kind_of_server_is_told():
     ("metadata", "kind", "said"),
     [
         ({}, PolicyServerError, "does not state on which data its policy was trained"),
-        ({"action_space": "joint", "cameras": "front"}, PolicyServerError, "does not say"),
+        ({"action_space": "joint", "cameras": "front"}, PolicyServerError, "does not state"),
         (b"\xc1", PolicyServerError, "is not msgpack"),
         (b"\x93\x01\x02\x03", PolicyServerError, "is not a map (list)"),
         (
@@ -215,7 +215,7 @@ def test_another_kind_of_server_is_told():
         (
             {"action_space": "joint", "cameras": ["top"]},
             ConfigError,
-            "wants the camera top; the suite has front, side",
+            "requires the camera top; the suite has front, side",
         ),
     ],
 )
@@ -238,7 +238,7 @@ def test_openvla_acts_in_deltas_and_knows_seven_joints():
         ConfigError, match="acts in ee_delta, the suite's actions are joint; pass --actions ee_delta"
     ):
         open_remote("openvla://localhost:1", task_in("joint"))
-    with pytest.raises(ConfigError, match="knows 7 joints, the arm has 8"):
+    with pytest.raises(ConfigError, match="supports 7 joints, the arm has 8"):
         open_remote("openvla://localhost:1", task_in("ee_delta", joints=8))
 
 
@@ -272,8 +272,8 @@ def refuses_in_one_sentence(policy, where: str, said: str) -> None:
         (b"", "is not msgpack"),
         (b"\x90", "is not a map (list)"),
         ("Traceback:\n  File x\nKeyError: 'images'\n", "failed: KeyError: 'images'; see its log"),
-        (None, "does not answer"),
-        (bytes(policy_servers.MAX_ANSWER + 1), "does not answer"),
+        (None, "does not reply"),
+        (bytes(policy_servers.MAX_ANSWER + 1), "does not reply"),
     ],
 )
 def test_wrong_answers_of_openpi_are_one_sentence(answer, said):
@@ -312,12 +312,12 @@ def test_a_server_that_thinks_for_ever_is_left(monkeypatch):
     monkeypatch.setattr(policy_servers, "ANSWER_S", 0.2)
     with socket.create_server(("127.0.0.1", 0)) as silent:
         policy = open_remote(f"openvla://127.0.0.1:{silent.getsockname()[1]}", task_in("ee_delta"))
-        with pytest.raises(PolicyServerError, match="does not answer"):
+        with pytest.raises(PolicyServerError, match="does not reply"):
             policy.act(observation())
     monkeypatch.setattr(policy_servers, "CONNECT_S", 0.2)
     with (
         socket.create_server(("127.0.0.1", 0)) as silent,
-        pytest.raises(PolicyServerError, match="does not answer"),
+        pytest.raises(PolicyServerError, match="does not reply"),
     ):
         open_remote(f"openpi://127.0.0.1:{silent.getsockname()[1]}", task_in("joint"))
 
@@ -326,7 +326,7 @@ def test_a_server_that_goes_away_between_two_chunks_is_told():
     with openpi_server(lambda _: {"actions": msgpack_array(CHUNK[:1])}) as served:
         policy = open_remote(f"openpi://{served.address}", task_in("joint"))
         policy.act(observation())
-    with pytest.raises(PolicyServerError, match="does not answer"):
+    with pytest.raises(PolicyServerError, match="does not reply"):
         policy.act(observation())
 
 

@@ -74,7 +74,7 @@ def test_poses_are_apart_in_place_or_in_angle(mm: float, deg: float, apart: bool
 
 
 def test_the_seed_of_the_training_is_refused(toy: ToyResults, tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match="that of the training"):
+    with pytest.raises(ConfigError, match="the seed of the run"):
         make_suite(toy, tmp_path / "s.json", SuiteRequest(seed=toy.project.seed), 1, silent)
     assert list(tmp_path.iterdir()) == []
 

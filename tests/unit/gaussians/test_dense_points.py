@@ -211,7 +211,7 @@ def test_sweeps_begin_before_the_nearest_points_of_a_view():
         reprojection_error_px=0.0,
     )
     assert nearest_depth(structure, ["a"])[0] == pytest.approx(0.7 * 2, rel=0.02)
-    with pytest.raises(ReconstructionError, match=r"b.*sees no point"):
+    with pytest.raises(ReconstructionError, match=r"b.*shows no point"):
         nearest_depth(structure, ["a", "b"])
 
 

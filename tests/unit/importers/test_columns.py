@@ -105,7 +105,7 @@ def test_grippers(values: Sequence[float], stated: tuple, expected: Sequence[flo
         ([255.0, 0.0], (None, None), "gripper", UnitsError, "--gripper-open 255"),
         ([0.5, 0.5], (None, None), "gripper", UnitsError, "half open"),
         ([0.0, 80.0], (None, None), "gripper", UnitsError, "percent, millimeters"),
-        ([0.0, 900.0], (None, None), "gripper", UnitsError, "another unit?"),
+        ([0.0, 900.0], (None, None), "gripper", UnitsError, "another one?"),
         ([0.0, 0.7], (None, None), "finger_joint", UnitsError, "--gripper-open 0 --gripper-closed 0.8"),
         ([0.0, 0.7], (0.0, None), "finger_joint", UnitsError, "state it with --gripper-closed"),
         ([0.0, 60.0], (0.0, None), "gripper", UnitsError, "state it with --gripper-closed"),

@@ -197,7 +197,9 @@ def test_cameras_that_move_or_share_a_name(target: Path, tmp_path: Path, short: 
     with BagWriter(tmp_path / "bag", "mcap") as bag:
         bag.write_joints("/joint_states", 0.0, [*JOINTS, "gripper"], [*short.joints[0], 0.0])
         bag.write_image("/wrist/image_raw", 0.0, short.frames[0])
-    refuse(tmp_path / "bag", target, ConfigError, "cameras on the arm: /wrist/image_raw; choose one")
+    refuse(
+        tmp_path / "bag", target, ConfigError, "cameras on the arm: /wrist/image_raw; select a fixed camera"
+    )
     with BagWriter(tmp_path / "both", "mcap") as bag:
         bag.write_joints("/joint_states", 0.0, [*JOINTS, "gripper"], [*short.joints[0], 0.0])
         bag.write_image("/front/image_raw", 0.0, short.frames[0])

@@ -43,9 +43,9 @@ def damaged(value: float) -> bytes:
 
 
 BAD: dict[str, tuple[bytes, type[InputError], str]] = {
-    "truncated": (encoded(room(), "hdr")[:-300], MalformedFileError, "no readable picture"),
+    "truncated": (encoded(room(), "hdr")[:-300], MalformedFileError, "not a readable HDR image"),
     "text": (b"#?RADIANCE\nhello\n", LimitExceededError, "or names no size"),
-    "empty": (b"", MalformedFileError, "no readable picture"),
+    "empty": (b"", MalformedFileError, "not a readable HDR image"),
     "png": (encode_png(np.zeros((16, 32, 3), np.uint8)), MalformedFileError, "but png; save it as"),
     "square": (encoded(room(32, 32), "hdr"), MalformedFileError, "has 32 x 32 pixels, expected 2:1"),
     "black": (encoded(0 * room(), "hdr"), MalformedFileError, "is black"),

@@ -42,7 +42,7 @@ def test_an_object_without_a_handle_that_was_scanned_is_refused() -> None:
     place = apply(demo.Ts_world_ee[demo.contact_frames[0]], demo.grasp_ee)
     far = np.linalg.norm((recorded.moving_points_world - place)[:, :2], axis=1) > 0.06
     bare = replace(recorded, moving_points_world=recorded.moving_points_world[far])
-    with pytest.raises(EstimationError, match="stand off the part"):
+    with pytest.raises(EstimationError, match="protrude from the part"):
         fit_original(demo, describe_contact(demo, bare, "opening"), bare, "microwave")
 
 

@@ -46,5 +46,5 @@ def test_no_usable_view_is_refused(toy_scene):
     )
     with pytest.raises(ReconstructionError, match="no scan camera is registered"):
         choose_viewpoint({}, *arguments)
-    with pytest.raises(ReconstructionError, match="sees the action"):
+    with pytest.raises(ReconstructionError, match="the action is not visible"):
         choose_viewpoint({"looks_away": scan_cameras(toy_scene)["looks_away"]}, *arguments)

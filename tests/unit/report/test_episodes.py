@@ -91,7 +91,7 @@ def test_the_verdicts_show_the_worst_setting_and_the_limits(results: Results, vi
     assert row == ["99.0", "95.0", "2.0", "41", "0.3", "0", "102", "12"]
     assert "at least 90% of the planned way" in page
     assert "The grip force has no separate limit" in page
-    assert "because it is simulated as fixed to the table" in page
+    assert "because the object is simulated as fixed to the table" in page
 
 
 def test_many_episodes_are_listed_and_only_the_first_decoded(

@@ -26,7 +26,7 @@ def remove_from(run: Path, stage: str) -> None:
         ("gaussians", "no Gaussians yet", ["cameras"]),
         ("alignment", "no scale", ["cameras"]),
         ("motion", "joint is not estimated", ["cameras", "coverage"]),
-        ("twin", "nothing moves", ["cameras", "coverage", "axis"]),
+        ("twin", "nothing can move", ["cameras", "coverage", "axis"]),
         ("replacement", "no episodes yet", ["colliders", "cameras", "coverage", "contacts", "axis"]),
     ],
 )
