@@ -1,4 +1,4 @@
-"""Articulated assets: loaded, made, checked, and fitted to a recorded motion."""
+"""Articulated assets: loading, making, checking, and fitting them to a recorded motion."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -23,8 +23,8 @@ class Asset:
     """An articulated object with meshes, colliders, masses, one joint and a handle.
 
     Attributes:
-        model: Its content, asset frame: front towards -y, support plane z = 0.
-        source: How projects name it, `category:seed` or FILE#JOINT; empty before `save`.
+        model: Content of the asset, asset frame: front towards -y, support plane z = 0.
+        source: Name of the asset in projects, `category:seed` or FILE#JOINT; empty before `save`.
 
     Example:
         >>> asset = ag.Asset.make("drawer", seed=3)
@@ -50,14 +50,14 @@ class Asset:
 
         Args:
             file: The model; OBJ needs an `articulation.json`, see `docs/assets.md`.
-            joint: Which of several joints moves.
-            scale: Factor on the size.
-            category: For example "microwave"; as in the file when empty.
-            limits: Lower and upper limit of the joint in place of the file's, [rad] or [m].
-            handle: Corners x0, y0, z0, x1, y1, z1 of a box around the handle as drawn, [m], z up.
+            joint: Name of the joint that opens, if the file has several.
+            scale: Scale factor.
+            category: Category, for example "microwave"; if empty, the one in the file.
+            limits: Lower and upper limit of the joint, [rad] or [m]; they replace those of the file.
+            handle: Corners x0, y0, z0, x1, y1, z1 of a box around the handle, in the pose of the file, [m], z up.
 
         Raises:
-            InputError: The file cannot be used; the subclass says why.
+            InputError: The file cannot be used; the subclass indicates the reason.
             SeveralJointsError: The file has several joints; its `joints` lists them.
 
         Example:
@@ -78,7 +78,7 @@ class Asset:
 
         Args:
             category: "cabinet", "drawer", "dresser", "laptop", "microwave" or "toolbox".
-            seed: Chooses style, sizes, colors and the side of the hinge.
+            seed: Random seed of style, sizes, colors and the side of the hinge.
 
         Raises:
             ConfigError: The category is unknown, or the seed is negative.
@@ -100,10 +100,10 @@ class Asset:
         return self.model.joint
 
     def check(self) -> list[Finding]:
-        """Examine joint, size, handle, colliders, mass and textures.
+        """Check joint, size, handle, colliders, mass and textures.
 
         Returns:
-            Findings; the asset can be simulated and opened when none has a `problem`.
+            Findings; the asset can be simulated and opened if none of them has a `problem`.
 
         Example:
             >>> [item.problem for item in ag.Asset.make("laptop", seed=2).check() if item.problem]
@@ -112,7 +112,7 @@ class Asset:
         return examine(self.model)
 
     def save(self, file: str | Path) -> None:
-        """Write the asset as USD with colliders, masses, joint and friction, named as the file.
+        """Write the asset as USD with colliders, masses, joint and friction; its name becomes that of the file.
 
         Example:
             >>> ag.Asset.make("cabinet", seed=1).save("cabinet.usda")
@@ -122,7 +122,7 @@ class Asset:
 
 
 def fit_asset(asset: Asset, run: Run) -> FittedAsset:
-    """Place an asset where a run's object stood and carry the recorded motion to its joint.
+    """Place an asset at the pose of the recorded object and transfer the recorded motion to its joint.
 
     Args:
         asset: See `Asset`.
@@ -132,7 +132,7 @@ def fit_asset(asset: Asset, run: Run) -> FittedAsset:
         The asset with its pose, contact point and joint values over the motion.
 
     Raises:
-        AssetError: The asset cannot be simulated and held.
+        AssetError: The asset cannot be simulated and grasped.
         EstimationError: The recorded motion does not fit the asset.
 
     Example:
@@ -153,10 +153,10 @@ def fit_asset(asset: Asset, run: Run) -> FittedAsset:
 
 
 def asset_source(asset: "Asset | str | Path") -> str:
-    """Return how a project names an asset.
+    """Return the name of an asset in a project.
 
     Raises:
-        ConfigError: The asset is neither a made one nor a USD file.
+        ConfigError: The asset is neither parametric nor a USD file.
     """
     if isinstance(asset, Asset):
         if not asset.source:

@@ -1,4 +1,4 @@
-"""A recording of a lab, opened and checked."""
+"""Captures: recorded scenes and demonstrations, opened and checked."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -30,13 +30,13 @@ class Capture:
 
     @classmethod
     def load(cls, folder: str | Path) -> "Capture":
-        """Read the folder of a capture; videos are not decoded yet.
+        """Read the folder of a capture without decoding its videos.
 
         Args:
             folder: Folder with a `capture.toml`.
 
         Raises:
-            InputError: A file is missing, damaged or inconsistent; the subclass says which.
+            InputError: A file is missing, damaged or inconsistent; the subclass indicates the kind of problem.
 
         Example:
             >>> ag.Capture.load("my_capture").category
@@ -45,7 +45,7 @@ class Capture:
         return cls(read_capture(Path(folder)))
 
     def check(self) -> tuple[str, ...]:
-        """Decode every file and return warnings, one sentence for each doubt.
+        """Decode every file and return warnings, each of which is one sentence.
 
         Raises:
             InputError, ConfigError: The first problem that would stop a reconstruction.
@@ -73,5 +73,5 @@ class Capture:
 
     @property
     def joint_log(self) -> JointLog:
-        """Arm joints [rad] and gripper (0 open, 1 closed) over the log's own clock [s]."""
+        """Arm joints [rad] and gripper (0 open, 1 closed) over the clock of the log [s]."""
         return self.recording.joint_log

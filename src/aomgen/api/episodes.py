@@ -1,4 +1,4 @@
-"""Verified demonstrations: planned, simulated, rendered, exported."""
+"""Verified demonstrations: planning, simulation, rendering and export."""
 
 import hashlib
 import json
@@ -29,16 +29,16 @@ from aomgen.pipeline.stages import PROJECT_FILE, STAGES, check_params, find_proj
 from aomgen.simulation.scene import Scene
 from aomgen.simulation.verify import verify_plan
 
-# Below a run's folder: requests of `generate` without a folder of their own.
+# Folder, in that of a run, for the results of `generate` without `out`.
 GENERATED_FOLDER = "generated"
-# Stages whose results do not depend on assets and ranges; requests share them.
+# Stages whose results do not depend on assets and ranges; all calls of `generate` share them.
 SHARED_STAGES = ("structure", "gaussians", "alignment", "parts", "motion", "twin")
-# Interval between looks for new episodes, [s].
+# Interval between checks for new episodes, [s].
 POLL_S = 0.2
 
 
 class _Stopped(Exception):
-    """The caller of `generate` wants no more episodes."""
+    """The caller of `generate` has closed the iterator."""
 
 
 def generate(
@@ -53,28 +53,29 @@ def generate(
     progress: Progress = silent,
     **choices: Any,
 ) -> Iterator[CommittedEpisode]:
-    """Make verified, rendered episodes, and yield each one when it is on disk.
+    """Generate verified, rendered episodes, and yield each one when it is on disk.
 
-    The results go into a run of their own that shares the twin with `run`. The same call continues what was
-    interrupted, and yields finished episodes at once. Closing the iterator stops the work.
+    The results are written to a separate run that shares the twin with `run`. After an interruption the same call
+    continues; it yields finished episodes immediately. Closing the iterator stops the generation.
 
     Args:
         run: A run that has finished stage "twin".
-        assets: Assets that replace the recorded object; those of `run` when empty.
-        n: Episodes of each asset.
-        ranges: Ranges that poses, sizes, speeds, light and cameras are sampled from; those of `run` when None.
-        seed: Seed of all random choices; that of `run` when None.
-        out: Folder of the new run; a folder below `run.folder` that is named after the request when None.
-        workers: Processes; 0 for one per processor.
-        progress: Receives the share done of a stage and a text.
-        choices: Other fields of the project, for example `image_size=(256, 256)`.
+        assets: Assets that replace the recorded object; if empty, the assets of `run`.
+        n: Number of episodes for each asset.
+        ranges: Ranges from which poses, sizes, speeds, light and cameras are sampled; None selects those of `run`.
+        seed: Random seed; None selects that of `run`.
+        out: Folder of the new run; None selects a folder in `run.folder` whose name depends on the arguments.
+        workers: Number of processes; 0 means one for each CPU core.
+        progress: Receives the completed share of a stage and a text.
+        choices: Other settings of the project, for example `image_size=(256, 256)`.
 
     Yields:
-        Episodes in the order in which they are committed. Fewer than n for an asset whose attempts are used up.
+        Episodes in the order in which they are committed. There are fewer than n for an asset whose attempts are
+        exhausted.
 
     Raises:
-        ConfigError, AssetError: An argument is wrong; nothing has been started.
-        NotEnoughEpisodesError: No draw of any asset passes verification.
+        ConfigError, AssetError: An argument is wrong; the generation has not started.
+        NotEnoughEpisodesError: No sample of any asset passes verification.
 
     Example:
         >>> run = ag.Run.open("out")
@@ -104,7 +105,7 @@ def generate(
 
 
 def _request_name(project: Project) -> str:
-    """Return a name of a request that does not depend on the number of episodes, which can be raised later."""
+    """Return a name for the arguments of `generate`; it does not depend on the number of episodes."""
     choices = project.model_dump(mode="json", exclude={"capture", "out", "poses"})
     return hashlib.sha256(json.dumps(choices, sort_keys=True).encode()).hexdigest()[:12]
 
@@ -123,7 +124,7 @@ def _differences(params: Any, usual: Any) -> dict[str, Any]:
 def _generate(
     project: Project, wanted: int, progress: Progress, machine: Mapping[str, int]
 ) -> Iterator[CommittedEpisode]:
-    """Run the pipeline in a thread and yield what it commits."""
+    """Run the pipeline in a thread and yield the committed episodes."""
     folder = results_of(project, STAGES).folders["episodes"]
     stopped, failures = threading.Event(), list[BaseException]()
 
@@ -155,7 +156,7 @@ def _generate(
                     made[asset] += 1
                     yielded.add(path)
                     yield read_episode(path)
-            # An earlier call asked for more, which need not be made now; otherwise the stage is finished.
+            # If an earlier call requested more episodes, they are not generated now; otherwise the stage is finished.
             over = over or (wanted < project.poses and sum(made.values()) == wanted * len(project.assets))
         if failures:
             raise failures[0]
@@ -190,11 +191,11 @@ def plan(
     Args:
         run: A run that has finished stage "replacement".
         fit: See `fit_asset`.
-        variation: Pose of the object relative to the recorded one, and what else differs.
-        scene: Result of `build_scene`, which is built when None.
+        variation: Pose of the object relative to the recorded one, and all other variations.
+        scene: Result of `build_scene`; None builds it.
 
     Returns:
-        The plan, or the reason why there is none; `passed` is True for a plan.
+        The plan, or a rejection with its reason; `passed` is True for a plan.
 
     Example:
         >>> run = ag.Run.open("out")
@@ -208,14 +209,14 @@ def plan(
 
 
 def verify(plan: EpisodePlan, scene: Scene) -> Verdict | Rejection:
-    """Simulate a plan under several resistances of the object, and judge whether contact alone moves it.
+    """Simulate a plan in several physics settings, and check that contact alone moves the object.
 
     Args:
         plan: Commanded motion.
         scene: Robot, table and the plan's asset.
 
     Returns:
-        The certificate with all margins, or the reason why the plan fails; `passed` is True for a certificate.
+        The certificate with all margins, or a rejection with its reason; `passed` is True for a certificate.
 
     Example:
         >>> run = ag.Run.open("out")
@@ -243,19 +244,19 @@ def export(
     """Write episodes as a dataset for training.
 
     Args:
-        episodes: Episodes, or a run whose episodes are written without those that a person has rejected.
-        folder: The dataset; replaced if AOMGen wrote it.
+        episodes: Episodes, or a run, whose episodes are written except for those that a person has rejected.
+        folder: Folder of the dataset; an existing dataset of AOMGen is replaced.
         format: "lerobot-v3", "lerobot-v2.1", "rlds", "rlds-array-record" or "hdf5".
-        actions: "joint", "ee_absolute" or "ee_delta"; the format's own when empty.
-        media: LeRobot's images: "video", "image", or "none" for the object's pose instead; "video" when empty.
-        size: Width and height of the images, "128x96"; as rendered when empty.
-        val: Number of episodes for validation; the format's own share when None.
+        actions: "joint", "ee_absolute" or "ee_delta"; if empty, the default of the format.
+        media: Images of LeRobot datasets: "video" (default), "image", or "none" (the object's pose instead of images).
+        size: Width and height of the images, for example "128x96"; if empty, the rendered size.
+        val: Number of validation episodes; None selects the default of the format.
 
     Returns:
         Episodes by split, and the number of frames.
 
     Raises:
-        ConfigError: No episodes, an unknown format or option, or a folder that holds something else.
+        ConfigError: No episodes, an unknown format or option, or a folder with other content.
 
     Example:
         >>> made = ag.export(ag.Run.open("out"), "dataset", "hdf5", val=1)

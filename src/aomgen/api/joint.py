@@ -1,4 +1,4 @@
-"""The joint of an articulated object from the path of the end effector that moved it."""
+"""Estimation of an object's joint from the path of the end effector that moved it."""
 
 from dataclasses import dataclass
 from typing import Annotated
@@ -16,22 +16,23 @@ from aomgen.motion.joint_estimation import estimate_joint as estimate_from_path
 from aomgen.motion.joint_value import YIELD_M, compute_path_value_sd, compute_path_values
 from aomgen.motion.part_shape import measure_shape
 
-# Normal deviate that 95 % of the probability lies within.
+# Half width of the 95 % interval of a standard normal distribution.
 DEVIATE_95 = 1.96
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class JointFit:
-    """The joint that explains an end effector's path, and how well it is known.
+    """The joint that explains an end effector's path, with its uncertainty.
 
     Attributes:
         joint: Type, axis, and a point on the axis, world frame; value 0 is the first pose, `upper` is the travel.
         times_s: Times of the poses (T,), [s].
         thetas: Joint value at each time (T,), [rad] or [m].
-        theta_bounds: Lower and upper bound (T, 2) of the values with 95 % probability each.
-        axis_radius_rad: The true axis direction lies within this angle with 95 % probability, [rad].
-        origin_radius_m: The true axis line passes the gripper within this distance of the estimated one with 95 %
-            probability, [m]; 0 for a prismatic joint.
+        theta_bounds: 95 % intervals (T, 2) of the values.
+        axis_radius_rad: Angle around the estimated axis that contains the true direction with a probability of 95 %,
+            [rad].
+        origin_radius_m: Distance from the estimated axis line, near the gripper, within which the true line is with a
+            probability of 95 %, [m]; 0 for a prismatic joint.
         log_evidence_ratio: Natural logarithm of the evidence of this joint type over that of the other type.
         grasp_ee: Point of the part that the gripper holds (3,), end-effector frame, [m].
     """
@@ -64,26 +65,28 @@ def estimate_joint(
 ) -> JointFit:
     """Estimate a joint's type, axis, origin and values from the path of the end effector that moved its part.
 
-    The gripper may slip on the handle and turn with it only partly; the noise model of this is marginalized, so
-    that the stated bounds include it. They also include that the grasp yields before the part follows.
+    The gripper may slip on the handle and follow its rotation only partly. The parameters of this noise are
+    marginalized, so the bounds include it. They also include the compliance of the grasp.
 
     Args:
         Ts_world_ee: End-effector poses (T, 4, 4) from the first to the last moment in which the part moves.
         times_s: Times of the poses (T,), strictly increasing, [s].
-        grasp_ee: First guess of the held point (3,), end-effector frame, [m]; the default is the end effector's origin.
-        grasp_sd_m: Standard deviation of that guess in each direction, [m].
+        grasp_ee: Initial value of the held point (3,), end-effector frame, [m]; the default is the end effector's
+            origin.
+        grasp_sd_m: Standard deviation of this value in each direction, [m].
         closing_ee: Unit direction (3,) in which two fingers press on the part, end-effector frame; None if the gripper
             only pushes or hooks.
         part_points: Points (N, 3) and (M, 3) on the static and on the moving part, world frame at the first pose, [m].
-            Their shape gives a prior of the axis (a hinge lies on an edge of the part). None uses the path alone.
+            Their shape gives a prior of the axis (a hinge is on an edge of the part). None uses the path alone.
 
     Raises:
-        ConfigError: An argument has another shape, or a pose is not rigid; the subclass says which.
+        ConfigError: An argument has another shape, or a pose is not rigid; the subclass indicates the problem.
         NonFiniteError: A number is NaN or infinite.
         DemonstrationTooShortError: The part moved less than 3 cm, or turned less than 15 degrees.
         AmbiguousJointError: Both joint types explain the path equally well.
 
-    Source: AOMGen, sec. 4.2, "Articulated Object Modeling"; its decision on edges is a prior of the path fit here.
+    Source: AOMGen, sec. 4.2, "Articulated Object Modeling"; the edges, by which the paper decides, are a prior of the
+    path fit here.
 
     Example:
         A door of 0.4 m radius turns by 1 rad about the vertical axis through (0.6, 0.2, 0), and the gripper turns

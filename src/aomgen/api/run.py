@@ -1,4 +1,4 @@
-"""A run of the pipeline on disk: brought up to date, opened and read."""
+"""Runs of the pipeline on disk: computing, opening and reading them."""
 
 import shlex
 import sys
@@ -36,13 +36,13 @@ from aomgen.results import Results
 from aomgen.robots.robot import RobotModel
 from aomgen.version import __version__
 
-# True shows bars in a terminal and lines elsewhere; a function receives the share done and a text.
+# True shows progress bars in a terminal and lines otherwise; a function receives the completed share and a text.
 ProgressOption = bool | Callable[[float, str], None]
 T = TypeVar("T")
 
 
 class Run:
-    """Results of a capture: its twin, demonstration, cameras and episodes, each read when it is first used.
+    """Results of a run: its twin, demonstration, cameras and episodes, each loaded at its first use.
 
     Args:
         results: Inputs and results by stage; use `Run.open` or `reconstruct` instead.
@@ -62,10 +62,10 @@ class Run:
 
     @classmethod
     def open(cls, folder: str | Path) -> "Run":
-        """Open the folder of a run, wherever it has been moved.
+        """Open the folder of a run; the folder may have been moved.
 
         Raises:
-            MissingFileError: The folder does not exist or holds no run.
+            MissingFileError: The folder does not exist or does not contain a run.
             ConfigError: Its project file is not valid.
 
         Example:
@@ -81,12 +81,12 @@ class Run:
 
     @property
     def project(self) -> Project:
-        """Choices of the run."""
+        """Settings of the run."""
         return self.results.project
 
     @property
     def capture(self) -> Capture:
-        """The capture as it was recorded."""
+        """The capture of the run."""
         return Capture(self.results.recorded)
 
     @property
@@ -105,36 +105,36 @@ class Run:
 
     @cached_property
     def twin(self) -> Twin:
-        """The recorded scene, posable.
+        """The digital twin of the recorded scene.
 
         Raises:
             MissingFileError: Stage "twin" has not finished.
-            OutdatedRunError: Another version of AOMGen made it.
+            OutdatedRunError: The stage was computed by another version of AOMGen.
         """
         self.require_stage("twin")
         return Twin(*open_twin(self.folder))
 
     @property
     def motion(self) -> MotionEstimate:
-        """The object's joint, its values over the video, and how well they are known; raises as `twin`."""
+        """The object's joint and its values over the video, with their uncertainties; errors as for `twin`."""
         self.require_stage("motion")
         return self.results.motion
 
     @property
     def demonstration(self) -> Demonstration:
-        """Robot and object from the first to the last video frame; raises as `twin`."""
+        """Robot and object from the first to the last video frame; errors as for `twin`."""
         self.require_stage("motion")
         return self.results.demonstration
 
     @cached_property
     def cameras(self) -> Mapping[str, Camera]:
-        """Cameras by name, world frame: scan images, fixed cameras, cameras of the episodes; raises as `twin`."""
+        """Cameras by name, world frame: scan images, fixed cameras, cameras of the episodes; errors as for `twin`."""
         self.require_stage("alignment")
         return list_cameras(self.results)
 
     @property
     def fits(self) -> list[FittedAsset]:
-        """Assets of the run, fitted to the recorded motion; raises as `twin`."""
+        """Assets of the run, fitted to the recorded motion; errors as for `twin`."""
         self.require_stage("replacement")
         return self.results.fitted_assets
 
@@ -155,19 +155,20 @@ class Run:
         joint: float | None = None,
         time_s: float | None = None,
     ) -> Path:
-        """Write the twin and a motion to a file that other programs open; an existing file is replaced.
+        """Write the twin and a motion to a file for other programs; an existing file is replaced.
 
         Args:
-            file: Its suffix chooses the format: .usda, .usdc, .usdz, .xml (MJCF), .ply, .splat, .spz, .glb, .rrd, .mcap.
-            episode: Number of an episode; None takes the recorded demonstration, and an .xml the first episode.
-            joint: Value of the object's joint, [rad] or [m]; for files of Gaussians.
-            time_s: Time of the motion whose state is written; for files of Gaussians.
+            file: File to write; its suffix selects the format: .usda, .usdc, .usdz, .xml (MJCF), .ply, .splat, .spz,
+                .glb, .rrd, .mcap.
+            episode: Number of an episode; None selects the recorded demonstration (for .xml the first episode).
+            joint: Value of the object's joint, [rad] or [m]; only for Gaussian splatting files.
+            time_s: Time of the state in the motion, [s]; only for Gaussian splatting files.
 
         Returns:
             The file.
 
         Raises:
-            UnknownNameError: Another suffix, or no such episode; lists the known ones.
+            UnknownNameError: The suffix or the episode is unknown; the error lists the known ones.
             MissingFileError: A stage has not finished.
             BackendError: A package is missing.
 
@@ -180,11 +181,11 @@ class Run:
         return Path(file)
 
     def require_stage(self, name: str) -> None:
-        """Refuse a run whose stage has not finished, or was made by another version.
+        """Refuse a run whose stage has not finished or was computed by another version.
 
         Raises:
             MissingFileError: The stage has not finished.
-            OutdatedRunError: Another version made it; the sentence says which command brings it up to date.
+            OutdatedRunError: The stage was computed by another version; the message states the command that updates it.
         """
         require_stage(self.results, name)
 
@@ -201,19 +202,19 @@ def reconstruct(
     progress: ProgressOption = True,
     **choices: Any,
 ) -> Run:
-    """Turn a capture into a digital twin; what is up to date is kept, and an interrupted call continues.
+    """Reconstruct a capture as a digital twin; up to date results are kept, and an interrupted call continues.
 
     Args:
         capture: A capture or its folder.
-        out: Folder of the results; made if it does not exist.
-        until: Last stage: "structure", "gaussians", "alignment", "parts", "motion", "twin", "replacement", "episodes"
-            or "dataset".
+        out: Folder of the results; it is created if it does not exist.
+        until: Last stage to run: "structure", "gaussians", "alignment", "parts", "motion", "twin", "replacement",
+            "episodes" or "dataset".
         assets: Assets that replace the object from stage "replacement" on: `category:seed`, USD files, or "original".
-        progress: True shows progress, False nothing; a function receives the share done of a stage and a text.
-        choices: Other fields of the project, for example `iterations=3000`; see `aomgen init`.
+        progress: Whether to show the progress; a function receives the completed share of a stage and a text.
+        choices: Other settings of the project, for example `iterations=3000`; `aomgen init` writes a list of them.
 
     Raises:
-        UnknownNameError: No such stage or choice; lists the known ones.
+        UnknownNameError: A stage or setting is unknown; the error lists the known ones.
         InputError: The capture cannot be used.
         EstimationError: An estimator refuses the data; the subclass states the reason.
 
@@ -249,17 +250,17 @@ def bring_up_to_date(
     """Run the stages of a project that are not up to date, and write the report of a whole run.
 
     Args:
-        project: Choices of the run.
-        until: Last stage; all when empty.
+        project: Settings of the run.
+        until: Last stage to run; all stages are run if it is empty.
         progress: See `reconstruct`.
-        machine: Where episodes are made, see `Results`: `workers`, `ray`.
+        machine: Execution of the episodes, see `Results`: `workers`, `ray`.
 
     Returns:
-        Names of the stages that were made.
+        Names of the stages that were computed.
 
     Raises:
-        ConfigError: The results would go where a file is.
-        AomgenError: Whatever a stage refuses.
+        ConfigError: The path of the results is a file.
+        AomgenError: A stage failed.
     """
     if project.out.exists() and not project.out.is_dir():
         raise ConfigError(project.out, "is a file, but results need a folder", "choose another name")
@@ -279,7 +280,7 @@ def bring_up_to_date(
 
 
 def _describe_command() -> str:
-    """Return the command or script that runs, as a user would type it."""
+    """Return the running command or script as a user would type it."""
     script = Path(sys.argv[0])
     if script.name == "__main__.py":
         program = ["python", "-m", script.parent.name]

@@ -1,4 +1,4 @@
-"""The digital twin of a recorded scene, posed and rendered."""
+"""The digital twin of a recorded scene: states and rendering."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -53,17 +53,17 @@ class Twin:
         theta: float | None = None,
         T_world_object: ArrayLike | None = None,
     ) -> TwinState:
-        """Return a state; what is not given stays as it was in the scan.
+        """Return a state; arguments that are not given have their values during the scan.
 
         Args:
-            joints: Arm joints (J,), or some of them by name, [rad].
+            joints: Arm joints (J,), or a dictionary of some joints by name, [rad].
             gripper: 0 open .. 1 closed.
             theta: Joint value of the object, [rad] or [m].
             T_world_object: Pose (4, 4) of the object.
 
         Raises:
             ShapeError, NonFiniteError, PoseError: An array has another shape, is not finite, or is not a pose.
-            UnknownNameError: The robot has no joint of that name.
+            UnknownNameError: The robot has no joint with this name.
             ConfigError: The gripper is not within 0..1.
 
         Example:
@@ -97,10 +97,10 @@ class Twin:
         Args:
             state: See `Twin.state`.
             camera: For example one of `Run.cameras`.
-            size: Width and height of the image, [px]; those of the camera when None.
+            size: Width and height of the image, [px]; None selects those of the camera.
 
         Returns:
-            Image (H, W, 3) uint8 sRGB, depth (H, W) float32 [m] (0 where nothing is), and part labels (H, W) uint8
+            Image (H, W, 3) uint8 sRGB, depth (H, W) float32 [m] (0 for empty pixels), and part labels (H, W) uint8
             (0 background, 1 robot, 2 static part, 3 moving part).
 
         Raises:

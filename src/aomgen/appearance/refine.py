@@ -1,9 +1,9 @@
-"""The whole twin fitted to the images of the scan and of the demonstration, each in its joint configuration.
+"""Fit of the whole twin to the images of scan and demonstration, each in its joint configuration.
 
-The scan shows one joint configuration. The video shows what was hidden then: the inside of what was opened,
-the other side of a door, a table without the shadow that the arm threw on it while it was scanned.
-Shapes stay opaque surfaces on their bodies; brief shadows of what moves count little, because
-the loss is an absolute difference and every image has them elsewhere.
+The scan shows one joint configuration. The video shows surfaces that were hidden in it: the interior of the opened
+object, the other side of a door, and the table without the shadow of the arm at rest. Gaussians remain opaque surfaces
+on their bodies. Transient shadows of moving bodies have little influence, because the loss is an absolute difference
+and the shadows are at different positions in every image.
 """
 
 from collections.abc import Sequence
@@ -32,16 +32,16 @@ from aomgen.splatting.training import one_torch_thread
 from aomgen.twin.relighting import Relit
 from aomgen.twin.twin import PosedImages, TwinModel, TwinState, body_poses
 
-# Gaussians move this much in a step, [px] of the usual image at the robot.
+# Displacement of Gaussians in a step, [px] of a typical image at the distance of the robot.
 STEP_PX: Final = 0.1
-# Shadows are drawn a pixel or two beside where they are: nothing is learned where the share of light
-# that is taken changes by EDGE_STEP within EDGE_PX, on pixels more than half of which are the surface.
+# Rendered shadows are displaced by a pixel or two. Therefore pixels are left out of the loss if the blocked share of
+# the light changes by EDGE_STEP within EDGE_PX and the surface covers more than half of the pixel.
 EDGE_PX, EDGE_STEP = 5, 0.1
-# Learning rates at the end, as a share of those at the start, so that the last steps only average.
+# Final learning rates as a share of the initial ones, so that the last steps average the result.
 DECAY: Final = 0.1
 # Passes over all images.
 ROUNDS: Final = 2
-# As in training, but opacity stays: a surface is opaque.
+# As in training, but opacities are fixed, because surfaces are opaque.
 REFINING_RATES: Final = {**RATES, "log_scales": 2e-2, "logit_opacities": 0.0}
 
 
@@ -50,12 +50,12 @@ class _View:
     """An image of one joint configuration.
 
     Attributes:
-        camera: Where it was taken.
+        camera: Camera of the image.
         image_srgb: (H, W, 3) uint8.
         Ts_world_body: Body poses (B, 4, 4).
         colors_srgb: Colors (M, 3) of relit surfaces in this configuration.
-        recall: Share (M,) of the fitted difference in color that is seen in this configuration.
-        shade: Factors (H, W, 3) on the drawn colors, for shadows that are not the Gaussians' own.
+        recall: Share (M,) of the fitted color difference that applies in this configuration.
+        shade: Factors (H, W, 3) on the rendered colors, for shadows that are not in the colors of the Gaussians.
         unsure: Pixels (H, W) that are left out of the loss.
     """
 
@@ -71,11 +71,11 @@ class _View:
 def refine_twin(
     twin: TwinModel, robot: RobotModel, views: Sequence[PosedImages], rng: np.random.Generator
 ) -> TwinModel:
-    """Fit the Gaussians of the twin to images in a random order; with none it stays as it is.
+    """Fit the Gaussians of the twin to images in a random order; without images the twin is not changed.
 
-    Shape, specular term and the colors of what is not relit are shared by all joint configurations. Colors of
-    relit surfaces, which are the twin's last Gaussians, are learned for the orientations of the scan, beyond what
-    they were given, and come back as much as memories of them do.
+    Shape, specular terms and the colors of surfaces that are not relit are shared by all joint configurations. For
+    relit surfaces, which are the last Gaussians of the twin, a color difference is learned for the orientations of
+    the scan; it is weighted like the residuals of these orientations (see `twin.relighting`).
     """
     if not views:
         return twin
@@ -91,14 +91,14 @@ def refine_twin(
     sh = np.array(fitted.sh)
     difference = sh[first:, 0].astype(np.float64) * SH_C0
     sh[first:, 0] = twin.gaussians.sh[first:, 0]
-    # Opacities exactly as they came: a logit and back rounds.
+    # The original opacities, because converting to logits and back would round them.
     gaussians = replace(fitted, opacities=twin.gaussians.opacities, sh=sh)
     relit = None if twin.relit is None else _add_corrections(twin.relit, nearest, difference)
     return replace(twin, gaussians=gaussians, relit=relit)
 
 
 def _scan_orientations(twin: TwinModel, robot: RobotModel) -> dict[int, int]:
-    """Index of the remembered orientation of every body that is nearest to the scan's."""
+    """Return, for every body, the index of the stored orientation that is nearest to that of the scan."""
     Ts = body_poses(twin, robot, twin.scan_state)
     return {
         item.body: int(np.argmax(np.einsum("kij,ij->k", item.Rs_world_body, Ts[item.body, :3, :3])))
@@ -114,7 +114,7 @@ def _prepare_view(
     image_srgb: NDArray[np.uint8],
     state: TwinState,
 ) -> _View:
-    """One image with the colors of relit surfaces in its joint configuration."""
+    """Combine an image with the colors of relit surfaces in its joint configuration."""
     Ts = body_poses(twin, robot, state)
     colors, recall = np.zeros((0, 3), np.float32), np.zeros(len(twin.relit_bodies), np.float32)
     if twin.relit is not None:
@@ -125,7 +125,7 @@ def _prepare_view(
 
 
 def _with_shadows(view: _View, twin: TwinModel, casters: tuple[TwinModel, TwinModel]) -> _View:
-    """A view whose rendering is darkened by the shadows of its joint configuration."""
+    """Add the shadows of its joint configuration to a view."""
     lamp = twin.directional_light
     if lamp is None:
         return view
@@ -138,7 +138,7 @@ def _with_shadows(view: _View, twin: TwinModel, casters: tuple[TwinModel, TwinMo
 
 
 def _add_corrections(relit: Relit, nearest: dict[int, int], difference: Array) -> Relit:
-    """Memories of the scan's orientations with differences in color (M, 3) added."""
+    """Add color differences (M, 3) to the residuals of the orientations of the scan."""
     remembered = []
     for item in relit.residuals:
         colors = np.array(item.difference_srgb)
@@ -148,10 +148,10 @@ def _add_corrections(relit: Relit, nearest: dict[int, int], difference: Array) -
 
 
 def _fit(twin: TwinModel, views: list[_View], rate_means: float, rng: np.random.Generator) -> Parameters:
-    """Fitted Gaussians in their bodies' frames; the constant terms of relit ones are differences in color.
+    """Fit Gaussians in the frames of their bodies; the constant terms of relit ones are color differences.
 
     Args:
-        rate_means: Learning rate of the means at the start, [m] a step.
+        rate_means: Initial learning rate of the means, [m] per step.
     """
     degree = twin.gaussians.sh_degree
     parameters = parameters_of(twin.gaussians, degree)
@@ -174,7 +174,7 @@ def _fit(twin: TwinModel, views: list[_View], rate_means: float, rng: np.random.
 def _gradients(
     parameters: Parameters, bodies: Tensor, view: _View, contexts: tuple[native.Context, native.Context]
 ) -> dict[str, Tensor]:
-    """Gradients of one image's loss, by name; `contexts` of the rasterizer and of the loss."""
+    """Compute the gradients of the loss of one image, by name; `contexts` are those of the rasterizer and of the loss."""
     leaves = parameters.leaves()
     Ts_world_body = torch.tensor(view.Ts_world_body, dtype=torch.float32)
     drawn = CpuRasterizer(contexts[0])(
@@ -194,7 +194,7 @@ def _gradients(
 
 
 def _harmonics(learned: Tensor, view: _View) -> Tensor:
-    """Harmonics (N, K, 3) of a configuration: the last M are lit, and differ by a share of the fitted difference."""
+    """Compute harmonics (N, K, 3) of a configuration; the last M are relit colors plus a share of the fitted difference."""
     constant = torch.tensor((view.colors_srgb - 0.5) / SH_C0, dtype=torch.float32)
     recall = torch.tensor(view.recall, dtype=torch.float32)
     first = len(learned) - len(recall)

@@ -12,7 +12,7 @@ from aomgen.core.joint import Joint
 from aomgen.core.light import Light
 from aomgen.core.values import Array, Matrix4, Vector3, freeze_arrays
 
-# Smallest change of the gripper that is a grasp: fingers that reach under a lid are hardly open before it.
+# Smallest closing of the gripper that is a grasp; fingers that reach under a lid are hardly open before it.
 MIN_GRASP = 0.05
 # A gripper that measures less than this counts as open.
 OPEN = 0.03
@@ -31,7 +31,7 @@ class Trajectory:
     """T samples of an arm of J joints, its gripper, and the joint of the object.
 
     Attributes:
-        times_s: (T,), rising, [s].
+        times_s: (T,), increasing, [s].
         joints: Arm joints (T, J), [rad] or [m].
         gripper: (T,), 0 open .. 1 closed.
         thetas: Joint of the object (T,), [rad] or [m].
@@ -90,7 +90,7 @@ class Demonstration(Trajectory):
     Attributes:
         Ts_world_ee: End effector poses (T, 4, 4).
         start_s, end_s: Times at which the part begins and ceases to move.
-        joint: World frame; 0 is the scanned state, axis positive in the demonstrated direction.
+        joint: Joint, world frame; 0 is the scanned state, and the axis is positive in the demonstrated direction.
         grasp_ee: Grasped point of the part (3,), end effector frame, [m].
         ee_turn_ratio: Rotation of the end effector over rotation of the part during contact.
     """
@@ -174,7 +174,7 @@ def timing(demo: Demonstration) -> Timing:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SupportPlane:
-    """The table: a level plane and its known rectangle.
+    """The table: a horizontal plane and its known rectangle.
 
     Attributes:
         height: z of the plane, world frame, [m].

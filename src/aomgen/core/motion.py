@@ -35,7 +35,7 @@ class ContactPatch:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MotionCurve:
-    """The motion score over the video, as the report shows it.
+    """The motion score over the video, for the report.
 
     Attributes:
         times_s: (T,), video clock.
@@ -63,18 +63,18 @@ class MotionEstimate:
     """The recovered motion of the articulated object; times are video times, space is the world frame.
 
     Attributes:
-        clock_offset_s: Joint-log time = video time + this.
-        clock_offset_sd_s: Its standard deviation, [s]; 0 when it was given.
-        start_s, end_s: First and last time the part moves.
-        curve: The evidence for start and end.
-        contacts: One patch for each finger that touched.
+        clock_offset_s: Joint log time minus video time.
+        clock_offset_sd_s: Standard deviation of the offset, [s]; 0 if it was stated.
+        start_s, end_s: First and last time at which the part moves.
+        curve: Motion score over the video, which determines start and end.
+        contacts: One patch for each finger in contact.
         grasp_ee: Grasped point of the part (3,), end-effector frame, [m].
         joint: Value 0 is the scanned state, axis positive in the demonstrated direction.
         axis_sd_rad: Standard deviation of the axis direction, [rad].
         origin_sd_m: Standard deviation of the axis line where it passes the contact, [m].
-        axis_ci95_rad: The true direction lies within this angle of `joint.axis` with 95 %, [rad].
-        origin_ci95_m: The true axis line is within this distance of `joint`'s near the contact with 95 %,
-            [m]; 0 for a prismatic joint, which has no location.
+        axis_ci95_rad: Angle around `joint.axis` that contains the true direction with a probability of 95 %, [rad].
+        origin_ci95_m: Distance from the axis line, near the contact, within which the true line is with a probability
+            of 95 %, [m]; 0 for a prismatic joint, whose axis has no position.
         type_margin: Twice the log evidence of the chosen joint type over the other one.
         ee_turn_ratio: Rotation of the end effector over rotation of the part (1: rigid grasp; 0: the
             handle rotates in the fingers; NaN-free: 0 for a prismatic joint).
@@ -83,9 +83,9 @@ class MotionEstimate:
         theta_sd: Standard deviation (T,), same unit.
         slip_m: Slip of the grasped point along the part since the start (T,), [m]; 0 outside the motion.
         pivot_rad: Rotation of the end effector relative to the part since the start (T,), [rad]; likewise.
-        direction: "opening" when the part ends more open than it was scanned, else "closing".
-        part_odds: Likelihood ratio of the prompted part over any other as the
-            moving one, from contact and video.
+        direction: "opening" if the part ends more open than it was scanned, else "closing".
+        part_odds: Likelihood ratio, from contact and video, between the prompted part and the best other region as the
+            moving part.
     """
 
     clock_offset_s: float

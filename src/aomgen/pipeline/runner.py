@@ -110,7 +110,7 @@ def run_stages(
 
     Raises:
         LockedError: Another process uses the same folder.
-        AomgenError: A stage failed; its incomplete results are deleted.
+        AomgenError: A stage failed; no incomplete file remains.
     """
     results = results_of(project, stages, **machine)
     with lock(project.out):

@@ -26,30 +26,30 @@ from aomgen.twin.twin import TwinState
 
 # sRGB: blue, orange, pink.
 LABEL_COLORS = {ROBOT: (64, 128, 255), STATIC: (255, 176, 32), MOVING: (230, 60, 120)}
-# A color that scenes seldom have.
+# A color that is rare in scenes.
 OUTLINE = (255, 60, 200)
 Image8 = NDArray[np.uint8]
 AXIS, PATH, TOUCH = (40, 220, 255), (255, 80, 60), (255, 230, 60)
 # Opacity of the region that contains the axis, over the image, 0..255.
 VEIL = 110
 STATIONS, SIDES = 9, 24
-# Points nearer to the camera are not drawn, [m].
+# Least distance of drawn points from the camera, [m].
 NEAR_M = 0.05
-# Colors of points that no view, few views and enough views saw, sRGB.
+# Colors of points that are visible in no view, in few views and in enough views, sRGB.
 SEEN = np.array([(205, 45, 45), (235, 180, 40), (60, 150, 90)], np.uint8)
-# A contact is drawn no smaller than a finger's pad, and its normal as long as a finger, [m].
+# Least radius of a drawn contact (a finger pad), and length of its normal (a finger), [m].
 PATCH_M, NORMAL_M = 0.008, 0.05
 
 
 def overlay_outline(image: Image8, mask: NDArray[np.bool_], color: tuple[int, int, int]) -> Image8:
-    """The mask's outline, two pixels wide, drawn over an image (H, W, 3)."""
+    """Draw the outline of a mask, two pixels wide, over an image (H, W, 3)."""
     result = image.copy()
     result[np.asarray(binary_dilation(mask)) & ~np.asarray(binary_erosion(mask))] = color
     return result
 
 
 def overlay_labels(image: Image8, labels: NDArray[np.uint8], strength: float = 0.5) -> Image8:
-    """Part labels (H, W) as transparent colors over an image (H, W, 3)."""
+    """Draw part labels (H, W) as transparent colors over an image (H, W, 3)."""
     result = image.astype(np.float32)
     for label, color in LABEL_COLORS.items():
         mask = labels == label
@@ -58,7 +58,7 @@ def overlay_labels(image: Image8, labels: NDArray[np.uint8], strength: float = 0
 
 
 def sheet(images: list[Image8], columns: int, *, gap: int = 4) -> Image8:
-    """Images of one size side by side in rows."""
+    """Arrange images of one size in rows."""
     height, width = images[0].shape[:2]
     rows = -(-len(images) // columns)
     canvas = np.full((rows * (height + gap) - gap, columns * (width + gap) - gap, 3), 255, np.uint8)
@@ -76,7 +76,7 @@ def map_from_above(
     *,
     width: int = 520,
 ) -> Image8:
-    """Points (N, 3) in their colors (N, 3) as seen from above, the robot's base below, and where cameras stood.
+    """Draw points (N, 3) with colors (N, 3) and camera positions in a top view, with the robot's base at the bottom.
 
     The robot's x axis points up in the image. Lower points are drawn first.
     """
@@ -103,7 +103,7 @@ def map_from_above(
 
 
 def draw_circles(centers: Array, radii: Array, axis: Array) -> Array:
-    """Points (K, SIDES, 3) on circles about a unit axis (3,), with centers (K, 3) and radii (K,)."""
+    """Compute points (K, SIDES, 3) on circles about a unit axis (3,), with centers (K, 3) and radii (K,)."""
     first = np.cross(axis, np.eye(3)[int(np.argmin(np.abs(axis)))])
     first /= np.linalg.norm(first)
     turns = np.linspace(0, 2 * np.pi, SIDES, endpoint=False)
@@ -112,11 +112,11 @@ def draw_circles(centers: Array, radii: Array, axis: Array) -> Array:
 
 
 def axis_space(motion: MotionEstimate, held_world: Array) -> tuple[Array, Array]:
-    """The 95 % region of an axis, as long as the part reaches from it: centers (K, 3) and circles (K, SIDES, 3), [m].
+    """Compute the 95 % region of an axis as centers (K, 3) and circles (K, SIDES, 3), [m].
 
-    Revolute: a waist at the foot of the held point, as wide as the line's place is unknown, which
-    opens to both sides with the unknown of its direction. Prismatic: a cone from the held point (3,)
-    when the motion begins to where the part ends.
+    For a revolute joint, the radius of the region next to the held point is the uncertainty of the axis position; it
+    increases to both sides with the uncertainty of the direction. For a prismatic joint, the region is a cone from the
+    initial held point (3,) to its final position.
     """
     joint = motion.joint
     if joint.type == "prismatic":
@@ -133,11 +133,11 @@ def axis_space(motion: MotionEstimate, held_world: Array) -> tuple[Array, Array]
 def overlay_motion(
     image_srgb: Image8, camera: Camera, motion: MotionEstimate, held_world: Array, theta: float
 ) -> Image8:
-    """Axis, its 95 % space, the held point's path and the contact patches over one frame (H, W, 3).
+    """Draw the axis with its 95 % region, the path of the held point and the contact patches over a frame (H, W, 3).
 
     Args:
-        held_world: The held point when the motion begins (3,), [m].
-        theta: Joint value at the frame; the patches are drawn where the part carried them.
+        held_world: Held point (3,) at the start of the motion, [m].
+        theta: Joint value at the frame; the patches move with the part.
     """
     canvas = Image.fromarray(image_srgb).convert("RGBA")
     centers, circles = axis_space(motion, held_world)
@@ -153,7 +153,7 @@ def overlay_motion(
         middle, normal = apply(carried, patch.point), carried[:3, :3] @ patch.normal
         ring = draw_circles(middle[None], np.array([max(patch.spread_m, PATCH_M)]), normal)[0]
         _polyline(draw, camera, np.concatenate([ring, ring[:1]]), TOUCH, 2)
-        # The normal points into the part: drawn from outside it ends at the patch.
+        # The normal points into the part; it is drawn outside of the part and ends at the patch.
         _polyline(draw, camera, np.stack([middle - NORMAL_M * normal, middle]), TOUCH, 2)
     return np.asarray(canvas.convert("RGB"))
 
@@ -168,14 +168,14 @@ def _veil(canvas: Image.Image, camera: Camera, circles: Array) -> None:
         try:
             hull = pixels[ConvexHull(pixels).vertices]
         except QhullError:
-            # The axis is known to a hair: its line alone shows it.
+            # The region is too thin to be drawn; the line of the axis represents it.
             continue
         draw.polygon([(float(x), float(y)) for x, y in hull], fill=VEIL)
     canvas.paste(Image.new("RGBA", canvas.size, (*AXIS, 255)), mask=layer)
 
 
 def _arrow_head(draw: ImageDraw.ImageDraw, camera: Camera, centers: Array) -> None:
-    """A head at the axis's positive end."""
+    """Draw an arrow head at the positive end of the axis."""
     pixels, depths = camera.project(centers[[0, -1]])
     step = pixels[1] - pixels[0]
     length = float(np.linalg.norm(step))
@@ -197,19 +197,19 @@ def _polyline(
 
 
 def choose_recorded_frames(results: Results, count: int) -> list[int]:
-    """Frame numbers evenly over the recorded video."""
+    """Return frame numbers evenly distributed over the recorded video."""
     frames = len(results.videos[results.demo_camera].times_s)
     return [int(frame) for frame in np.linspace(0, frames - 1, count)]
 
 
 def estimate_recorded_states(results: Results, frames: list[int]) -> tuple[TwinState, ...]:
-    """The twin's states at frames of the recorded video, as estimated."""
+    """Return the estimated states of the twin at frames of the recorded video."""
     times_s = results.videos[results.demo_camera].times_s[frames]
     return results.states_at(times_s, results.twin.T_world_object)
 
 
 def heldout_sheet(results: Results, count: int = 4) -> Image8:
-    """Held-out scan images above renders of the twin from the same places."""
+    """Arrange held-out scan images above renderings of the twin from the same camera poses."""
     cameras = results.scan_cameras
     names = [name for name in held_out(list(results.scan_images)) if name in cameras]
     picked = [names[i] for i in np.linspace(0, len(names) - 1, min(count, len(names))).astype(int)]
@@ -222,7 +222,7 @@ def heldout_sheet(results: Results, count: int = 4) -> Image8:
 
 
 def parts_sheet(results: Results, count: int = 4) -> Image8:
-    """Part labels of the Gaussians over scan images."""
+    """Draw the part labels of the Gaussians over scan images."""
     cameras = results.scan_cameras
     names = sorted(cameras)
     picked = [names[i] for i in np.linspace(0, len(names) - 1, count + 2).astype(int)[1:-1]]
@@ -234,7 +234,7 @@ def parts_sheet(results: Results, count: int = 4) -> Image8:
 
 
 def coverage_map(results: Results) -> Image8:
-    """Sides of object, robot and table from above: red never seen, yellow too little, green enough."""
+    """Draw the sides of object, robot and table in a top view: red for no view, yellow for too few, green for enough."""
     found = load_artifact(results.folders["parts"], COVERAGE, Survey)
     seen = np.where(found.coverage.enough, 2, np.where(found.coverage.views > 0, 1, 0))
     cameras = results.scan_cameras
@@ -244,7 +244,7 @@ def coverage_map(results: Results) -> Image8:
 
 
 def robot_sheet(results: Results, count: int = 4) -> Image8:
-    """The robot model's outline over the video, at the estimated clock offset and camera."""
+    """Draw the outline of the robot model over the video, at the estimated clock offset and camera."""
     images = []
     video, frames = results.videos[results.demo_camera], choose_recorded_frames(results, count)
     height, width = video.frames_srgb.shape[1:3]
@@ -256,7 +256,7 @@ def robot_sheet(results: Results, count: int = 4) -> Image8:
 
 
 def replay_sheet(results: Results, count: int = 4) -> Image8:
-    """Video frames above the twin's replay of them."""
+    """Arrange video frames above the replay of the twin."""
     states = estimate_recorded_states(results, choose_recorded_frames(results, count))
     camera = results.fixed_camera.camera
     drawn = [_small(render_twin(results.twin, results.robot, camera, state)[0]) for state in states]
@@ -264,13 +264,13 @@ def replay_sheet(results: Results, count: int = 4) -> Image8:
 
 
 def demo_strip(results: Results, count: int = 6) -> list[Image8]:
-    """Frames of the recorded demonstration."""
+    """Return frames of the recorded demonstration."""
     video = results.videos[results.demo_camera]
     return [_small(video.frames_srgb[frame]) for frame in choose_recorded_frames(results, count)]
 
 
 def episode_strip(folder: Path, camera: str, count: int) -> list[Image8]:
-    """Frames of one committed episode from one camera."""
+    """Return frames of one committed episode from one camera."""
     path = folder / f"{camera}.mp4"
     return read_frames(path, [int(i) for i in np.linspace(0, probe_video(path).frames - 1, count)])
 

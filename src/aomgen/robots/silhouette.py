@@ -17,7 +17,7 @@ from aomgen.core.values import Array
 from aomgen.errors import BackendError
 from aomgen.robots.robot import RobotMesh, RobotModel
 
-# Near and far plane of the rendering, [m]: nearer than a lens focuses, farther than any lab is long.
+# Near and far plane of the rendering, [m]; the recorded surfaces are between them.
 NEAR_M, FAR_M = 0.05, 20.0
 # Geoms that `mjv_updateScene` adds on its own: lights, a skybox.
 EXTRA_GEOMS: Final = 64
@@ -25,7 +25,7 @@ REMEDY = "install libegl1 libegl-mesa0 libgl1-mesa-dri (or libosmesa6), or set M
 
 
 class ModelRenderer:
-    """Draws one model with MuJoCo's rasterizer; holds an OpenGL context until closed. Not thread safe."""
+    """Renders one model with MuJoCo's rasterizer; it has an OpenGL context until it is closed. Not thread safe."""
 
     def __init__(self, model: mujoco.MjModel, size: tuple[int, int], group: int) -> None:
         """Create a context for images up to `size` (width, height), [px], of a group of geoms.
@@ -53,10 +53,10 @@ class ModelRenderer:
             camera: Pinhole, world frame.
             qpos: State (nq,).
             geom_values: A value for each geom of the model (G,).
-            nothing: Value of pixels that show no geom.
+            nothing: Value of pixels without a geom.
 
         Returns:
-            Values (H, W), and depth along the optical axis (H, W), [m]; FAR_M where nothing is.
+            Values (H, W), and depth along the optical axis (H, W), [m]; FAR_M for pixels without a geom.
 
         Raises:
             BackendError: The image is larger than the context.
@@ -86,7 +86,7 @@ class ModelRenderer:
     def _render(
         self, camera: Camera, qpos: ArrayLike, *, ids: bool
     ) -> tuple[NDArray[np.uint8], NDArray[np.float32]]:
-        """Colors (H, W, 3) and the depth buffer (H, W), upright."""
+        """Render colors (H, W, 3) and the depth buffer (H, W), upright."""
         width, height = camera.width, camera.height
         if not (width <= self._size[0] and height <= self._size[1]):
             problem = f"{width} x {height} exceeds the context's {self._size}"
@@ -114,12 +114,12 @@ class ModelRenderer:
 
 
 def depth_of(buffer: NDArray[np.float32]) -> NDArray[np.float64]:
-    """Depth along the optical axis, [m], of a depth buffer; FAR_M where nothing is."""
+    """Convert a depth buffer to depth along the optical axis, [m]; FAR_M for empty pixels."""
     return NEAR_M * FAR_M / (NEAR_M + buffer.astype(np.float64) * (FAR_M - NEAR_M))
 
 
 def _place_camera(scene: mujoco.MjvScene, camera: Camera) -> None:
-    """Set both of the scene's (stereo) cameras to the exact pinhole, off-centre where the principal point is."""
+    """Set both of the scene's (stereo) cameras to the exact pinhole camera with its principal point."""
     left, right = -camera.cx / camera.fx, (camera.width - camera.cx) / camera.fx
     top, bottom = camera.cy / camera.fy, -(camera.height - camera.cy) / camera.fy
     R_world_cam = camera.T_world_cam[:3, :3]
@@ -132,9 +132,9 @@ def _place_camera(scene: mujoco.MjvScene, camera: Camera) -> None:
 
 
 def offscreen_context(width: int, height: int) -> Any:
-    """A context of MuJoCo's kind (`make_current`, `free`) for images up to width x height, [px].
+    """Create a context with MuJoCo's interface (`make_current`, `free`) for images up to width x height, [px].
 
-    `MUJOCO_GL` chooses the driver when set to egl or osmesa; else EGL is tried first.
+    The environment variable `MUJOCO_GL` selects the driver (egl or osmesa); by default EGL is tried first.
 
     Raises:
         BackendError: No driver works.
@@ -152,16 +152,16 @@ def offscreen_context(width: int, height: int) -> Any:
     raise BackendError("offscreen rendering", f"no OpenGL driver works ({'; '.join(reasons)})", REMEDY)
 
 
-# Outlines move by some tenths of a millimetre, and drawing is several times faster.
+# This resolution displaces outlines by some tenths of a millimeter, and rendering is several times faster.
 CELL_M: Final = 0.001
-# Masks are compared at a few hundred pixels, where finer meshes would not be seen, [m].
+# Masks are compared at a few hundred pixels, at which finer meshes give the same masks, [m].
 MASK_CELL_M: Final = 0.003
 # Robot masks (T, height, width) at log times (T,), width and height in px.
 MasksAt = Callable[[Array, int, int], NDArray[np.bool_]]
 
 
 class SilhouetteRenderer(ModelRenderer):
-    """Renders one robot; holds an OpenGL context until closed. Not thread safe."""
+    """Renders one robot; it has an OpenGL context until it is closed. Not thread safe."""
 
     def __init__(
         self, robot: RobotModel, *, max_width: int = 1920, max_height: int = 1440, cell_m: float = CELL_M
@@ -204,7 +204,7 @@ class SilhouetteRenderer(ModelRenderer):
 
 @contextmanager
 def robot_masks(robot: RobotModel, camera: Camera, log: JointLog) -> Iterator[MasksAt]:
-    """A function that draws robot masks at log times in the demonstration camera; one OpenGL context."""
+    """Yield a function that renders robot masks at log times in the demonstration camera, with one OpenGL context."""
     with SilhouetteRenderer(
         robot, max_width=camera.width, max_height=camera.height, cell_m=MASK_CELL_M
     ) as renderer:
@@ -221,14 +221,14 @@ def robot_masks(robot: RobotModel, camera: Camera, log: JointLog) -> Iterator[Ma
 
 
 def add_robot_visuals(spec: mujoco.MjSpec, robot: RobotModel, cell_m: float) -> None:
-    """Add simplified visual meshes to a model that holds the robot's bodies without their appearance.
+    """Add simplified visual meshes to a model that contains the robot's bodies without their appearance.
 
-    Drawing time of a software renderer is mostly vertices.
+    The run time of a software renderer depends mostly on the number of vertices.
 
     Args:
-        spec: Gets the meshes; holds the robot's bodies.
-        robot: Whose meshes are added.
-        cell_m: Vertices that share a cell of this size become one; outlines move by a fraction of it.
+        spec: Model with the robot's bodies, to which the meshes are added.
+        robot: Robot with the meshes.
+        cell_m: Vertices in a cell of this size are merged; outlines are displaced by a fraction of it.
     """
     for number, (mesh, vertices, faces) in enumerate(_simplify_meshes(robot, cell_m)):
         name = f"looks_{number}"
@@ -240,9 +240,9 @@ def add_robot_visuals(spec: mujoco.MjSpec, robot: RobotModel, cell_m: float) -> 
 
 
 def _simplify_meshes(robot: RobotModel, cell_m: float) -> list[tuple[RobotMesh, Array, NDArray[np.int64]]]:
-    """Every visual mesh with its simplified vertices and faces.
+    """Simplify every visual mesh; return it with the new vertices and faces.
 
-    Meshes of one body are merged by the same cells, so that no cracks open between them.
+    Meshes of one body use the same cells, so no cracks appear between them.
     Source: Rossignac and Borrel, "Multi-resolution 3D approximations", 1993.
     """
     result = []

@@ -1,4 +1,4 @@
-"""Surfaces that are lit anew as they turn, and what a camera has seen of them before."""
+"""Relighting of surfaces as they rotate, with residual colors of observed orientations."""
 
 from dataclasses import dataclass, replace
 from functools import cache
@@ -11,11 +11,11 @@ from aomgen.conventions import srgb_from_linear
 from aomgen.core.light import Light, rotate_radiance
 from aomgen.core.values import Array, freeze_arrays, require_indices
 
-# Weights below this are as good as none.
+# Weights below this are neglected.
 NEGLIGIBLE: Final = 1e-3
-# Colors that are computed at once, of some surfaces in all states: they stay in the processor's cache.
+# Number of colors in a block (some surfaces in all states); a block fits into the cache of the processor.
 BLOCK: Final = 8192
-# Steps of linear light, of which the darkest is a tenth of a grey level.
+# Quantization steps of linear light; the darkest step is a tenth of a gray level.
 LEVELS: Final = 1 << 14
 # The residual fades out if the views' weights add up to less than this.
 FULL_WEIGHT: Final = 0.6
@@ -23,17 +23,17 @@ FULL_WEIGHT: Final = 0.6
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ResidualAppearance:
-    """Residual colors of a body's surfaces in observed orientations, beyond diffuse light.
+    """Residual colors of a body's surfaces in observed orientations, relative to diffuse light.
 
-    Specular light, and the shadow that one link throws on the next, return where the body comes back to an
-    orientation and fade out away from it.
+    They contain specular light and shadows between links. They are applied when the body has an observed orientation
+    again, and fade out with the distance from it.
 
     Attributes:
         body: Index into the twin's `body_names`.
         rows: Relit surfaces of that body, as rows of `Relit`.
-        Rs_world_body: Orientations that were seen.
-        difference_srgb: Seen minus lit colors.
-        reach_rad: Rotation over which a residual fades: the standard deviation of its weight.
+        Rs_world_body: Observed orientations.
+        difference_srgb: Observed minus relit colors.
+        reach_rad: Rotation over which a residual fades out (standard deviation of its weight).
     """
 
     body: int
@@ -45,22 +45,21 @@ class ResidualAppearance:
     __post_init__ = freeze_arrays
 
     def weights(self, Rs_world_body: Array) -> Array:
-        """Weights (T, K) of the orientations seen from others (T, 3, 3); they add up to 1 near any of them."""
+        """Compute weights (T, K) of the observed orientations at orientations (T, 3, 3); near an observed one their sum is 1."""
         return orientation_weights(self.Rs_world_body, Rs_world_body, self.reach_rad)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Relit:
-    """Surfaces whose color follows the light as they turn.
+    """Surfaces whose colors depend on their orientation in the light.
 
     Attributes:
-        indices: Which Gaussians of the twin.
-        albedo_linear: >= 0.
-        transfer: In the body's frame; see `core.light`.
+        indices: Indices of the Gaussians of the twin.
+        albedo_linear: Albedo, linear, >= 0.
+        transfer: Transfer harmonics in the frame of the body; see `core.light`.
         light_of: Index into `lights`.
-        lights: What they are lit by, world frame. Materials that do not only scatter light, like
-            metal, have their own.
-        residuals: Seen colors, at most one entry a body.
+        lights: Lights, world frame. Materials that are not purely diffuse, like metal, have separate ones.
+        residuals: Residual colors, at most one entry for each body.
     """
 
     indices: Annotated[NDArray[np.int64], "M"]
@@ -95,7 +94,7 @@ class Relit:
         )
 
     def colors_srgb(self, owners: NDArray[np.int32], Ts_world_body: Array) -> NDArray[np.float32]:
-        """Colors (T, M, 3) in T states; arguments as of `Relighting`."""
+        """Compute colors (T, M, 3) in T states; arguments as for `Relighting`."""
         lit = Relighting(self, owners)
         colors = np.empty((len(Ts_world_body), len(owners), 3), np.float32)
         colors[:, lit.order] = lit.colors_srgb(Ts_world_body)
@@ -103,14 +102,14 @@ class Relit:
 
 
 class Relighting:
-    """Surfaces prepared to be lit in many states, right to a tenth of a grey level.
+    """Surfaces prepared for relighting in many states, with an error of at most a tenth of a gray level.
 
     Args:
         relit: M surfaces.
         owners: Body of every surface (M,).
 
     Attributes:
-        order: Surfaces in the order of the colors (M,): those of one body and light follow one another.
+        order: Indices (M,) of the surfaces in the order of the colors; surfaces of one body and light are contiguous.
     """
 
     def __init__(self, relit: Relit, owners: NDArray[np.int32]) -> None:
@@ -129,7 +128,7 @@ class Relighting:
         ]
         place = np.empty(self._count, np.int64)
         place[self.order] = np.arange(self._count)
-        # Residual, its surfaces in the order of the colors, and what was seen of them (K, 3 R).
+        # Residual, its surfaces in the order of the colors, and their observed differences (K, 3 R).
         self._residuals = []
         for residual in relit.residuals:
             rows = place[residual.rows]
@@ -138,10 +137,10 @@ class Relighting:
             self._residuals.append((residual, rows[sorting], difference.reshape(len(difference), -1)))
 
     def colors_srgb(self, Ts_world_body: Array) -> NDArray[np.float32]:
-        """Colors (T, M, 3), sRGB 0..1, for body poses (T, B, 4, 4); surfaces as in `order`."""
+        """Compute colors (T, M, 3), sRGB 0..1, for body poses (T, B, 4, 4); surfaces as in `order`."""
         Rs, size = Ts_world_body[..., :3, :3], max(BLOCK // len(Ts_world_body), 1)
         colors = np.empty((len(Rs), self._count, 3), np.float32)
-        # Each orientation of a body once, and all lights at once.
+        # Equal consecutive orientations are computed once, for all lights together.
         new = np.concatenate([np.ones((1, Rs.shape[1]), bool), (Rs[1:] != Rs[:-1]).any((2, 3))])
         turns = [Rs[new[:, body], body] for body in self._bodies]
         firsts = dict(zip(self._bodies, np.cumsum([0, *map(len, turns)]).tolist(), strict=False))
@@ -166,14 +165,14 @@ class Relighting:
 
 
 def _compute_color_transfer(relit: Relit, rows: NDArray[np.int64]) -> NDArray[np.float32]:
-    """Transfer times albedo (3, R, 9) of some surfaces."""
+    """Compute transfer times albedo (3, R, 9) of some surfaces."""
     return relit.transfer[rows] * relit.albedo_linear[rows].T[..., None]
 
 
 def _compute_block_colors(transfer: NDArray[np.float32], lights: NDArray[np.float32]) -> NDArray[np.float32]:
-    """sRGB colors (T, R, 3) of diffuse surfaces by channel (3, R, 9) in lights (3, T, 9) of their frame, in `LEVELS`.
+    """Compute sRGB colors (T, R, 3) of diffuse surfaces (3, R, 9) in lights (3, T, 9) of their frame, in `LEVELS` steps.
 
-    Products of matrices as small as these are never divided among threads, so that they round in one way only.
+    Matrix products of this size are not divided among threads, so they always round in the same way.
     """
     levels = lights @ transfer.swapaxes(1, 2)
     levels += np.float32(0.5)
@@ -186,13 +185,13 @@ def _srgb_table() -> NDArray[np.float32]:
 
 
 def _as_slice(rows: NDArray[np.int64]) -> NDArray[np.int64] | slice:
-    """The same rows, as a slice where they follow one another: several times faster."""
+    """Convert rows to a slice if they are contiguous, which is several times faster."""
     first, last = int(rows[0]), int(rows[-1])
     return slice(first, last + 1) if (np.diff(rows) == 1).all() else rows
 
 
 def join_relit(first: Relit | None, second: Relit) -> Relit:
-    """Surfaces of both, whose indices already mean the same twin."""
+    """Join the surfaces of both; their indices have to refer to the same twin."""
     if first is None:
         return second
     moved = (replace(item, rows=item.rows + len(first.indices)) for item in second.residuals)
@@ -207,7 +206,7 @@ def join_relit(first: Relit | None, second: Relit) -> Relit:
 
 
 def orientation_weights(Rs_seen: Array, Rs: Array, reach_rad: float) -> Array:
-    """Weights (T, K) of K seen orientations (K, 3, 3) for T orientations (T, 3, 3)."""
+    """Compute weights (T, K) of K observed orientations (K, 3, 3) at T orientations (T, 3, 3)."""
     cosines = (np.einsum("tij,kij->tk", Rs, Rs_seen) - 1) / 2
     turns = np.arccos(np.clip(cosines, -1, 1))
     weights = np.exp(-0.5 * (turns / reach_rad) ** 2)
