@@ -174,7 +174,7 @@ def _fit(twin: TwinModel, views: list[_View], rate_means: float, rng: np.random.
 def _gradients(
     parameters: Parameters, bodies: Tensor, view: _View, contexts: tuple[native.Context, native.Context]
 ) -> dict[str, Tensor]:
-    """Compute the gradients of the loss of one image, by name; `contexts` are those of the rasterizer and of the loss."""
+    """Compute the gradients of the loss of an image, by name; `contexts` belong to rasterizer and loss."""
     leaves = parameters.leaves()
     Ts_world_body = torch.tensor(view.Ts_world_body, dtype=torch.float32)
     drawn = CpuRasterizer(contexts[0])(
@@ -194,7 +194,7 @@ def _gradients(
 
 
 def _harmonics(learned: Tensor, view: _View) -> Tensor:
-    """Compute harmonics (N, K, 3) of a configuration; the last M are relit colors plus a share of the fitted difference."""
+    """Compute harmonics (N, K, 3); the last M are relit colors plus a share of the fitted difference."""
     constant = torch.tensor((view.colors_srgb - 0.5) / SH_C0, dtype=torch.float32)
     recall = torch.tensor(view.recall, dtype=torch.float32)
     first = len(learned) - len(recall)

@@ -1,7 +1,8 @@
-"""Columns and images of a dataset, and how they follow from an episode.
+"""Columns and images of a dataset, computed from an episode.
 
-LeRobot takes every `observation.*` for an input of a policy and every `action*` for its output. So only
-what a robot measures is an observation, only one action space is `action`, and all the rest is `annotation.*`.
+LeRobot uses every `observation.*` as an input of a policy and every `action*` as its output. Therefore only
+quantities that a robot measures are observations, only one action space is `action`, and all other features are
+`annotation.*`.
 """
 
 from collections.abc import Iterator
@@ -36,17 +37,18 @@ _DELTA = ("dx", "dy", "dz", "drx", "dry", "drz")
 OBJECT_POSE, TOLD = "annotation.object_pose", "observation.environment_state"
 # Quantiles that LeRobot v3.0 stores for each feature.
 QUANTILES: Final = {"q01": 0.01, "q10": 0.1, "q50": 0.5, "q90": 0.9, "q99": 0.99}
-# Quality of videos that are encoded again: finer than when rendered, since small images have more detail a pixel.
+# Quality of videos that are encoded again; it is higher than for rendered videos, because small images have more detail
+# per pixel.
 RESIZED_CRF = {"h264": 14, "av1": 15}
 
 
 def action_feature(space: str, chosen: str) -> str:
-    """Name of the feature that holds the actions of a space, in a dataset whose policies learn the chosen one."""
+    """Return the name of the feature with the actions of a space, in a dataset whose `action` is the chosen space."""
     return "action" if space == chosen else f"annotation.action.{space}"
 
 
 def feature_names(episode: Episode, actions: ActionSpace = "joint") -> dict[str, tuple[str, ...]]:
-    """Element names of every low-dimensional feature."""
+    """Return the element names of every low-dimensional feature."""
     state = (*episode.joint_names, "gripper")
     spaces = {"joint": state, "ee_absolute": (*_POSE, "gripper"), "ee_delta": (*_DELTA, "gripper")}
     return {
@@ -60,14 +62,13 @@ def feature_names(episode: Episode, actions: ActionSpace = "joint") -> dict[str,
 
 
 def feature_columns(episode: Episode, actions: ActionSpace = "joint") -> dict[str, Array]:
-    """Values (T, D) of every low-dimensional feature; metres, radians, newtons.
+    """Compute the values (T, D) of every low-dimensional feature; meters, radians, newtons.
 
-    The three action spaces describe one target, what is to be reached at the next frame (at the
-    last frame: where to stay): `joint` by joint values, `ee_absolute` by the end effector's pose in
-    the world frame, `ee_delta` by the motion to it from the target before (`ee_deltas`, `last_targets`), so that
-    deltas add up to the path whatever the arm lags behind. The chosen
-    one is `action`, the others are `annotation.action.<space>`. The last element of each is the
-    gripper's target, 0 open .. 1 closed.
+    The three action spaces describe the same target, which is to be reached at the next frame (the target of the last
+    frame is the pose to hold): `joint` by joint values, `ee_absolute` by the end effector's pose in the world frame,
+    `ee_delta` by the motion from the previous target (`ee_deltas`, `last_targets`), so that deltas add up to the path
+    even if the arm lags behind. The chosen space is `action`, the others are `annotation.action.<space>`. The last
+    element of each is the gripper's target, 0 open .. 1 closed.
     """
     target = episode.action_gripper[:, None]
     deltas = ee_deltas(last_targets(episode), episode.Ts_world_ee_action)
@@ -87,12 +88,12 @@ def feature_columns(episode: Episode, actions: ActionSpace = "joint") -> dict[st
 
 
 def last_targets(episode: Episode) -> Array:
-    """Target of the end effector before each action (T, 4, 4): at first its pose, then the target before."""
+    """Return the previous target (T, 4, 4) of the end effector for each action; the first one is its observed pose."""
     return np.concatenate([episode.Ts_world_ee[:1], episode.Ts_world_ee_action[:-1]])
 
 
 def ee_deltas(Ts_world_last: Array, Ts_world_target: Array) -> Array:
-    """Motion from poses (T, 4, 4) to targets (T, 4, 4) as vectors (T, 6).
+    """Compute the motion from poses (T, 4, 4) to targets (T, 4, 4) as vectors (T, 6).
 
     Both parts are in the axes of the first pose: translation x, y, z, [m], then rotation vector, [rad]. The inverse is
     `ee_targets`.
@@ -102,12 +103,12 @@ def ee_deltas(Ts_world_last: Array, Ts_world_target: Array) -> Array:
 
 
 def ee_targets(Ts_world_last: Array, deltas: Array) -> Array:
-    """Targets (T, 4, 4) that deltas (T, 6) mean from poses (T, 4, 4); the inverse of `ee_deltas`."""
+    """Compute targets (T, 4, 4) from poses (T, 4, 4) and deltas (T, 6); the inverse of `ee_deltas`."""
     return Ts_world_last @ transform(matrix_from_rotvec(deltas[:, 3:6]), deltas[:, :3])
 
 
 def pose_vectors(Ts: Array) -> Array:
-    """Positions and quaternions wxyz (T, 7), signs chosen so that they never jump."""
+    """Convert poses to positions and quaternions wxyz (T, 7) with continuous signs."""
     quats = quat_from_matrix(Ts[:, :3, :3])
     if len(quats) and quats[0, 0] < 0:
         quats[0] *= -1
@@ -124,7 +125,7 @@ def _finger_forces(episode: Episode) -> Array:
 
 
 def column_statistics(values: ArrayLike) -> dict[str, list]:
-    """min, max, mean, std, count and quantiles of each column of (T, D)."""
+    """Compute min, max, mean, std, count and quantiles of each column of (T, D)."""
     data = np.asarray(values, np.float64)
     result = {"min": data.min(0), "max": data.max(0), "mean": data.mean(0), "std": data.std(0)}
     result |= {name: np.quantile(data, share, axis=0) for name, share in QUANTILES.items()}
@@ -132,7 +133,7 @@ def column_statistics(values: ArrayLike) -> dict[str, list]:
 
 
 def image_statistics(counts: NDArray[np.int64], frames: int) -> dict[str, list]:
-    """Statistics (3, 1, 1) of the color channels in 0..1, from counts (3, 256) that stand for a number of frames."""
+    """Compute statistics (3, 1, 1) of the color channels, 0..1, from counts (3, 256) of a number of frames."""
     levels = np.arange(256) / 255
     shares = counts / counts.sum(1, keepdims=True)
     mean = shares @ levels
@@ -149,7 +150,7 @@ def image_statistics(counts: NDArray[np.int64], frames: int) -> dict[str, list]:
 
 
 def read_images(item: CommittedEpisode, camera: str) -> Iterator[NDArray[np.uint8]]:
-    """Frames (H, W, 3) of one camera at its size; area-averaged where that is smaller than the video's.
+    """Yield frames (H, W, 3) of one camera at its size, reduced by area averaging if the video is larger.
 
     Raises:
         CorruptArtifactError: The video has another length than the episode.
@@ -168,7 +169,7 @@ def check_length(item: CommittedEpisode, camera: str, frames: int) -> None:
     """Refuse a video that does not show every frame of its episode.
 
     Raises:
-        CorruptArtifactError: It has another length.
+        CorruptArtifactError: The video has another length.
     """
     if frames != len(item.episode):
         raise CorruptArtifactError(
@@ -177,12 +178,12 @@ def check_length(item: CommittedEpisode, camera: str, frames: int) -> None:
 
 
 def count_colors(images: list[NDArray[np.uint8]]) -> NDArray[np.int64]:
-    """Histogram (3, 256) of the values 0..255 in each channel of some of an episode's images."""
+    """Compute the histogram (3, 256) of the values 0..255 in each channel of some images of an episode."""
     return color_counts(np.stack(images[:: max(len(images) // SAMPLED_FRAMES, 1)]))
 
 
 def resize_videos(item: CommittedEpisode, folder: Path) -> CommittedEpisode:
-    """The episode with videos at its cameras' size and their color counts; new files lie in `folder`.
+    """Resize the videos of an episode to the size of its cameras, with new color counts; new files are in `folder`.
 
     Raises:
         ConfigError: A side of the images is odd; videos store colors for two by two pixels.

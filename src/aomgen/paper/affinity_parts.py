@@ -1,12 +1,12 @@
-"""Parts of the object from affinity features: automatic masks, training, one query a part. [paper 4.1]
+"""Parts of the object from affinity features: automatic masks, training, and one query for each part. [paper 4.1]
 
-Every point of a grid prompts the segmenter in some views; masks that are uncertain, tiny, nearly the whole image or
-a repetition of a better one are dropped (as in Segment Anything, Kirillov et al., 2023, sec. 4). A view's masks are
-stored as soon as they are found, so that a killed run continues.
+In some views every point of a grid prompts the segmenter. Masks that are uncertain, tiny, almost as large as the
+image, or duplicates of a better mask are dropped (as in Segment Anything, Kirillov et al., 2023, sec. 4). The masks
+of a view are stored as soon as they are computed, so that a killed run can continue.
 
-The prompt's mask in its own view gives the size and the features of the part; the similarity above which a Gaussian
-belongs to it is the one that renders the prompt's mask best.
-Source: SAGA (Cen et al., AAAI 2025), sec. 3.4; there the user sets size and threshold.
+The mask of a prompt in its view determines the size and the features of the part. The threshold of the similarity is
+the one whose rendering agrees best with the mask of the prompt. Source: SAGA (Cen et al., AAAI 2025), sec. 3.4, where
+the user sets size and threshold.
 """
 
 from collections.abc import Mapping, Sequence
@@ -38,17 +38,17 @@ from aomgen.segmentation.interface import PointMasks, Segmenter
 from aomgen.splatting.rasterizer import contribution_weights, render
 from aomgen.splatting.surfaces import compute_surface_points
 
-# No feature is surer than this.
+# Least probability of a label, because no feature is certain.
 LEAST_VOTE = 0.02
-# Cosine similarity over which a vote turns from the rest to the part: the width of the logistic step.
+# Width of the logistic function that maps similarities to probabilities (cosine similarity).
 SOFTNESS = 0.05
-# Cuts this close to the best IoU count as equally good: outlines in masks are no sharper.
+# Thresholds whose IoU is at least this share of the best one are equally good, within the accuracy of mask outlines.
 PLATEAU = 0.97
 MASKS_FOLDER = "automatic_masks"
 # Least IoU that the segmenter predicts for its mask, and between its tighter and looser cut; IoU above which
 # two masks are duplicates: the default of SAM 2's mask generator.
 GOOD_IOU = 0.8
-# Shares of the image that a mask covers: below a speck, above the image itself.
+# Smallest and largest share of the image that a mask may cover.
 SHARES = (0.0005, 0.9)
 # Points along either side of an image, and of the prompted object's box in it.
 GRID_SIDE, OBJECT_SIDE = 8, 6
@@ -63,17 +63,17 @@ def affinity_evidence(
     params: AffinityParams,
     rng: np.random.Generator,
 ) -> PartEvidence:
-    """Train and query: log-likelihoods of the object's parts.
+    """Train affinity features and query the parts; return log-likelihoods of the object's parts.
 
     Args:
         found: Masks of some of the views by name, see `segment_views`.
 
     Raises:
-        ReconstructionError: There are no masks, or the prompts show nothing.
+        ReconstructionError: There are no masks, or the prompts contain no Gaussians.
     """
     chosen = [view for view in views if view.name in found]
     centers = np.array([view.camera.center for view in chosen])
-    # Masks larger than the ring of cameras show the room, not an object in it.
+    # Masks larger than the extent of the cameras show the room, not an object in it.
     largest_m = 2 * float(np.linalg.norm(centers.std(axis=0)))
     sized = []
     for view in chosen:
@@ -84,7 +84,7 @@ def affinity_evidence(
     static, moving = ([item for item in prompted if item.part == value] for value in (STATIC, MOVING))
     whole, _ = query_part(gaussians, affinity, static, params.width)
     moves = _vote(query_part(gaussians, affinity, moving, params.width, whole > 0)[0])
-    # A prompt of the static part shows the whole object, the moving part lies on it.
+    # A prompt of the static part contains the whole object, including the moving part.
     stands = _vote(whole) * (1 - moves)
     progress(1.0, "parts queried")
     votes = np.stack([1 - moves - stands, stands, moves], axis=1)
@@ -98,24 +98,24 @@ def query_part(
     width: int,
     within: NDArray[np.bool_] | None = None,
 ) -> tuple[Array, float]:
-    """Similarity of all Gaussians to a prompted part beyond the threshold for belonging to it.
+    """Compute the similarity of all Gaussians to a prompted part, minus the threshold for belonging to it.
 
-    A part may be separated from the rest of its object instead: views of the object's other sides
-    train what belongs to it, but hardly how far they are from the part. What paints the prompt's mask better
-    is taken.
+    As an alternative, the part is separated only from the rest of its object: views of other sides of the object
+    train which Gaussians belong to the object, but hardly their distance from the part. The alternative that renders
+    the prompt's mask better is used.
 
     Args:
         gaussians: N Gaussians, world frame.
-        width: Width at which features are drawn, [px].
-        within: (N,), the Gaussians of a larger object that contains the part; None when it
-            stands alone.
+        width: Width at which features are rendered, [px].
+        within: (N,), the Gaussians of a larger object that contains the part; None for a
+            separate object.
 
     Returns:
-        Cosine similarity (N,) minus the threshold, positive for Gaussians of the part, and the IoU with the
-        prompts' masks of what these paint there.
+        Cosine similarity (N,) minus the threshold, positive for Gaussians of the part, and the IoU between
+        the rendering of these Gaussians and the masks of the prompts.
 
     Raises:
-        ReconstructionError: No prompt shows anything.
+        ReconstructionError: No prompt contains Gaussians.
         BackendError: The engine is missing.
     """
     shown = [
@@ -149,13 +149,13 @@ def query_part(
 
 
 def best_threshold(similarities: NDArray[np.float32], inside: Array, outside: Array) -> tuple[float, float]:
-    """The cut that agrees best with what was seen, and its IoU; values (N,) above it belong to the part.
+    """Find the threshold that agrees best with the masks, and its IoU; values (N,) above it belong to the part.
 
-    Where many cuts agree equally well the middle one is taken, as far from the part as from the rest.
+    If several thresholds agree equally well, the middle one is used.
 
     Args:
-        inside: (N,), how much each value paints of the part.
-        outside: (N,), how much it paints of what is not the part.
+        inside: (N,), contribution of each Gaussian to the pixels of the part.
+        outside: (N,), contribution of each Gaussian to other pixels.
     """
     order = np.argsort(-similarities)
     hits = np.cumsum(inside[order])
@@ -166,7 +166,7 @@ def best_threshold(similarities: NDArray[np.float32], inside: Array, outside: Ar
 
 
 def _vote(margins: Array) -> Array:
-    """Probability (N,) of belonging to the part."""
+    """Compute the probability (N,) of belonging to the part."""
     return 1 / (1 + np.exp(-np.clip(margins / SOFTNESS, -50, 50)))
 
 
@@ -179,14 +179,14 @@ def segment_views(
     count: int,
     folder: Path | None = None,
 ) -> dict[str, NDArray[np.bool_]]:
-    """Segment a few views wholly; those found earlier are read back from the folder.
+    """Segment a few views completely; stored masks are read from the folder.
 
     Args:
         gaussians: The scene, world frame; locates the prompted object in other views.
-        views: Scan views, world frame, held-out ones left out.
-        count: Views that are segmented, the prompted ones among them.
-        folder: Holds one file a view; None keeps nothing. It must belong to these views and this
-            segmenter: nothing here compares them.
+        views: Scan views, world frame, without held-out ones.
+        count: Number of segmented views, including the prompted ones.
+        folder: Folder with one file for each view; None stores no masks. It must belong to these views and this
+            segmenter, which is not checked.
 
     Returns:
         Masks (M, H, W) by view name: those of the prompts first, then those of the grid, best first.
@@ -222,7 +222,7 @@ def segment_views(
 
 
 def spread_views(views: Sequence[ScanView], first: Sequence[str], count: int) -> list[ScanView]:
-    """Named views, then repeatedly the view farthest from all chosen ones, until there are enough."""
+    """Select the named views, then repeatedly the view farthest from all selected ones."""
     chosen = [view for view in views if view.name in first] or list(views[:1])
     rest = [view for view in views if view.name not in {item.name for item in chosen}]
     while rest and len(chosen) < count:
@@ -233,7 +233,7 @@ def spread_views(views: Sequence[ScanView], first: Sequence[str], count: int) ->
 
 
 def grid_points(shape: tuple[int, ...], side: int, skip: NDArray[np.bool_]) -> Array:
-    """Centres (N, 2), [px], of a side x side division of an image (H, W), without those on `skip`."""
+    """Compute the centers (N, 2), [px], of a side x side grid of an image (H, W), without those on `skip`."""
     steps = (np.arange(side) + 0.5) / side
     points = np.stack(np.meshgrid(steps * shape[1], steps * shape[0]), -1).reshape(-1, 2)
     columns, rows = np.floor(points).astype(int).T
@@ -241,7 +241,7 @@ def grid_points(shape: tuple[int, ...], side: int, skip: NDArray[np.bool_]) -> A
 
 
 def _object_grid(view: ScanView, points_world: Array) -> Array:
-    """Points (N, 2), [px], in the box of some points as a view sees them, without those on the robot."""
+    """Compute a grid (N, 2), [px], in the bounding box of projected points, without the pixels of the robot."""
     height, width = view.robot.shape
     pixels, depths = view.camera.project(points_world)
     pixels = pixels[depths > 0]
@@ -254,12 +254,12 @@ def _object_grid(view: ScanView, points_world: Array) -> Array:
 
 
 def best_masks(answers: PointMasks, known: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """The good ones (M, H, W) among many masks without what is `known`, best first, without duplicates."""
+    """Select good masks (M, H, W) without the pixels `known` and without duplicates, the best first."""
     masks = answers.masks & ~known
     shares = masks.mean((1, 2))
     good = (np.minimum(answers.quality, answers.stability) >= GOOD_IOU) & (shares >= SHARES[0])
     good &= shares <= SHARES[1]
-    # Every fourth row and column estimates overlaps well enough, and sixteen times faster.
+    # Every fourth row and column is sufficient to estimate overlaps, and sixteen times faster.
     small = masks[:, 1::4, 1::4].astype(np.float32)
     shared, areas = np.tensordot(small, small, ((1, 2), (1, 2))), small.sum((1, 2))
     overlaps = shared / np.maximum(areas[:, None] + areas - shared, 1)
@@ -271,12 +271,12 @@ def best_masks(answers: PointMasks, known: NDArray[np.bool_]) -> NDArray[np.bool
 
 
 def save_masks(path: Path, masks: NDArray[np.bool_]) -> None:
-    """Write the masks (M, H, W) of one view, eight pixels a byte."""
+    """Write the masks (M, H, W) of one view, with eight pixels in a byte."""
     write_bytes(path, npz_bytes({"packed": np.packbits(masks, axis=-1), "width": np.array(masks.shape[2])}))
 
 
 def load_masks(path: Path) -> NDArray[np.bool_]:
-    """Read what `save_masks` wrote.
+    """Read a file that `save_masks` wrote.
 
     Raises:
         MalformedFileError: The file is damaged.

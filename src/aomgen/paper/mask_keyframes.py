@@ -1,9 +1,9 @@
-"""The moving part's masks over the video, the paper's motion score of them, and the frames that its threshold flags.
+"""Masks of the moving part over the video, the paper's motion score, and the frames above its threshold.
 
-The paper follows the part with SAM 2. Without label images a pixel counts as the part's when it lies on the
-part's scanned location and still looks as it did, or next to it, joined to it, and looks different.
-Rougher than SAM 2: what the part uncovered beside itself counts too, a part in the color of what it
-covers is taken for its shadow, and where it moved along its own place its texture decides.
+The paper segments the part with SAM 2. Without label images, two kinds of pixels are assigned to the part: pixels of
+its scanned region whose appearance has not changed, and changed pixels that are connected to this region. This is
+less accurate than SAM 2: surfaces that the part uncovers are included, a part with the color of the covered surface
+is mistaken for a shadow, and where the part overlaps with its earlier position only its texture shows the motion.
 """
 
 from dataclasses import dataclass
@@ -25,24 +25,24 @@ from aomgen.motion.inputs import MotionInput
 from aomgen.motion.keyframes import find_part_region, keep_touching, widen
 from aomgen.robots.silhouette import robot_masks
 
-# "printed": the formulas as they stand. "repaired": with the least change that lets them work.
+# "printed": the formulas as printed. "repaired": with the smallest corrections that are necessary.
 Variant = Literal["printed", "repaired"]
 
-# The paper names the filter, not its size; eleven frames and third order are its usual ones.
+# The paper states the filter but not its size; eleven frames and third order are common values.
 SMOOTH_FRAMES, SMOOTH_ORDER = 11, 3
 # Percentile of the scores that is the paper's B, [%].
 BASELINE_PERCENT = 20.0
-# Sigmas above B at which a frame is flagged, as printed.
+# Threshold above B in multiples of sigma, as printed.
 NOISE_UNITS = 3.0
-# The first image is the median of this duration of video, so that its own noise does not count, [s].
+# Duration of the video whose median is the reference image, which reduces its noise, [s].
 REFERENCE_S = 0.25
-# A change is this many standard deviations of the static image's noise, and no less than compression noise, 8 bit.
+# Least change, in standard deviations of the noise of a static image, and in 8-bit values (compression noise).
 CHANGE_SD, MIN_CHANGE = 6.0, 12.0
-# A shadow leaves at least this share of the light.
+# Least share of the light in a shadow.
 DARKEST_SHADE = 0.4
-# The model's outline is off by as much at this size, [px].
+# Error of the model's outline at this image size, [px].
 ROBOT_MARGIN_PX = 2
-# Width of the masks by change, [px].
+# Width of the masks that are computed from changes, [px].
 WIDTH = 320
 
 
@@ -62,15 +62,15 @@ class PartMasks:
 
 
 def motion_scores(masks: PartMasks) -> Array:
-    """Share (T - 1,) of the part's pixels that the next frame's mask lost, 0..1.
+    """Compute the share (T - 1,) of the part's pixels that are not in the mask of the next frame, 0..1.
 
-    From either mask the other frame's robot is subtracted first. Where nothing is left of the first
-    mask the score is 0.
+    The robot's pixels in the other frame are removed from each mask first. If the first mask is empty then, the score
+    is 0.
 
     Raises:
         InputError: Fewer than two frames.
 
-    Source: AOMGen, sec. 4.2, "Keyframe Extraction". As there, a mask that only grows scores 0.
+    Source: AOMGen, sec. 4.2, "Keyframe Extraction". As in the paper, a mask that only grows has the score 0.
     """
     if not len(masks.moving) >= 2:
         raise InputError("masks of the demonstration", f"{len(masks.moving)} frames, need 2", "give them all")
@@ -81,19 +81,19 @@ def motion_scores(masks: PartMasks) -> Array:
 
 
 def smooth_scores(scores: Array) -> Array:
-    """Savitzky-Golay smoothed scores (T,); a series shorter than the filter stays as it is."""
+    """Smooth scores (T,) with a Savitzky-Golay filter; a series shorter than the filter is not changed."""
     if len(scores) < SMOOTH_FRAMES:
         return np.array(scores)
     return np.asarray(savgol_filter(scores, SMOOTH_FRAMES, SMOOTH_ORDER))
 
 
 def score_threshold(scores: Array, smoothed: Array, variant: Variant) -> float:
-    """The level B + 3 sigma that a moving frame exceeds.
+    """Compute the threshold B + 3 sigma that the score of a moving frame exceeds.
 
-    B is the 20th percentile of the scores (T,). Printed: sigma is the standard deviation of the scores
-    themselves, so that a motion raises its own threshold: two levels are separated only when the
-    higher one lasts less than an eighth of the video, or more than seven. Repaired: sigma is the
-    robust spread of the scores about their smooth course (T,).
+    B is the 20th percentile of the scores (T,). In the variant "printed", sigma is the standard deviation of all
+    scores, so a motion raises its own threshold: two levels are separated only if the higher one lasts for less than
+    one eighth or for more than seven eighths of the video. In the variant "repaired", sigma is the robust standard
+    deviation of the scores about their smoothed values (T,).
 
     Source: AOMGen, sec. 4.2, "Keyframe Extraction".
     """
@@ -105,13 +105,13 @@ def score_threshold(scores: Array, smoothed: Array, variant: Variant) -> float:
 
 
 def flag_frames(smoothed: Array, threshold: float) -> tuple[int, int]:
-    """First and last frame whose smoothed score (T,) exceeds the threshold.
+    """Find the first and the last frame whose smoothed score (T,) exceeds the threshold.
 
     Raises:
-        NoMotionError: No frame does.
+        NoMotionError: No score exceeds the threshold.
 
-    Source: AOMGen, sec. 4.2, "Keyframe Extraction". As there, one flagged frame sets an end of the
-    interval, however far from the others it is.
+    Source: AOMGen, sec. 4.2, "Keyframe Extraction". As in the paper, a single frame above the
+    threshold determines an end of the interval, even if it is far from the others.
     """
     flagged = np.flatnonzero(smoothed > threshold)
     if not len(flagged):
@@ -125,8 +125,10 @@ def flag_frames(smoothed: Array, threshold: float) -> tuple[int, int]:
 
 
 def part_masks(capture: Recording, camera: DemoCamera, demonstration: MotionInput) -> PartMasks:
-    """Moving part and robot in every frame: the part's from the capture's own label images, else from
-    what changed in the video; the robot's drawn from its log.
+    """Compute the masks of moving part and robot in every frame.
+
+    The masks of the part are the label images of the capture if there are any, else they are computed from changes in
+    the video. The masks of the robot are rendered from its log.
 
     Raises:
         InputError: See `read_demo_masks`.
@@ -154,15 +156,15 @@ def _masks_by_change(demo: MotionInput) -> PartMasks:
 def change_masks(
     frames_srgb: NDArray[np.uint8], robot: NDArray[np.bool_], region: NDArray[np.bool_], still: int
 ) -> NDArray[np.bool_]:
-    """Masks (T, H, W) of a part, robot left out.
+    """Compute masks (T, H, W) of a part without the pixels of the robot.
 
     Args:
         frames_srgb: Small frames (T, H, W, 3).
-        robot: The robot's masks (T, H, W) in them.
-        region: The part's pixels (H, W) at its scanned place.
-        still: Frames at the beginning in which nothing but the robot moves.
+        robot: The robot's masks (T, H, W) in these frames.
+        region: The part's pixels (H, W) at its scanned pose.
+        still: Number of frames at the beginning in which only the robot moves.
 
-    Not checked: what the robot hid in all of these counts as never changed.
+    Not checked: pixels that the robot occludes in all of these frames are treated as unchanged.
     """
     hidden = widen(robot, ROBOT_MARGIN_PX)
     reference, known = compute_masked_median(frames_srgb[:still], ~hidden[:still])
@@ -177,7 +179,7 @@ def change_masks(
 def _find_changes(
     frame: NDArray[np.uint8], reference: NDArray[np.float32], compared: NDArray[np.bool_]
 ) -> NDArray[np.bool_]:
-    """Pixels (H, W) that differ by more than noise, and by more than the brightness of their color."""
+    """Find pixels (H, W) that differ by more than noise, and not only in brightness."""
     picture = frame.astype(np.float32)
     shade = (picture * reference).sum(-1) / np.maximum((reference**2).sum(-1), 1.0)
     shaded = np.clip(shade, DARKEST_SHADE, 1.0)[..., None] * reference

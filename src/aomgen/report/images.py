@@ -234,7 +234,7 @@ def parts_sheet(results: Results, count: int = 4) -> Image8:
 
 
 def coverage_map(results: Results) -> Image8:
-    """Draw the sides of object, robot and table in a top view: red for no view, yellow for too few, green for enough."""
+    """Draw the sides of object, robot and table in a top view: red for no view, yellow for few, green for enough."""
     found = load_artifact(results.folders["parts"], COVERAGE, Survey)
     seen = np.where(found.coverage.enough, 2, np.where(found.coverage.views > 0, 1, 0))
     cameras = results.scan_cameras

@@ -45,7 +45,7 @@ class ResidualAppearance:
     __post_init__ = freeze_arrays
 
     def weights(self, Rs_world_body: Array) -> Array:
-        """Compute weights (T, K) of the observed orientations at orientations (T, 3, 3); near an observed one their sum is 1."""
+        """Compute weights (T, K) of the observed orientations at others (T, 3, 3); near one, their sum is 1."""
         return orientation_weights(self.Rs_world_body, Rs_world_body, self.reach_rad)
 
 
@@ -170,7 +170,7 @@ def _compute_color_transfer(relit: Relit, rows: NDArray[np.int64]) -> NDArray[np
 
 
 def _compute_block_colors(transfer: NDArray[np.float32], lights: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Compute sRGB colors (T, R, 3) of diffuse surfaces (3, R, 9) in lights (3, T, 9) of their frame, in `LEVELS` steps.
+    """Compute sRGB colors (T, R, 3) of diffuse surfaces (3, R, 9) in lights (3, T, 9) of their frame, by `LEVELS`.
 
     Matrix products of this size are not divided among threads, so they always round in the same way.
     """
