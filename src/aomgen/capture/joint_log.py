@@ -256,7 +256,7 @@ def _warnings(log: JointLog, path: Path) -> list[str]:
     rate = 1 / float(np.median(np.diff(log.times_s)))
     if rate < WANTED_RATE_HZ:
         found.append(
-            f"it has {rate:.0f} rows per second, 30 or more are recommended: clock offset, contact and joint values "
+            f"has {rate:.0f} rows per second, 30 or more are recommended: clock offset, contact and joint values "
             "become less accurate"
         )
     travel = float(np.ptp(log.joints[log.times_s <= log.times_s[0] + REST_S], axis=0).max())
@@ -268,7 +268,7 @@ def _warnings(log: JointLog, path: Path) -> list[str]:
     wide = np.diff(log.times_s) > WIDE_STEP_S
     if rate >= WANTED_RATE_HZ and wide.any():
         found.append(
-            f"it has {int(wide.sum())} gaps of more than {WIDE_STEP_S} s (longest {np.diff(log.times_s).max():.2f} s), "
+            f"has {int(wide.sum())} gaps of more than {WIDE_STEP_S} s (longest {np.diff(log.times_s).max():.2f} s), "
             "in which joint values are interpolated"
         )
     # A gripper closes to grasp; if it is closed at the start and opens, its values are probably reversed.

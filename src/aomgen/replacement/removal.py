@@ -1,4 +1,4 @@
-"""Take the recorded object out of the scene and close the surface it stood on."""
+"""Remove the recorded object from the scene and complete the surface below it."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -28,29 +28,29 @@ from aomgen.twin.plan_view import PlanView
 from aomgen.twin.support import SURFACE, Support, find_support, on_surface
 from aomgen.twin.twin import TwinModel, pose_twin
 
-# Remains of the object are looked for this far around it, [m].
+# Distance around the object within which its remains are searched, [m].
 HALO: Final = 0.025
-# Gaussians of which the object hid more than all but this share are unknown.
+# Gaussians whose share of unoccluded pixels is smaller are unknown, because the object occluded the others.
 SEEN_SHARE: Final = 0.2
-# The surface is replaced this far beyond the object's footprint, [m].
+# Distance beyond the footprint of the object up to which the surface is replaced, [m].
 MARGIN: Final = 0.045
-# Photographs show the object's foot within this distance of the footprint, [m].
+# Distance from the footprint within which photographs show the foot of the object, [m].
 FOOT: Final = 0.02
-# Colors in deeper shadows, whose light would be multiplied by more than this factor, are inpainted, linear.
+# Largest factor on linear light that removes a shadow; colors in deeper shadows are inpainted.
 MAX_LIFT: Final = 1.94
-# Texture and shadow are judged on a ring this wide, [m].
+# Width of the ring on which texture and shadow are measured, [m].
 RING: Final = 0.28
-# Cell of the image from above, [m].
+# Cell size of the top view, [m].
 CELL: Final = 0.004
-# Difference of chromaticity from most of the surface that certainly belongs to another object.
+# Chromaticity difference from most of the surface from which on a cell belongs to another object.
 MIN_TINT: Final = 0.07
-# Width over which one surface fades into the other, [m].
+# Width of the transition between old and new surface, [m].
 FADE: Final = 0.05
-# New surface lies this far below the old one, so that the old covers it where it is sound, [m].
+# Distance of the new surface below the old one, which covers it where the old one has no gaps, [m].
 BELOW: Final = 0.0015
 # Standard deviation and thickness of a cell's Gaussian, in cells, and its opacity.
 SPREAD, THICKNESS, OPACITY = 0.8, 0.1, 0.98
-# The old surface has no gaps where it covers at least this share.
+# Coverage from which on the old surface has no gaps.
 SOUND: Final = 0.6
 
 Inpaint = Callable[[Array, NDArray[np.bool_]], Array]
@@ -60,12 +60,12 @@ class Cleared(NamedTuple):
     """A scene without its object.
 
     Attributes:
-        twin: All labels are background or robot; no Gaussian belongs to "object" or "part".
-        shadowed: All that never moves, as it was scanned: with the object's shadow on it, without new surface; world frame.
-        support: The plane the object stood on.
-        table: Places on it as they were scanned, in the object's shadow too.
-        removed: Number of Gaussians removed beyond those labelled as the object.
-        filled: Gaussians of new surface.
+        twin: Twin whose labels are background or robot; no Gaussian belongs to "object" or "part".
+        shadowed: Static Gaussians as scanned, with the object's shadow and without the new surface; world frame.
+        support: Support plane of the object.
+        table: Cells of the support plane as scanned, including those in the object's shadow.
+        removed: Number of removed Gaussians that were not labeled as the object.
+        filled: Number of Gaussians of the new surface.
     """
 
     twin: TwinModel
@@ -77,7 +77,7 @@ class Cleared(NamedTuple):
 
     @property
     def surroundings(self) -> Gaussians:
-        """All that never moves, world frame."""
+        """Static Gaussians, world frame."""
         return self.twin.scene
 
 
@@ -89,8 +89,8 @@ def clear_object(
     Args:
         twin: Bound scan.
         robot: Its robot.
-        views: Photographs of the scan: what they saw of the surface is put back, the rest is invented.
-        inpaint: Completes an image (H, W, 3), 0..1, of the surface from straight above where it is not known (H, W).
+        views: Photographs of the scan; observed parts of the surface are restored from them, other parts are inpainted.
+        inpaint: Function that completes the unknown pixels (H, W) of a top view (H, W, 3), 0..1, of the surface.
 
     Raises:
         ReconstructionError: No supporting plane was scanned.
@@ -109,7 +109,7 @@ def clear_object(
     covered = seen & (outside > FOOT)
     known = _same_material(picture, covered)
     near, other = outside < MARGIN, covered & ~known
-    # Surfaces close to the footprint that are not the table belong to the object: its foot, its mirror image.
+    # Surfaces close to the footprint that are not the table belong to the object, for example its foot or mirror image.
     of_foot = plan.lookup(other & near, remaining.gaussians, False)
     rest = of_foot & remaining.of_scene & on_surface(remaining.gaussians, support)
     remaining = remaining.select(~rest)
@@ -124,7 +124,7 @@ def clear_object(
     factors = np.where(level[:, None], plan.lookup(gain, remaining.gaussians, 1.0), 1.0)
     lightened = remaining.gaussians.illuminate(factors)
     texture = inpaint(np.minimum(illuminate_srgb(picture, gain), 1), known)
-    # The table ends where nothing was scanned before either; gaps within it are closed too.
+    # The table ends at the border of the scanned region; gaps within it are closed as well.
     area = (outside <= 0) | (_hull(plan.cover(world.select(scene)) > 0.5) & (near | ~binary_dilation(other)))
     new, closed = area & (near | deep), outside <= 0.7 * RING
     fill, kept = renew_surface(lightened, level, plan, texture, known, new, closed, area)
@@ -135,11 +135,11 @@ def clear_object(
 
 
 def _leftover(world: Gaussians, support: Support) -> NDArray[np.bool_]:
-    """Remains of the object that were not labelled so: its halo, and the unseen surface beneath it."""
+    """Find remains of the object that are not labeled as such: its halo, and the unobserved surface below it."""
     places = support.coordinates(world.means)
     outside, beyond = support.outside(places[:, :2]), support.beyond_reach(places[:, :2])
     above = (places[:, 2] > SURFACE) & (places[:, 2] < support.top + HALO) & (beyond < HALO)
-    # Faint splats that hang in the air a little further out are halo too.
+    # Faint Gaussians above the surface, at a slightly larger distance, belong to the halo as well.
     faint = (world.opacities < 0.3) & (places[:, 2] > SURFACE) & (places[:, 2] < support.top + 2 * HALO)
     beneath = (np.abs(places[:, 2]) <= 0.04) & (places[:, 2] <= SURFACE) & (outside < MARGIN)
     return above | (faint & (beyond < 2 * HALO)) | beneath
@@ -148,8 +148,9 @@ def _leftover(world: Gaussians, support: Support) -> NDArray[np.bool_]:
 def _hardly_seen(
     world: Gaussians, of_object: NDArray[np.bool_], views: Sequence[Photograph]
 ) -> NDArray[np.bool_]:
-    """Select Gaussians (N,) that the object hid from nearly all views that would see them without it: no photograph confirms
-    them.
+    """Select Gaussians (N,) that the object occludes in nearly all views in which they would be visible without it.
+
+    No photograph confirms these Gaussians.
     """
     others = world.select(~of_object)
     shown, bare = np.zeros(len(world)), np.zeros(len(others))
@@ -163,7 +164,7 @@ def _hardly_seen(
 
 
 def _hull(cells: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Cells (H, W) inside the convex hull of the largest connected patch; tables are convex."""
+    """Find cells (H, W) inside the convex hull of the largest connected region, because tables are convex."""
     opened = binary_opening(cells, iterations=2)
     components = np.zeros(cells.shape, np.int32)
     if not label(opened, output=components):
@@ -176,7 +177,7 @@ def _hull(cells: NDArray[np.bool_]) -> NDArray[np.bool_]:
 
 
 def _same_material(picture: Array, known: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Known cells (H, W) that look like most of the surface, lit or in shadow, not like objects on it."""
+    """Find known cells (H, W) with the chromaticity of most of the surface, lit or in shadow."""
     if not known.sum() > 200:
         return known
     smooth = gaussian_filter(picture, (1, 1, 0))
@@ -199,20 +200,20 @@ def renew_surface(
     closed: NDArray[np.bool_],
     area: NDArray[np.bool_],
 ) -> tuple[Gaussians, NDArray[np.float32]]:
-    """Flat Gaussians, one a cell, and the share (N,) of their opacity that the old ones keep.
+    """Create flat Gaussians, one for each cell, and compute the share (N,) of opacity that the old Gaussians keep.
 
-    An image from above has no gloss, and trained surfaces look different from every side. Their difference from
-    the image is continued smoothly; then both surfaces fade into each other.
+    A top view has no view-dependent gloss, whereas trained surfaces have. The difference between them is extrapolated
+    smoothly, and the two surfaces are blended.
 
     Args:
-        old: All that is there, world frame.
-        table: Which of it (N,) is the surface.
-        plan: The surface from above.
-        texture: Its image, 0..1.
-        known: Where that was photographed.
-        new: Where nothing of the old surface shall stay.
-        closed: Where gaps in it are closed too.
-        area: Where it is, and no flat object lies on it.
+        old: Gaussians of the scene, world frame.
+        table: Mask (N,) of the Gaussians of the surface.
+        plan: Cells of the top view of the surface.
+        texture: Image of the surface, 0..1.
+        known: Cells whose texture was photographed.
+        new: Cells in which the old surface is removed completely.
+        closed: Cells in which gaps of the old surface are closed.
+        area: Cells of the surface without flat objects on them.
     """
     sh = old.sh[table].reshape(int(table.sum()), -1)
     around, cover = plan.mean(old.select(table), sh)
@@ -223,7 +224,7 @@ def renew_surface(
     filled = area & (new | (closed & ~sound))
     beyond = np.asarray(distance_transform_edt(~filled)) * plan.cell
     fill = _flat(plan, texture, looks, np.clip(2 - 2 * beyond / FADE, 0, 1) * area)
-    # Feet of objects on the surface, which are neither known nor new, stay.
+    # Feet of objects on the surface, which are neither known nor new, remain.
     kept = np.where(known | new, np.clip(2 * beyond / FADE, 0, 1), 1.0)
     return fill, np.where(table, plan.lookup(kept, old, 1.0), 1.0).astype(np.float32)
 

@@ -1,4 +1,4 @@
-"""Texture of the table without its object: composed of all photographs that show it, and completed where none does."""
+"""Texture of the table without its object, composed from all photographs and completed in unobserved regions."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -23,22 +23,23 @@ from aomgen.core.transforms import apply, invert
 from aomgen.core.values import Array
 from aomgen.splatting.rasterizer import render
 
-# Surfaces within this height of the plane belong to it, [m]: trained surfaces are as thick.
+# Surfaces within this distance of the plane belong to it, [m]; trained surfaces have this thickness.
 ON_PLANE: Final = 0.012
-# A pixel shows the surface alone where objects before it take less than this share.
+# A pixel shows only the surface if objects in front of it contribute less than this share.
 BEFORE: Final = 0.05
-# Sine of the angle below which a view looks along the surface and smears it.
+# Sine of the angle between view and surface below which the texture is blurred.
 GRAZING: Final = 0.2
-# One photograph may show a reflection or a moving obstacle.
+# Least number of views of a cell, because a single photograph may show a reflection or a moving obstacle.
 MIN_VIEWS: Final = 2
-# Cells are rejected where views differ by this multiple of the usual difference, and by more than noise: they show a mirror
-# image or an outline. Strips between such cells that are narrower than twice OPENED cells are rejected too.
+# Cells are rejected if their colors differ between views by this multiple of the usual difference and by more than
+# noise, because they show a mirror image or an outline. Strips between such cells that are narrower than twice OPENED
+# cells are rejected as well.
 UNSURE, NOISE, OPENED = 3.0, 0.02, 3
 # Patch side, [px].
 PATCH: Final = 25
-# Random patches compared at each place; the neighbourhood of the best is searched after.
+# Number of random patches that are compared at each position, before the neighborhood of the best one is searched.
 CANDIDATES: Final = 600
-# Structure wider than this [px] is color, finer is texture.
+# Scale that separates color (coarser) from texture (finer), [px].
 SMOOTHING: Final = 15.0
 
 
@@ -53,18 +54,18 @@ class Photograph:
 def photograph_surface(
     world: Gaussians, scene: NDArray[np.bool_], views: Sequence[Photograph], T_world_plane: Array, xy: Array
 ) -> tuple[Array, NDArray[np.bool_]]:
-    """Colors of cells of a plane, from every view that sees them.
+    """Compute the colors of cells of a plane from all views in which they are visible.
 
     Args:
-        world: All that stood there, world frame.
-        scene: Which Gaussians (N,) are neither robot nor object.
-        views: Photographs of it.
-        T_world_plane: The plane, z = 0 on it.
-        xy: Middles of the cells (H, W, 2), plane frame.
+        world: Gaussians of the scanned scene, world frame.
+        scene: Mask (N,) of the Gaussians that belong neither to the robot nor to the object.
+        views: Photographs of the scene.
+        T_world_plane: Pose of the plane, on which z is 0.
+        xy: Centers of the cells (H, W, 2), plane frame.
 
     Returns:
-        Median colors over the views (H, W, 3), sRGB, 0..1, 0 where the surface is not seen; and whether two views or
-        more see a cell, and agree (H, W).
+        Median colors over the views (H, W, 3), sRGB, 0..1, 0 where the surface is not visible; and a mask (H, W) of the
+        cells that are visible in two or more views with equal colors.
     """
     points = apply(T_world_plane, np.concatenate([xy, np.zeros_like(xy[..., :1])], -1))
     colors = np.zeros((len(views), *points.shape), np.float32)
@@ -90,15 +91,15 @@ def photograph_surface(
     seen = visible.sum(0) >= MIN_VIEWS
     usual = float(np.median(spread[seen])) if seen.any() else 0.0
     seen &= spread <= max(UNSURE * usual, NOISE)
-    # An opening in which the image continues beyond its end.
+    # Morphological opening in which the image continues beyond its border.
     seen &= binary_dilation(binary_erosion(seen, iterations=OPENED, border_value=1), iterations=OPENED)
     return np.where(seen[..., None], median, 0.0).astype(np.float64), seen
 
 
 def inpaint(image: Array, known: NDArray[np.bool_], rng: np.random.Generator) -> Array:
-    """Complete an image (H, W, 3) where it is not known (H, W); without any known pixel it is grey.
+    """Complete the unknown pixels (H, W) of an image (H, W, 3); an image without known pixels becomes gray.
 
-    `rng` chooses candidate patches.
+    `rng` selects candidate patches.
     """
     if not known.any():
         return np.full(image.shape, 0.5)
@@ -109,12 +110,12 @@ def inpaint(image: Array, known: NDArray[np.bool_], rng: np.random.Generator) ->
 
 
 def continue_smoothly(image: Array, known: NDArray[np.bool_]) -> Array:
-    """The colors (H, W, C) of an image without its texture, and their smooth continuation to where it is not known."""
+    """Return the colors (H, W, C) of an image without its texture, continued smoothly to unknown pixels."""
     return _membrane(_blur(image, known), known)
 
 
 def _blur(image: Array, known: NDArray[np.bool_]) -> Array:
-    """Known colors averaged over known neighbours."""
+    """Average known colors over known neighbors."""
     weight = gaussian_filter(known.astype(float), SMOOTHING)
     masked = np.where(known[..., None], image, 0.0)
     total = gaussian_filter(masked, (SMOOTHING, SMOOTHING, 0))
@@ -122,7 +123,7 @@ def _blur(image: Array, known: NDArray[np.bool_]) -> Array:
 
 
 def _membrane(image: Array, known: NDArray[np.bool_]) -> Array:
-    """The smoothest continuation into unknown pixels: Laplace's equation."""
+    """Continue an image into unknown pixels by solving Laplace's equation."""
     if known.all():
         return image
     flat = known.ravel()
@@ -135,7 +136,7 @@ def _membrane(image: Array, known: NDArray[np.bool_]) -> Array:
 
 
 def _quilt(detail: Array, known: NDArray[np.bool_], rng: np.random.Generator) -> Array:
-    """Texture copied patch by patch from the known part, from the border inwards.
+    """Synthesize texture by copying patches of the known part, from the border inwards.
 
     Source: Efros & Freeman 2001, with soft seams.
     """
@@ -147,7 +148,7 @@ def _quilt(detail: Array, known: NDArray[np.bool_], rng: np.random.Generator) ->
         return result
     windows = np.asarray(sliding_window_view(detail, (PATCH, PATCH, 3)))[:, :, 0]
     inner = np.asarray(distance_transform_edt(~known))
-    # Neighbouring patches overlap by more than half.
+    # Neighboring patches overlap by more than half.
     grid = np.argwhere(~known)
     grid = grid[(grid % half == 0).all(1)]
     grid = grid[np.argsort(inner[tuple(grid.T)], kind="stable")]
@@ -166,7 +167,7 @@ def _quilt(detail: Array, known: NDArray[np.bool_], rng: np.random.Generator) ->
         around = around[inside]
         best = _closest(windows, around[whole[tuple(around.T)]], result[box], weight)
         patch = windows[best[0], best[1]]
-        # A sharp share: averaging many patches would wash the texture out.
+        # Steep blending weights, because averaging many patches would blur the texture.
         share = np.where(known[box], 0.0, feather**4 / (feather**4 + weight**4))[..., None]
         result[box] = (1 - share) * result[box] + share * patch
         sure[box] = np.where(known[box], 1.0, np.maximum(weight, feather))
@@ -174,7 +175,7 @@ def _quilt(detail: Array, known: NDArray[np.bool_], rng: np.random.Generator) ->
 
 
 def _closest(windows: NDArray, places: NDArray[np.int64], target: Array, weight: Array) -> NDArray[np.int64]:
-    """The place (2,) whose window (P, P, 3) differs least from the target (P, P, 3)."""
+    """Find the position (2,) whose window (P, P, 3) has the smallest difference from the target (P, P, 3)."""
     found = windows[places[:, 0], places[:, 1]]
     difference = (found - target) ** 2
     return places[int(np.argmin(np.einsum("nijk,ij->n", difference, weight)))]

@@ -1,7 +1,7 @@
 """SAM 2 through `transformers`, for users who have its weights.
 
-Pre-processing is our own: an image is stretched to the network's square and normalised; the mask is
-stretched back. (The library's own image processors need torchvision.)
+Images are preprocessed here, because the image processors of the library need torchvision: an image is resized to the
+square input of the network and normalized, and the mask is resized back.
 Source: Ravi et al., SAM 2: Segment Anything in Images and Videos, 2024.
 """
 
@@ -24,10 +24,10 @@ from aomgen.io.artifact import read_json
 from aomgen.segmentation.interface import Mask, PointMasks, PreparedImage, clean, masks_of_logits
 from aomgen.segmentation.sam2_weights import CONFIG, WEIGHTS, find_sam2
 
-# Means and spreads of the images that the published networks were trained on, 0..1.
+# Means and standard deviations of the training images of the published networks, 0..1.
 _MEAN: Final = np.array([0.485, 0.456, 0.406], np.float32)
 _SPREAD: Final = np.array([0.229, 0.224, 0.225], np.float32)
-# Points in one request; the decoder's memory grows with them.
+# Number of points in one request, which determines the memory of the decoder.
 _POINTS: Final = 16
 EXTRA: Final = 'pip install "aomgen[sam2]"'
 # Parts in drawing order: the moving part is drawn over the prompted object.
@@ -35,7 +35,7 @@ PARTS: Final = (("static", STATIC), ("moving", MOVING))
 
 
 def transformers_module(name: str) -> ModuleType:
-    """A module of `transformers`, imported when it is used.
+    """Import a module of `transformers` at its first use.
 
     Raises:
         BackendError: The extra is not installed, or is too old.
@@ -47,7 +47,7 @@ def transformers_module(name: str) -> ModuleType:
 
 
 def load_pretrained(module: str, model: str, folder: Path) -> Any:
-    """A network, by its module of `transformers.models` and its class in it, with the weights of a folder.
+    """Load a network, given by its module of `transformers.models` and its class, with the weights of a folder.
 
     Raises:
         BackendError: transformers is missing, or the file lacks some of the network's weights.
@@ -55,7 +55,7 @@ def load_pretrained(module: str, model: str, folder: Path) -> Any:
     kind = getattr(transformers_module(f"models.{module}"), model)
     damaged = importlib.import_module("safetensors").SafetensorError
 
-    # Published weights call themselves "sam2_video"; the network for images takes its share of them.
+    # The type of published weights is "sam2_video"; the network for images uses a part of them.
     stored = read_json(folder / CONFIG) | {"model_type": kind.config_class.model_type}
     try:
         with _quiet():
@@ -83,7 +83,7 @@ def load_pretrained(module: str, model: str, folder: Path) -> Any:
 
 @contextmanager
 def _quiet() -> Iterator[None]:
-    """No progress bar of the library's own."""
+    """Disable the progress bar of the library."""
     logging = transformers_module("utils.logging")
     shown = logging.is_progress_bar_enabled()
     logging.disable_progress_bar()
@@ -95,19 +95,19 @@ def _quiet() -> Iterator[None]:
 
 
 def pixel_values(image_srgb: NDArray[np.uint8], side: int) -> NDArray[np.float32]:
-    """An image (H, W, 3) as the network sees it, (3, side, side)."""
+    """Convert an image (H, W, 3) to the input of the network (3, side, side)."""
     small = Image.fromarray(image_srgb).resize((side, side), Image.Resampling.BILINEAR)
     values = (np.asarray(small, np.float32) / 255 - _MEAN) / _SPREAD
     return np.ascontiguousarray(values.transpose(2, 0, 1), np.float32)
 
 
 def input_side(network: Any) -> int:
-    """Width and height [px] of the images that a network wants."""
+    """Return the width and height of the input of a network, [px]."""
     return int(network.config.prompt_encoder_config.image_size)
 
 
 def input_points(points_px: ArrayLike, shape: tuple[int, ...], side: int) -> NDArray[np.float32]:
-    """Points (N, 2), [px] of an image (H, W), as the network counts: pixel centres at whole numbers."""
+    """Convert points (N, 2), [px], of an image (H, W) to the network's coordinates, with pixel centers at integers."""
     scale = [side / shape[1], side / shape[0]]
     return (np.asarray(points_px, np.float64).reshape(-1, 2) * scale - 0.5).astype(np.float32)
 
@@ -115,7 +115,7 @@ def input_points(points_px: ArrayLike, shape: tuple[int, ...], side: int) -> NDA
 def input_prompt(
     box_px: ArrayLike, points: ArrayLike, shape: tuple[int, ...], side: int
 ) -> tuple[NDArray[np.float32], NDArray[np.int64]]:
-    """A box's corners and a part's points (see `PreparedImage.mask`), either may be empty, as the network counts them.
+    """Convert a box and points of a part (see `PreparedImage.mask`; either may be empty) to the network's coordinates.
 
     Returns:
         Coordinates (P, 2) and labels (P,); labels 2 and 3 are the corners, which come first.
@@ -131,7 +131,7 @@ class Sam2:
     """A `Segmenter` with installed SAM 2 weights."""
 
     def __init__(self, name: str, folder: Path | None = None) -> None:
-        """Load the weights of a name, see `sam2_weights`.
+        """Load weights by their name, see `sam2_weights`.
 
         Raises:
             BackendError: The extra or the weights are missing or broken.
@@ -159,7 +159,7 @@ class _Sam2Image:
         return clean(large.masks[0])
 
     def at_points(self, points_px: ArrayLike) -> PointMasks:
-        """Three masks a point: the detail, the part and the whole."""
+        """Compute three masks for each point: of a detail, a part and the whole object."""
         scaled = input_points(points_px, self.shape, input_side(self.network))
         masks, quality = [], []
         for start in range(0, len(scaled), _POINTS):
@@ -172,7 +172,7 @@ class _Sam2Image:
     def _ask(
         self, coordinates: NDArray[np.float32], labels: NDArray[np.int64], *, several: bool
     ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """Scores (B, M, h, w) and expected IoUs (B, M) of B prompts (B, P, 2) with labels (B, P)."""
+        """Compute scores (B, M, h, w) and expected IoUs (B, M) of B prompts (B, P, 2) with labels (B, P)."""
         import torch
 
         with torch.inference_mode():
@@ -189,7 +189,7 @@ def load_tracker(folder: Path) -> Any:
     """Load the network that tracks parts, with the weights of a folder.
 
     Raises:
-        BackendError: transformers is missing, or the weights have no memory.
+        BackendError: transformers is missing, or the weights lack those of the tracker.
     """
     return load_pretrained("sam2_video", "Sam2VideoModel", folder)
 
@@ -201,16 +201,16 @@ def carry_prompts(
     prompts: Sequence[Prompt],
     progress: Progress,
 ) -> Iterator[tuple[str, NDArray[np.uint8]]]:
-    """Label images of a sequence whose neighbors look alike, from prompts on some of it.
+    """Yield label images of a sequence with similar neighboring images, from prompts on some of them.
 
-    Starts at the first prompted image, goes on to the end and then back to the beginning.
+    Tracking begins at the first prompted image and proceeds to the end, then backward to the beginning.
 
     Args:
         tracker: See `load_tracker`.
-        names: Images in the order in which the camera saw them.
-        image_of: Reads an image (H, W, 3), sRGB.
-        prompts: Boxes or points of "static" (the object) and "moving"; other parts are not followed.
-        progress: Called about each image.
+        names: Images in the order in which they were taken.
+        image_of: Function that reads an image (H, W, 3), sRGB.
+        prompts: Boxes or points of "static" (the object) and "moving"; other parts are ignored.
+        progress: Called for each image.
 
     Yields:
         Each name once, with its labels (H, W), see `conventions.PART_LABELS`.
@@ -246,7 +246,7 @@ def carry_prompts(
 
 
 class _Frames:
-    """Images of a sequence as the network sees them, read when they are asked for."""
+    """Images of a sequence as inputs of the network, read at their first use."""
 
     def __init__(
         self, tracker: Any, names: Sequence[str], image_of: Callable[[str], NDArray[np.uint8]]
@@ -263,7 +263,7 @@ class _Frames:
 
 
 class _Track:
-    """One part, followed. Parts share the last image's encoding."""
+    """Track of one part. All parts share the encoding of the last image."""
 
     def __init__(self, tracker: Any, value: int, frames: _Frames, cache: Any) -> None:
         module = transformers_module("models.sam2_video.modeling_sam2_video")
@@ -275,7 +275,7 @@ class _Track:
         self._index = self.session.obj_id_to_idx(value)
 
     def start(self, frame: int, prompt: Prompt, shape: tuple[int, ...]) -> None:
-        """Show the part in an image; a box on it and points on it are one prompt."""
+        """Start the track in an image; a box and points on it are one prompt."""
         import torch
 
         coordinates, labels = input_prompt(prompt.box, prompt.points, shape, input_side(self._tracker))
@@ -288,7 +288,7 @@ class _Track:
         self._tracker(self.session, frame_idx=frame)
 
     def mask(self, frame: int, shape: tuple[int, ...], *, reverse: bool) -> NDArray[np.bool_]:
-        """Mask (H, W) of the part in an image."""
+        """Compute the mask (H, W) of the part in an image."""
         answer = self._tracker(self.session, frame_idx=frame, reverse=reverse)
         logits = answer.pred_masks[0, 0].float().cpu().numpy()
         return clean(masks_of_logits([logits], [1.0], shape).masks[0])

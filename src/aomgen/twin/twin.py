@@ -1,7 +1,7 @@
 """The twin: a robot and an articulated object whose bodies carry Gaussians.
 
-A state gives body poses, body poses move Gaussians, Gaussians give images. For many images from a fixed
-camera, what never moves is drawn once, and what moves stays in its bodies' frames.
+A state determines body poses, Gaussians move with their bodies, and images are rendered from the Gaussians. For many
+images from a fixed camera, static Gaussians are rendered once, and moving ones remain in the frames of their bodies.
 """
 
 from dataclasses import dataclass, replace
@@ -24,8 +24,8 @@ from aomgen.twin.relighting import Relighting, Relit
 WORLD: Final = "world"
 OBJECT: Final = "object"
 PART: Final = "part"
-# Margin around moving bodies where the scene behind them is compared, [px]: render and image differ by about this
-# much at contours.
+# Margin around moving bodies in comparisons of the scene behind them, [px]; contours of rendering and image differ by
+# about this much.
 CONTOUR_PX: Final = 3
 
 
@@ -34,9 +34,9 @@ class TwinState:
     """One configuration.
 
     Attributes:
-        joints: Of the arm, [rad].
+        joints: Arm joints (J,), [rad].
         gripper: 0 open .. 1 closed.
-        theta: Object joint value, [rad] or [m].
+        theta: Joint value of the object, [rad] or [m].
         T_world_object: Object pose.
     """
 
@@ -80,16 +80,16 @@ class TwinModel:
 
     Attributes:
         robot: Name of the robot's model.
-        gaussians: Each in its body's frame.
-        bodies: Index into `body_names`.
-        labels: Part label, see `conventions.PART_LABELS`.
+        gaussians: Gaussians, each in the frame of its body.
+        bodies: Index (N,) into `body_names`.
+        labels: Part labels (N,), see `conventions.PART_LABELS`.
         body_names: "world", the robot's bodies, "object" (static part), "part" (moving part).
         joint: The object's joint, object frame; "part" coincides with "object" at value 0.
         T_world_object: Object pose in the scan.
         scan_state: The state that was scanned.
-        relit: Surfaces that are lit per frame; None when all colors come from the scan.
-        directional_light: Casts the shadow of moving bodies on the surface they work over, whose own colors are those in
-            light; None when shadows are as they were scanned.
+        relit: Surfaces that are relit in every frame; None if all colors are those of the scan.
+        directional_light: Light that casts the shadow of moving bodies on the table, whose colors are then those
+            without shadow; None if shadows remain as scanned.
     """
 
     robot: str
@@ -110,7 +110,7 @@ class TwinModel:
             require_indices(self.relit.indices, len(self.gaussians))
 
     def body(self, name: str) -> int:
-        """Index of a body."""
+        """Return the index of a body."""
         return self.body_names.index(name)
 
     @property
@@ -119,7 +119,7 @@ class TwinModel:
         return self.bodies[self.relit.indices] if self.relit is not None else np.zeros(0, np.int32)
 
     def find_light(self, name: str) -> Light:
-        """The light of a body that is relit."""
+        """Return the light of a body that is relit."""
         rows = np.flatnonzero(self.relit_bodies == self.body(name))
         if self.relit is None or not len(rows):
             raise ValueError(f"the twin's body {name} is not relit")
@@ -133,7 +133,7 @@ class TwinModel:
     def extend(
         self, gaussians: Gaussians, bodies: ArrayLike, labels: ArrayLike, **changes: Any
     ) -> "TwinModel":
-        """The twin with more Gaussians (N) at its end, in body frames; bodies and labels (N,), or one for all."""
+        """Append Gaussians (N) in body frames to the twin; bodies and labels are arrays (N,), or one value for all."""
         count = len(gaussians)
         return replace(
             self,
@@ -150,11 +150,11 @@ class TwinModel:
 
     @property
     def scene(self) -> Gaussians:
-        """These, world frame."""
+        """Gaussians of the scene (see `of_scene`), world frame."""
         return self.gaussians.select(self.of_scene)
 
     def select(self, which: NDArray[np.bool_]) -> "TwinModel":
-        """The twin with a part of its Gaussians, boolean mask (N,)."""
+        """Return the twin with some of its Gaussians, selected by a boolean mask (N,)."""
         return replace(
             self,
             gaussians=self.gaussians.select(which),
@@ -172,7 +172,7 @@ def trajectory_body_poses(
     thetas: ArrayLike,
     T_world_object: ArrayLike,
 ) -> Array:
-    """Body poses (T, B, 4, 4) for arm joints (T, J), gripper (T,), and joint values (T,) of an object at a pose (4, 4)."""
+    """Compute body poses (T, B, 4, 4) for joints (T, J), gripper (T,) and values (T,) of an object at a pose (4, 4)."""
     joints, thetas = np.asarray(joints, np.float64), np.asarray(thetas, np.float64)
     Ts = np.tile(np.eye(4), (len(joints), len(twin.body_names), 1, 1))
     Ts[:, 1 : 1 + len(robot.body_names)] = robot.link_poses(joints, np.asarray(gripper, np.float64))
@@ -182,19 +182,19 @@ def trajectory_body_poses(
 
 
 def body_poses(twin: TwinModel, robot: RobotModel, state: TwinState) -> Array:
-    """Body poses (B, 4, 4) in one state."""
+    """Compute body poses (B, 4, 4) in one state."""
     return trajectory_body_poses(
         twin, robot, state.joints[None], [state.gripper], [state.theta], state.T_world_object
     )[0]
 
 
 def pose_twin(twin: TwinModel, robot: RobotModel, state: TwinState) -> Gaussians:
-    """All Gaussians in the world frame, in the twin's order."""
+    """Transform all Gaussians to the world frame in one state, in the order of the twin."""
     return pose_bodies(twin, body_poses(twin, robot, state))
 
 
 def pose_bodies(twin: TwinModel, Ts_world_body: Array) -> Gaussians:
-    """All Gaussians in the world frame, in the twin's order, for body poses (B, 4, 4); relit ones are lit anew."""
+    """Transform all Gaussians to the world frame for body poses (B, 4, 4), with new colors of relit ones."""
     world = move_bodies(twin.gaussians, twin.bodies, Ts_world_body)
     if twin.relit is None:
         return world
@@ -205,7 +205,7 @@ def pose_bodies(twin: TwinModel, Ts_world_body: Array) -> Gaussians:
 
 
 def move_bodies(gaussians: Gaussians, bodies: NDArray[np.int32], Ts: Array) -> Gaussians:
-    """Gaussians (N), each moved by the transform (B, 4, 4) of its body (N,), order kept; body 0 is the world."""
+    """Move Gaussians (N) by the transforms (B, 4, 4) of their bodies (N,), in the same order; body 0 is the world."""
     order = np.argsort(bodies, kind="stable")
     pieces = []
     for body in np.unique(bodies):
@@ -215,7 +215,7 @@ def move_bodies(gaussians: Gaussians, bodies: NDArray[np.int32], Ts: Array) -> G
 
 
 def standing_bodies(twin: TwinModel, robot: RobotModel) -> NDArray[np.bool_]:
-    """Mask (B,) of the bodies that no joint moves: the world, the robot's base and the object's static part."""
+    """Return a mask (B,) of bodies that no joint moves: the world, the robot's base and the object's static part."""
     rest = twin.scan_state
     turned = replace(rest, joints=rest.joints + 1.0)
     near = np.isclose(body_poses(twin, robot, rest), body_poses(twin, robot, turned))
@@ -223,17 +223,17 @@ def standing_bodies(twin: TwinModel, robot: RobotModel) -> NDArray[np.bool_]:
 
 
 def body_list(robot: RobotModel) -> tuple[str, ...]:
-    """Names of a twin's bodies for a robot."""
+    """Return the names of a twin's bodies for a robot."""
     return (WORLD, *robot.body_names, OBJECT, PART)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StaticLayer:
-    """View of a camera without anything that moves.
+    """View of a camera without moving bodies.
 
     Attributes:
-        session: Draws the moving Gaussians into it.
-        depth: (H, W) median depth, infinite where nothing is, [m].
+        session: Session that renders moving Gaussians into the view.
+        depth: (H, W) median depth, infinite for empty pixels, [m].
     """
 
     session: RenderSession
@@ -246,7 +246,7 @@ class StaticLayer:
 
 
 def static_layer(twin: TwinModel, camera: Camera, threads: int | None = None) -> StaticLayer:
-    """Prepare a camera's view of what does not move; `threads` as in `RenderSession`."""
+    """Prepare the view of a camera without moving bodies; `threads` as in `RenderSession`."""
     session = RenderSession(twin.gaussians.select(~twin.moves), camera, threads=threads)
     drawn = session.draw(twin.gaussians.select(np.zeros(0, np.int64)), with_ids=True)
     median = np.asarray(drawn.median_depth)
@@ -259,10 +259,10 @@ class MovingLayer:
     """The Gaussians of a twin that move, prepared for many frames.
 
     Attributes:
-        gaussians: In body frames; the M relit ones last, in the order of `relighting`.
-        bodies: Body of each.
-        labels: Part label of each.
-        relighting: Of what is lit anew as it turns, if anything is.
+        gaussians: Gaussians in body frames; the M relit ones are last, in the order of `relighting`.
+        bodies: Body of each Gaussian.
+        labels: Part label of each Gaussian.
+        relighting: Relighting of the relit Gaussians; None without such Gaussians.
     """
 
     gaussians: Gaussians
@@ -271,14 +271,14 @@ class MovingLayer:
     relighting: Relighting | None
 
     def motion(self, Ts_world_body: ArrayLike) -> Motion:
-        """The layer's frames for body poses (T, B, 4, 4): Gaussians turn with their bodies, surfaces are lit."""
+        """Return the frames for body poses (T, B, 4, 4); Gaussians rotate with their bodies, and surfaces are relit."""
         Ts = np.asarray(Ts_world_body, np.float64)
         colors = None if self.relighting is None else self.relighting.colors_srgb(Ts)
         return Motion(parts=self.bodies, Ts_world_part=Ts, colors=colors)
 
 
 def moving_layer(moving: TwinModel) -> MovingLayer:
-    """Prepare a twin, of which everything moves."""
+    """Prepare a twin all of whose Gaussians move."""
     lit, relighting = np.zeros(0, np.int64), None
     if moving.relit is not None and len(moving.relit.indices):
         relighting = Relighting(moving.relit, moving.relit_bodies)

@@ -50,7 +50,7 @@ def test_a_dataset_that_differs_ends_with_an_exit_code(run, tmp_path):
     shutil.copytree(run, fewer)
     shutil.rmtree(fewer / "08_episodes" / "000001")
     found = aomgen("audit", "d", fewer, folder=tmp_path)
-    assert "fault     episode 1 is not among the committed ones" in found.stdout
+    assert "fault     episode 1 is not committed" in found.stdout
     one_sentence(found, 6, "differs from the episodes in 1 ways", "export it again")
 
 

@@ -102,7 +102,7 @@ def test_the_machine_is_asked_about_stages_that_are_not_done(small_capture, tmp_
 def test_a_cluster_that_does_not_answer_starts_nothing(small_capture, tmp_path, no_work):
     project = project_of(small_capture, tmp_path / "out")
     with pytest.raises(
-        BackendError, match=r"--ray 127\.0\.0\.1:1: no Ray cluster answers|ray: is not installed"
+        BackendError, match=r"--ray 127\.0\.0\.1:1: no Ray cluster replies|ray: is not installed"
     ):
         run_pipeline(project, Heard(), ray="127.0.0.1:1")
     assert not project.out.exists()

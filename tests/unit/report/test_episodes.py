@@ -89,7 +89,7 @@ def test_the_verdicts_show_the_worst_setting_and_the_limits(results: Results, vi
     page = "".join(episodes_section(results))
     row = re.findall(r'<td class="n">([^<]+)</td>', page)
     assert row == ["99.0", "95.0", "2.0", "41", "0.3", "0", "102", "12"]
-    assert "at least 90% of the planned way" in page
+    assert "at least 90% of the planned travel" in page
     assert "The grip force has no separate limit" in page
     assert "because the object is simulated as fixed to the table" in page
 
@@ -128,7 +128,7 @@ def test_rejects_are_grouped_by_reason_with_pair_and_limit(results: Results) -> 
     page = "".join(rejects_section(results))
     assert re.findall(r"<h3>([^<]+)</h3>", page) == [
         "25 collision: robot and scene overlap by more than 1 mm",
-        "1 unreachable: the arm misses an asked pose by more than 1 mm or 0.5 deg",
+        "1 unreachable: the arm misses a requested pose by more than 1 mm or 0.5 deg",
         "1 out of view: a camera does not show enough of the action",
     ]
     assert page.count(detail) == 20

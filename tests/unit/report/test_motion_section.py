@@ -146,7 +146,7 @@ def test_the_charts_show_score_value_with_its_band_and_grip() -> None:
 def test_the_sentence_claims_no_certainty_that_nobody_estimated() -> None:
     assert "the 95 % interval of its axis is +-5.7 deg, of its origin +-20 mm" in motion_sentence(estimate())
     slide = motion_sentence(estimate("prismatic", (-1.0, 0.0, 0.0)))
-    assert "known to 5.7 deg. " in slide
+    assert "+-5.7 deg. " in slide
     unsure = motion_sentence(replace(estimate(), axis_ci95_rad=0.0, origin_ci95_m=0.0))
     assert "It is a revolute joint. " in unsure
 

@@ -60,7 +60,10 @@ def test_the_state_of_the_collision_is_shown(results, monkeypatch) -> None:
     np.testing.assert_allclose(shown.episode.T_world_object, VARIATION.place_at(fitted_drawer()))
     assert shown.videos == {}
     assert shown.episode.verdict[PAIR] == ("wrist", "door")
-    assert "Sample 3 gave no episode: collision, is 3.0, limit 1.0. The state" in shown.episode.verdict[NOTE]
+    assert (
+        "Sample 3 gave no episode: collision, is 3.0, limit 1.0. The page shows"
+        in shown.episode.verdict[NOTE]
+    )
 
 
 def test_another_reason_than_the_stored_one_is_stated(results, monkeypatch) -> None:
