@@ -38,8 +38,8 @@ def main() -> None:
     run_command(app)
 
 
-def _print_version(requested: bool) -> None:
-    if requested:
+def _print_version(wanted: bool) -> None:
+    if wanted:
         print(__version__)
         raise typer.Exit
 
