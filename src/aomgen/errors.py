@@ -35,8 +35,8 @@ class AomgenError(Exception):
 
     Args:
         where: File, stage or argument the problem was found in.
-        problem: What is wrong, with the value and the limit it broke.
-        remedy: What the user can do about it.
+        problem: Description of the problem, with the value and its limit.
+        remedy: Action by which the user can solve the problem.
     """
 
     exit_code = 1

@@ -18,7 +18,7 @@ class SavedUnits(Generic[T]):
     """A folder with a value of each unit.
 
     Args:
-        folder: Of the values; it belongs to one request.
+        folder: Folder of the values of one request.
         request: JSON values that the units are made from.
         kind: Class of the values.
 

@@ -73,7 +73,7 @@ class ArmContour:
     """The contour of the arm as rendered for one image, and how its C points move with J joints and time.
 
     Attributes:
-        index: Of the frame, or of the scan view.
+        index: Index of the frame or of the scan view.
         gray: Gray levels (H, W) of the image.
         contour: World frame.
         turns: (C, J, 3), [m/rad].

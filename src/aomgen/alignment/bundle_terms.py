@@ -57,7 +57,7 @@ class BundleParams:
         frames: Frames of each video; 0 leaves cameras where the scan placed them.
         width: Images wider than this are reduced, [px].
         points: Contour points a frame.
-        zero_sd_rad: How far the zero of a joint of a mastered arm is off; next to 0 keeps the log's.
+        zero_sd_rad: Standard deviation of the joint zeros of a mastered arm; a value near 0 keeps those of the log.
     """
 
     frames: int = 32
@@ -71,7 +71,7 @@ class CameraEvidence:
     """Data of one fixed camera.
 
     Attributes:
-        camera_recon: As structure from motion placed it, recon frame, at the size of the frames.
+        camera_recon: Camera as estimated by structure from motion, recon frame, at the size of the frames.
         frames, held_out: Frames to fit, and frames that validate the result; empty when there are none to use.
         clock: First guess; its `sd_s` 0 means that it is known.
         T_world_cam: Hand-eye calibration to use as a prior, or None.

@@ -47,7 +47,7 @@ class FixedCameraVideo:
     """One fixed camera of a capture.
 
     Attributes:
-        camera_recon: As structure from motion placed it, recon frame, the video's size.
+        camera_recon: Camera as estimated by structure from motion, recon frame, at the size of the video.
         T_world_cam: Hand-eye calibration (4, 4), or None.
     """
 
@@ -234,7 +234,7 @@ def refuse_gross(name: str, T_world_cam: Array, camera: Camera, robot_world: Arr
 
     Args:
         T_world_cam: From capture.toml (4, 4).
-        camera: As scan and alignment place it, world frame.
+        camera: Camera as estimated from scan and alignment, world frame.
         robot_world: Points on the robot (N, 3), [m].
 
     Raises:

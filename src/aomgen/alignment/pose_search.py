@@ -74,7 +74,7 @@ class Scan:
     Attributes:
         views: Images that show the robot as it stood during the scan.
         boxes: Prompted boxes around the robot; two far apart are better than one.
-        errors: How far the cameras may be off; without, they are taken as exact.
+        errors: Uncertainty of the cameras; None treats them as exact.
     """
 
     views: list[AlignmentImage]

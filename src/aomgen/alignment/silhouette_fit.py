@@ -45,8 +45,8 @@ class Level:
 
     Attributes:
         width: Image width, [px].
-        reach: How far across the outline is searched, [px].
-        draws: How often the robot is rendered again.
+        reach: Search range across the outline, [px].
+        draws: Number of times that the robot is rendered again.
         edges: Pull to image edges; else to the border between two colors.
         fine: Render the finer meshes.
     """

@@ -151,7 +151,7 @@ def covariance_from_cameras(evidence: list[ViewEvidence], errors: CameraErrors) 
     scaled up.
 
     Args:
-        errors: Of the cameras, world frame; views that are not among them are taken as exact.
+        errors: Uncertainties of the cameras, world frame; other views are treated as exact.
     """
     rows = {name: slice(6 * index, 6 * index + 6) for index, name in enumerate(errors.names)}
     H, K = np.zeros((7, 7)), np.zeros((7, len(errors.covariance)))

@@ -21,10 +21,10 @@ class SurfelObservations:
     """Colors of surfels (discs): N observations in V images.
 
     Attributes:
-        disc: Which disc, an index into the relit Gaussians of the twin.
-        image_index: Which image.
+        disc: Index into the relit Gaussians of the twin.
+        image_index: Index of the image.
         color_srgb: Mean color, 0..1.
-        pixels: How many pixels show it.
+        pixels: Number of pixels that show the disc.
         directions_body: Unit direction from the camera to the disc, in its body's frame.
         Ts_world_body: Body poses in every image (V, B, 4, 4).
     """

@@ -98,7 +98,7 @@ def add_asset(
     world). Colliders are in group 3.
 
     Args:
-        damping: Of the joint, [N m s/rad] or [N s/m].
+        damping: Damping of the joint, [N m s/rad] or [N s/m].
         frictionloss: Dry friction of the joint beyond `holding_friction`, [N m] or [N].
         visual: Also add visual meshes (group 2, no contacts).
         bolted: Weld the static link to the world; otherwise it gets a free joint.

@@ -74,7 +74,7 @@ def _find_joint(
     """A revolute or prismatic joint of a stage, and the prim paths of the bodies that move and of all.
 
     Args:
-        name: Which of several; empty for the only one.
+        name: Name of the joint; may be empty if there is only one.
         to_metric: From stage coordinates to metres, Z up (4, 4).
         unit: metersPerUnit.
         path: File, for messages.

@@ -47,7 +47,7 @@ def write_usd(asset: ArticulatedAsset, path: Path) -> None:
 
     Raises:
         ConfigError: Another suffix.
-        StorageError: The disk refuses.
+        StorageError: Writing to the disk failed.
     """
     from pxr import Sdf, UsdGeom, UsdPhysics
 

@@ -70,6 +70,6 @@ def read_manifest(path: Path) -> CaptureManifest:
     """Parse and validate one capture.toml.
 
     Raises:
-        InputError: As `read_toml`.
+        InputError: See `read_toml`.
     """
     return read_toml(path, CaptureManifest, "a capture folder holds a capture.toml; see the README")

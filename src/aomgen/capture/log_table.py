@@ -39,7 +39,7 @@ class LogTable:
         header: Column names.
         rows: Fields of each row.
         lines: Number of each row's line in the file, from 1.
-        notes: What was skipped, one sentence each.
+        notes: Sentences about skipped rows.
     """
 
     path: Path
@@ -89,7 +89,7 @@ def read_log_table(path: Path, required: Sequence[str]) -> LogTable:
         required: Columns that must be there; empty where the layout is not known.
 
     Raises:
-        MissingFileError, LimitExceededError: As their names say.
+        MissingFileError, LimitExceededError: The file is missing or too large.
         MalformedFileError: No text, no header, or a missing column.
     """
     if not path.is_file():

@@ -22,7 +22,7 @@ def read_prompts(
     """Check the prompts of a capture.
 
     Args:
-        names: Of the scan images.
+        names: Names of the scan images.
         size: Width and height of the scan images, [px].
 
     Raises:

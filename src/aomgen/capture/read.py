@@ -42,7 +42,7 @@ def read_capture(folder: Path) -> Recording:
     """Read and check one capture folder; what has to be decoded is left to `capture_check.check_capture`.
 
     Raises:
-        InputError: Of the kind that fits, naming the file, the place and the remedy.
+        InputError: A subclass that names the file, the location and the remedy.
     """
     if not folder.is_dir():
         raise MissingFileError(folder, "is not a folder", "give the folder that holds capture.toml")

@@ -197,7 +197,7 @@ def read_grey(path: Path) -> NDArray[np.float32]:
     """An image decoded to its last byte, as grey levels (H, W) at most `WIDTH` wide.
 
     Raises:
-        MissingFileError, LimitExceededError: As their names say.
+        MissingFileError, LimitExceededError: The file is missing or too large.
         MalformedFileError: It is no image, damaged or truncated.
     """
     with open_image(path) as image:

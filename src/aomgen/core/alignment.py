@@ -43,7 +43,7 @@ class FixedCamera:
         camera: Optics and pose, world frame.
         clock: Clock of its video relative to the joint log, None when it was refused.
         refusal: Location, problem and remedy of the refused clock; empty otherwise.
-        note: How the pose was found, in words.
+        note: Description of the method that estimated the pose.
         trusted: Whether all information about the camera agrees.
         figures: Metrics by name.
     """

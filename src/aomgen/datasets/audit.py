@@ -29,9 +29,9 @@ class Audit:
 
     Attributes:
         actions: Space of the feature `action`.
-        committed: How many episodes there are.
-        splits: How many of them the dataset has, by split.
-        frames: How many frames these have.
+        committed: Number of committed episodes.
+        splits: Number of episodes in the dataset, by split.
+        frames: Number of frames in the dataset.
         difference, differing: Largest difference of a number, and its feature.
         psnr_db, least_like: Least PSNR of an image, and its camera and episode.
         faults: Sentences; none where dataset and episodes agree.

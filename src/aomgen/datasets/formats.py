@@ -37,7 +37,7 @@ class DatasetFormat:
         mark: File by which a folder in this format is recognised.
         write: Builds a dataset of episodes.
         read: Reads it back.
-        columns: What it holds of an episode alone, by feature.
+        columns: Values of one episode by feature.
         actions: Space of `action` unless another is chosen.
         media: Whether the storage of images can be chosen.
         needs_val: Whether some episodes are always kept to validate on.
@@ -91,7 +91,7 @@ def export_dataset(
         kind: One of `FORMATS`.
         progress: Called as the work goes on.
         actions, media, val: See `selection.Choices`.
-        size: Of the images, `128x96`.
+        size: Size of the images, for example `128x96`.
 
     Raises:
         ConfigError: An option is wrong, or the folder holds something else than a dataset of ours.

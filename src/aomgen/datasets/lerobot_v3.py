@@ -66,7 +66,7 @@ def write_lerobot_v3(
     Raises:
         MissingFileError, ConfigError, CorruptArtifactError: See `selection.select_episodes`; or a video
             has another length than its episode.
-        StorageError: The disk refuses.
+        StorageError: Writing to the disk failed.
     """
     selection = select_episodes(episode_folders, folder, choices)
     columns = episode_columns(selection)

@@ -111,7 +111,7 @@ def stage_dataset(folder: Path, selection: Selection) -> Iterator[Path]:
     """A folder that becomes the dataset when the block ends without an error, marked as ours.
 
     Raises:
-        StorageError: The disk refuses.
+        StorageError: Writing to the disk failed.
     """
     with stage_folder(folder) as staging:
         yield staging

@@ -47,7 +47,7 @@ class FixedViews:
 
     Args:
         twin, shadows: Results of `cast_shadows`.
-        robot, layers, threads: As in `render_episode`.
+        robot, layers, threads: See `render_episode`.
         Ts_world_body: Poses (B, 4, 4) of the twin's bodies in any state.
 
     Attributes:
@@ -98,7 +98,7 @@ class _FixedView:
         scene: Gaussians of the scene, in this episode's light.
         bodies: Bodies of robot and object that never move, world frame.
         shadows: Shadows on the scene.
-        threads: As in `RenderSession`.
+        threads: See `RenderSession`.
     """
 
     def __init__(
@@ -140,7 +140,7 @@ class MovingView:
     Args:
         twin, shadows: Results of `cast_shadows`.
         camera: Camera, whose optics are used.
-        threads: As in `render_episode`.
+        threads: See `render_episode`.
 
     Attributes:
         labels: Labels of all Gaussians, in the engine's order.

@@ -59,7 +59,7 @@ class GenerationParams:
         attempts_per_episode: Number of draws tried for each requested episode before giving up.
         cameras: Names of the scene's cameras that are used; empty for all.
         free_cameras: Number of added cameras, placed by `ranges.free`.
-        images: Which images are stored, and whether the robot's own cameras are rendered.
+        images: Kinds of images that are stored, and whether the robot's cameras are rendered.
         timeout_s: A unit that takes longer is given up, [s].
     """
 

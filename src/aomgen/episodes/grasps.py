@@ -117,7 +117,7 @@ def grasps(
     For each depth, those most similar to the usual grasp come first, or else to the demonstrated one.
 
     Args:
-        R_front_ee: As for `orientations`.
+        R_front_ee: See `orientations`.
         depths: Result of `grasp_depths`, [m].
         turn_ratio: Demonstrated rotation of the end effector over rotation of the part; smaller ratios are
             tried for a revolute part.

@@ -68,7 +68,7 @@ class Account:
         requested, committed, rejected, left: Numbers of episodes; `rejected` counts those for
             which all attempts failed.
         attempts: Number of attempts that have ended.
-        reasons: How often each reason rejected an attempt, and how often a draw was not tried.
+        reasons: Number of rejected attempts and of skipped samples by reason.
     """
 
     asset: str
@@ -184,7 +184,7 @@ def read_request(folder: Path) -> Request:
     """Read the request that a stage works on.
 
     Raises:
-        MissingFileError, MalformedFileError: As their names say.
+        MissingFileError, MalformedFileError: The file is missing or malformed.
     """
     path = folder / REQUEST_FILE
     content = read_json(path)

@@ -45,7 +45,7 @@ class ReachMap:
     """Grid over the positions and yaws of draws, with the nodes at which the arm can hold the handle.
 
     Attributes:
-        x, y: As in `Variation`, [m].
+        x, y: See `Variation`, [m].
         yaw: [rad].
         reached: (X, Y, W).
         places_world: Center of the object's footprint at each node, [m].

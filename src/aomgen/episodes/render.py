@@ -77,7 +77,7 @@ def render_episode(
         twin: Twin with the object of the episode.
         layers: Result of `static_layers` for the same twin.
         T_world_plane: Pose of the surface that the object's shadow falls on; None for no shadow.
-        threads: As in `splatting.rasterizer.render`.
+        threads: See `splatting.rasterizer.render`.
         soft: Result of `tabulate_object_shadow` for the same twin and surface; None to compute it here.
         paths: Moving cameras, by name.
         params: Images to render.

@@ -1,4 +1,4 @@
-"""Draw the trials of a suite: uniform and independent over the project's ranges, where a plan passes the certificate."""
+"""Sampling of the trials of a suite: uniform and independent over the ranges of the project, with a verified plan."""
 
 import math
 import os
@@ -37,22 +37,22 @@ from aomgen.results import Results
 from aomgen.saved_units import SavedUnits
 from aomgen.simulation.settings import draw_settings
 
-# Draws for a trial before the suite is given up: where one in a hundred fits, one is found.
+# Largest number of samples for a trial; if one in a hundred is feasible, one is found almost certainly.
 MAX_TRIAL_DRAWS: Final = 500
-# A trial lasts at most so much longer than the longest plan, as a factor: policies hesitate.
+# Time limit of a trial as a multiple of the longest plan, because policies are slower than plans.
 PATIENCE: Final = 1.5
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SuiteRequest:
-    """Choices of a suite.
+    """Settings of a suite.
 
     Attributes:
-        trials: How many; the assets share them evenly, one after the other.
-        seed: Of the draws.
-        action_space: What actions mean.
-        size: Of the images, averaged down from what the run draws, [px]; None as the run has them.
-        cameras: Names; empty for all of the run's.
+        trials: Number of trials; they are distributed evenly over the assets, in turn.
+        seed: Random seed.
+        action_space: Action space of the suite.
+        size: Size of the images, reduced by area averaging, [px]; None selects that of the run.
+        cameras: Names of the cameras; empty selects all cameras of the run.
     """
 
     trials: int = 200
@@ -64,7 +64,7 @@ class SuiteRequest:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DrawnTrial:
-    """A trial, how many frames its plan has, and draws that were passed over before it, by reason."""
+    """A trial, the number of frames of its plan, and the number of samples skipped before it, by reason."""
 
     trial: Trial
     frames: int
@@ -74,12 +74,12 @@ class DrawnTrial:
 def make_suite(
     results: Results, path: Path, request: SuiteRequest, workers: int, progress: Progress
 ) -> Suite:
-    """Draw a suite and write it; what a killed call has drawn is kept.
+    """Sample a suite and write it; the trials of an interrupted call are kept.
 
     Raises:
         ConfigError: The seed is that of the run, a camera is unknown, or the run renders smaller images.
-        NotEnoughEpisodesError: Hardly any draw passes.
-        AomgenError: The run has not come that far.
+        NotEnoughEpisodesError: Almost no sample passes.
+        AomgenError: The run has not finished the required stages.
     """
     require_json(path)
     cameras = _chosen_cameras(results, request.cameras)
@@ -90,7 +90,7 @@ def make_suite(
         raise ConfigError("--seed", f"{request.seed} is the seed of the run", "choose another one")
     twin = twin_digest(results)
     parts = SavedUnits(path.with_name(f"{path.stem}.parts"), {"twin": twin, **_plain(request)}, DrawnTrial)
-    # A copy without what has been read.
+    # A copy without cached results.
     opener = partial(_open_drawing, replace(results), request)
     drawn = parts.make(range(request.trials), Processes(opener, workers, TRIAL_S), progress)
     suite = Suite(
@@ -116,7 +116,7 @@ def make_suite(
 
 
 def _plain(request: SuiteRequest) -> dict:
-    """As JSON gives it back."""
+    """Return a request in the form that JSON restores."""
     content = asdict(request)
     return content | {"size": request.size and list(request.size), "cameras": list(request.cameras)}
 
@@ -146,7 +146,7 @@ def draw_trial(factory: EpisodeFactory, request: SuiteRequest, number: int) -> D
     """Sample a trial of a suite; each has a separate sequence of random numbers.
 
     Raises:
-        NotEnoughEpisodesError: None of its draws passes.
+        NotEnoughEpisodesError: None of its samples passes.
     """
     asset = number * len(factory.results.fitted_assets) // request.trials
     rng = np.random.default_rng([request.seed, number])
@@ -176,7 +176,7 @@ def draw_trial(factory: EpisodeFactory, request: SuiteRequest, number: int) -> D
 def _verify_variation(
     factory: EpisodeFactory, asset: int, variation: Variation, training: dict
 ) -> VerifiedEpisode | Rejection:
-    """A draw's certificate, or why it is passed over."""
+    """Return the certificate of a sample, or the reason why it is skipped."""
     opened = factory.asset(asset)
     fitted, _ = opened.sized(variation.scale)
     found = nearest_pose(variation.place_at(fitted), training)

@@ -41,7 +41,7 @@ class OpenEnv(gymnasium.Env[dict[str, Any], NDArray[np.float32]]):
 
     Raises:
         ConfigError: No such visuals, or the suite belongs to another twin.
-        AomgenError: As `open_suite`.
+        AomgenError: See `open_suite`.
     """
 
     metadata = {"render_modes": ["rgb_array"]}  # noqa: RUF012

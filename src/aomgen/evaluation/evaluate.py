@@ -35,8 +35,8 @@ class EvaluationRequest:
 
     Attributes:
         policy: See `policies.open_policy`.
-        action_space: What its actions mean; None as the suite has it.
-        visuals: What it sees.
+        action_space: Action space of the policy; None selects that of the suite.
+        visuals: Renderer of its images.
     """
 
     policy: str
@@ -81,7 +81,7 @@ def evaluate(
     Args:
         suite, results: The trials, and the run that they belong to.
         out: Gets a file for each rollout, and videos of some failures.
-        request: Who is judged.
+        request: Policy and its settings.
         workers: Processes.
         progress: Called after every rollout.
 

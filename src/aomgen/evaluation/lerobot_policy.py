@@ -41,8 +41,8 @@ class LerobotPolicy:
     """A trained policy, which looks when the actions of its last chunk are done.
 
     Args:
-        folder: Of weights, or of a training.
-        suite: Which it has to fit.
+        folder: Folder of weights, or output folder of a training.
+        suite: Suite that the policy has to fit.
 
     Raises:
         BackendError: LeRobot is not installed here.

@@ -33,9 +33,9 @@ class RemoteTask:
 
     Attributes:
         instruction: In words.
-        action_space: Of the actions, see `datasets.features`.
+        action_space: Action space, see `datasets.features`.
         cameras: In the suite's order.
-        joints: Of the arm.
+        joints: Number of arm joints.
         ee_poses: Poses of the end effector (T, 4, 4), world frame, from joints (T, J).
     """
 

@@ -34,8 +34,8 @@ class Targets:
     """Targets of the robot in a trial, one after the other.
 
     Args:
-        space: What actions mean.
-        solver: Of the arm.
+        space: Action space.
+        solver: Inverse kinematics solver of the arm.
         start: Joints and gripper (J + 1,) at rest.
 
     Attributes:
@@ -76,7 +76,7 @@ class World:
 
     Args:
         suite: The trials.
-        results: Of the run that the suite belongs to.
+        results: Results of the run of the suite.
         visuals: Renderer of the images.
     """
 
@@ -106,8 +106,8 @@ class Rollout:
     """One trial from its reset to its end.
 
     Attributes:
-        number: Of the trial.
-        trial: What is tried.
+        number: Number of the trial.
+        trial: The trial.
         fitted: The object.
         T_world_object: Its pose.
         frame: Actions taken.

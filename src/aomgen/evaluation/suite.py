@@ -1,4 +1,4 @@
-"""The trials that policies are judged by, as one JSON file: every policy meets the same ones."""
+"""Suites of trials as JSON files, so that every policy is evaluated in the same trials."""
 
 import hashlib
 import json
@@ -26,9 +26,9 @@ from aomgen.pipeline.stages import PROJECT_FILE, STAGES
 from aomgen.results import Results
 from aomgen.robots.robot import RobotModel
 
-# Poses nearer to each other than both of these are one, [mm] and [deg].
+# Poses whose distances are below both values are regarded as equal, [mm] and [deg].
 APART_MM, APART_DEG = 5.0, 1.0
-# No trial is drawn or rolled out for longer, [s].
+# Largest time to sample or to simulate one trial, [s].
 TRIAL_S: Final = 1200.0
 REMEDY: Final = "make it with `aomgen evaluate suite`"
 
@@ -38,11 +38,11 @@ class Trial:
     """One trial.
 
     Attributes:
-        asset: Number of the object in the suite's assets.
-        variation: Where it stands, how large it is, and what else differs from the recording.
-        setting: How its joint resists.
-        joints: Of the arm at the start (J,), [rad] or [m].
-        gripper: At the start, 0 open .. 1 closed.
+        asset: Index of the object in the assets of the suite.
+        variation: Pose and size of the object, and all other differences from the recording.
+        setting: Physics setting of the object.
+        joints: Initial arm joints (J,), [rad] or [m].
+        gripper: Initial gripper position, 0 open .. 1 closed.
     """
 
     asset: int
@@ -56,14 +56,14 @@ class Trial:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PoseDistance:
-    """Between two poses of an object."""
+    """Distance between two poses of an object."""
 
     mm: float
     deg: float
 
     @property
     def apart(self) -> float:
-        """In units in which poses below 1 count as the same."""
+        """Normalized distance; poses below 1 are regarded as equal."""
         return max(self.mm / APART_MM, self.deg / APART_DEG)
 
 
@@ -72,20 +72,21 @@ class Suite:
     """Trials in the twin of a run.
 
     Attributes:
-        run: Folder of the run, seen from the suite's own folder.
-        twin: Digest of what `twin_digest` names.
-        task: Instruction in words.
+        run: Folder of the run, relative to the folder of the suite.
+        twin: Digest of the twin, see `twin_digest`.
+        task: Language instruction.
         assets: Names of the objects.
-        joint_names: Of the arm.
-        fps: Actions a second.
+        joint_names: Names of the arm joints.
+        fps: Actions per second.
         action_space: Meaning of actions, see `datasets.features`.
-        cameras: By name; their size is that of the images. One that the robot carries has its pose on the robot's body.
-        drawn_size: Width and height that images of fixed cameras are drawn in, and averaged down from, as datasets are, [px].
-        max_frames: A trial ends after this number of actions.
-        seed: Of the draws.
-        redrawn: Draws that were passed over, by reason.
-        nearest: Distance of the trial and the committed episode that are nearest to each other; None without episodes.
-        digest: SHA-256 of all the rest.
+        cameras: Cameras by name, with the size of the images. The pose of a camera on the robot is relative to its
+            body.
+        drawn_size: Rendered size of images of fixed cameras, before they are reduced by area averaging, [px].
+        max_frames: Largest number of actions in a trial.
+        seed: Random seed.
+        redrawn: Number of skipped samples by reason.
+        nearest: Smallest distance between a trial and a committed episode; None without episodes.
+        digest: SHA-256 of all other fields.
     """
 
     run: str
@@ -106,11 +107,11 @@ class Suite:
 
     @property
     def action_size(self) -> int:
-        """Number of elements of an action, the gripper's last."""
+        """Number of elements of an action; the last one is the gripper."""
         return {"joint": len(self.joint_names), "ee_absolute": 7, "ee_delta": 6}[self.action_space] + 1
 
     def seal(self) -> "Suite":
-        """The suite with its digest."""
+        """Return the suite with its digest."""
         content = asdict(replace(self, digest=""))
         text = json.dumps(content, sort_keys=True, allow_nan=False, default=_plain)
         return replace(self, digest=hashlib.sha256(text.encode()).hexdigest())
@@ -121,26 +122,26 @@ def _plain(value: Any) -> Any:
 
 
 def fixed_cameras(cameras: Mapping[str, Camera], robot: RobotModel) -> dict[str, Camera]:
-    """Cameras that the robot does not carry."""
+    """Select the cameras that are not mounted on the robot."""
     return {name: camera for name, camera in cameras.items() if name not in robot.cameras}
 
 
 def write_suite(path: Path, suite: Suite) -> None:
-    """Write a suite, whose `run` is taken as seen from here.
+    """Write a suite, whose `run` is relative to the current folder.
 
     Raises:
         ConfigError: The file's name does not end in .json.
-        StorageError: The disk refuses.
+        StorageError: The file cannot be written.
     """
     require_json(path)
     save_artifact(path.parent, path.stem, suite)
 
 
 def require_json(path: Path) -> None:
-    """Refuse a name that a suite cannot have.
+    """Refuse an invalid name of a suite.
 
     Raises:
-        ConfigError: It does not end in .json.
+        ConfigError: The name does not end in .json.
     """
     if path.suffix != ".json":
         raise ConfigError(path, "is not a valid name of a suite", "expected one that ends in .json")
@@ -150,8 +151,8 @@ def read_suite(path: Path) -> Suite:
     """Read a suite.
 
     Raises:
-        MissingFileError, LimitExceededError: As their names say.
-        ConfigError, MalformedFileError: It is no suite, holds nothing, or has been changed.
+        MissingFileError, LimitExceededError: The file is missing or too large.
+        ConfigError, MalformedFileError: The file is not a suite, is empty, or was modified.
     """
     require_json(path)
     suite = load_artifact(path.parent, path.stem, Suite)
@@ -163,12 +164,12 @@ def read_suite(path: Path) -> Suite:
 
 
 def open_suite(path: Path) -> tuple[Suite, Results]:
-    """A suite, and the run that it belongs to.
+    """Open a suite and its run.
 
     Raises:
-        MissingFileError: The run is not there.
+        MissingFileError: The run does not exist.
         ConfigError: The run has another twin.
-        AomgenError: As `read_suite`.
+        AomgenError: See `read_suite`.
     """
     suite = read_suite(path)
     results = open_results((path.parent / suite.run).resolve())
@@ -177,10 +178,10 @@ def open_suite(path: Path) -> tuple[Suite, Results]:
 
 
 def open_results(run: Path) -> Results:
-    """The results in the folder of a run, wherever that has been moved.
+    """Open the results of a run, whose folder may have been moved.
 
     Raises:
-        MissingFileError: There is no run.
+        MissingFileError: The run does not exist.
         ConfigError: Its project file is not valid.
     """
     project = read_project(run / PROJECT_FILE)
@@ -188,7 +189,7 @@ def open_results(run: Path) -> Results:
 
 
 def require_twin(path: Path, suite: Suite, results: Results) -> None:
-    """Refuse a suite whose trials were drawn for something else.
+    """Refuse a suite whose trials were sampled for another twin.
 
     Raises:
         ConfigError: The run has another twin.
@@ -201,10 +202,10 @@ def require_twin(path: Path, suite: Suite, results: Results) -> None:
 
 
 def twin_digest(results: Results) -> str:
-    """Digest of scene, objects and their twins.
+    """Compute the digest of scene, objects and their twins.
 
     Raises:
-        MissingFileError: The run has not come that far.
+        MissingFileError: The run has not finished the required stages.
     """
     folder = results.folders["replacement"]
     names = ("twin.json", "twin.npz", "fitted.json", "fitted.npz")
@@ -215,13 +216,13 @@ def twin_digest(results: Results) -> str:
 
 
 def training_poses(results: Results) -> dict[str, Array]:
-    """Pose of the object (4, 4) of every committed episode of a run, by the name of its folder."""
+    """Return the object pose (4, 4) of every committed episode of a run, by the name of its folder."""
     folders = list_committed(results.folders["episodes"])
     return {path.name: np.array(read_json(path / EPISODE_FILE)["T_world_object"]) for path in folders}
 
 
 def nearest_pose(T_world_object: Array, poses: Mapping[str, Array]) -> tuple[PoseDistance, str] | None:
-    """Distance to the nearest of some poses (4, 4), and its name; None when there are none."""
+    """Find the nearest of some poses (4, 4); return distance and name, or None without poses."""
     if not poses:
         return None
     Ts = np.stack(list(poses.values()))
@@ -232,10 +233,10 @@ def nearest_pose(T_world_object: Array, poses: Mapping[str, Array]) -> tuple[Pos
 
 
 def require_apart(suite: Suite, results: Results) -> PoseDistance | None:
-    """The smallest distance of a trial to a committed episode; refuses a suite that has a trial inside the training.
+    """Compute the smallest distance between trials and committed episodes, and refuse equal poses.
 
     Raises:
-        ConfigError: A trial's pose is that of an episode.
+        ConfigError: The pose of a trial is that of an episode.
     """
     poses, smallest = training_poses(results), None
     for number, trial in enumerate(suite.trials):

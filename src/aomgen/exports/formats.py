@@ -28,7 +28,7 @@ def export_twin(
     """Write a twin and a motion to one file, in the format of its suffix; an existing file is replaced.
 
     Args:
-        results: Of a run.
+        results: Results of a run.
         path: With one of `TWIN_SUFFIXES`; an .xml gets a folder of meshes and a CSV of controls next to it.
         episode: Number of an episode; None takes the recorded demonstration, and an .xml the first episode.
         joint: Value of the object's joint, [rad] or [m]; only for files of Gaussians.
@@ -42,7 +42,7 @@ def export_twin(
         ConfigError: An option that the format does not have.
         MissingFileError: A stage has not finished.
         BackendError: A package is missing.
-        StorageError: The disk refuses.
+        StorageError: Writing to the disk failed.
     """
     suffix = path.suffix.lower()
     if suffix not in TWIN_SUFFIXES:

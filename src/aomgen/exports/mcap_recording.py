@@ -79,7 +79,7 @@ def write_mcap(motion: SceneMotion, path: Path) -> None:
 
     Raises:
         MissingFileError, MalformedFileError: A video of the motion cannot be read.
-        StorageError: The disk refuses.
+        StorageError: Writing to the disk failed.
     """
     from mcap.writer import Writer
 

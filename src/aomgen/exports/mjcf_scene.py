@@ -51,7 +51,7 @@ def write_mjcf(results: Results, motion: SceneMotion, path: Path) -> None:
     Joint resistance, servos, contact exclusions and time step are those of the verification in the nominal setting.
 
     Raises:
-        StorageError: The disk refuses.
+        StorageError: Writing to the disk failed.
     """
     scene = simulate_motion_scene(results, motion)
     spec = describe_nominal(results, scene, motion, visual=True)

@@ -35,7 +35,7 @@ def write_rerun(motion: SceneMotion, path: Path) -> None:
     `joints/<name>`, `joints/gripper` and `joints/object`. Colors are those of the first frame.
 
     Raises:
-        StorageError: The disk refuses.
+        StorageError: Writing to the disk failed.
     """
     # Otherwise the package prints problems and leaves out what has them.
     rr.set_strict_mode(True)

@@ -42,7 +42,7 @@ class SceneMotion:
         commands: Commanded joints and gripper (T + 1, J + 1): at the begin of each frame and the end of the last.
         cameras: Fixed cameras of the motion, world frame, by name.
         paths: Cameras that move, by name.
-        videos: What cameras recorded or rendered, by name.
+        videos: Recorded or rendered videos by camera name.
         video_starts_s: Time of the first frame of a video on the trajectory's clock, by name, [s].
         contacts: Contacts of the fingers; None for a recording.
         fitted: The object as physics sees it; None for the recorded one.

@@ -49,7 +49,7 @@ def write_usd_scene(results: Results, motion: SceneMotion, path: Path) -> None:
     Colors are those of the first frame; shadows that the twin casts while it moves are not in the file.
 
     Raises:
-        StorageError: The disk refuses.
+        StorageError: Writing to the disk failed.
     """
     from pxr import UsdGeom, UsdPhysics
 

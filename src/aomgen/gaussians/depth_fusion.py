@@ -146,8 +146,8 @@ class Samples:
 
     Attributes:
         footprints: Size of a pixel at the point (P,), recon units.
-        detail: How much finer than usual the point should be kept (P,), about 0.5..2.
-        weights: How many pixels the point stands for (P,).
+        detail: Level of detail (P,) relative to the default, about 0.5..2.
+        weights: Number of pixels (P,) that each point represents.
     """
 
     points_recon: Array

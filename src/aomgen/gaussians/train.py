@@ -26,8 +26,8 @@ class GaussiansParams:
     """Effort and limits.
 
     Attributes:
-        densify: Where Gaussians start.
-        training: How they learn.
+        densify: Parameters of the initial points.
+        training: Parameters of the training.
         near_share: Gaussians nearer to a camera than this share of its nearest depth are removed.
         min_psnr_db: Mean over the held-out images below which the scene is refused.
     """
@@ -76,7 +76,7 @@ class TrainingViews:
     Attributes:
         dense: Points of the scene.
         initial: A Gaussian for each.
-        cameras: Of the training images, recon frame.
+        cameras: Cameras of the training images, recon frame.
         images_srgb: (H, W, 3) uint8 each.
         test: Names of the images that are held out and have a camera.
     """
@@ -95,7 +95,7 @@ def select_training_views(
 
     Args:
         images_srgb: All scan images (H, W, 3) uint8 by name; those without a camera are ignored.
-        params: Of the dense points, which come from the training images alone.
+        params: Parameters of the dense points, which are computed from the training images only.
     """
     test = held_out(list(images_srgb))
     known = [name for name in structure.cameras_recon if name in images_srgb]

@@ -80,7 +80,7 @@ def read_robot_table(path: Path) -> RobotSection | None:
     """The table [robot] of a capture.toml; None where it has none.
 
     Raises:
-        MalformedFileError, LimitExceededError: As `io.schema.read_toml`.
+        MalformedFileError, LimitExceededError: See `io.schema.read_toml`.
     """
     return read_toml(path, _RobotTable, "").robot
 
@@ -163,7 +163,8 @@ def _write_demo(tables: DemoTables, kept: dict[str, str]) -> str:
     demo = f'[demo]\njoints = "{JOINTS_FILE}"\n'
     if tables.clock_offset_s is not None:
         demo += (
-            f"# clock_offset_s = {tables.clock_offset_s:.6f}   # by the stamps of the recording, without the latency of "
+            f"# clock_offset_s = {tables.clock_offset_s:.6f}   # by the stamps of the recording, without the "
+            "latency of "
             "the camera; estimated when absent\n"
         )
     return "\n".join([*parts, demo])

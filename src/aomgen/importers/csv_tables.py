@@ -23,7 +23,7 @@ def read_episode(path: Path) -> RecordedEpisode:
     """Read every numeric column of a table; columns of text are left out.
 
     Raises:
-        MissingFileError, LimitExceededError, MalformedFileError: As `capture.log_table.read_log_table`; or no
+        MissingFileError, LimitExceededError, MalformedFileError: See `capture.log_table.read_log_table`; or no
             column of times or of numbers.
         IncompleteCaptureError: No rows.
     """

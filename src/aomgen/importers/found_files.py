@@ -85,7 +85,7 @@ def describe_capture(
 
     Raises:
         UnknownNameError: The log has no such column.
-        StorageError: The disk refuses.
+        StorageError: Writing to the disk failed.
     """
     for name in (*joints, gripper):
         if name not in found.columns:

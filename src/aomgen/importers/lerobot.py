@@ -106,7 +106,7 @@ def _resolve(folder: Path, template: str, values: dict[str, Any]) -> Path:
     """A path inside the dataset whose fields are filled in.
 
     Raises:
-        MissingFileError, UnsafePathError: As `resolve_inside`.
+        MissingFileError, UnsafePathError: See `resolve_inside`.
         KeyError, ValueError: An unknown field, or a value that is no number.
     """
 

@@ -134,7 +134,7 @@ def read_episode(path: Path, kind: BagKind) -> RecordedEpisode:
     """Read the joint states of a bag; its videos are written later.
 
     Raises:
-        BackendError, MalformedFileError, IncompleteCaptureError: As `open_bag`.
+        BackendError, MalformedFileError, IncompleteCaptureError: See `open_bag`.
         LimitExceededError: More joint states than are read without asking.
     """
     with open_bag(path, kind) as bag:

@@ -47,7 +47,7 @@ def import_scan(source: Path, capture: Path, long_side: int, progress: Progress)
     Raises:
         ConfigError: The capture has a scan, or its capture.toml cannot be changed line by line.
         InputError: The source is not usable.
-        StorageError: The disk refuses.
+        StorageError: Writing to the disk failed.
     """
     folder, file = capture / SCAN_FOLDER, capture / CAPTURE_FILE
     if folder.exists() and not (folder.is_dir() and not any(folder.iterdir())):

@@ -57,7 +57,7 @@ def read_opengl_pose(matrix: ArrayLike, path: Path, image: str) -> Array:
 
     Args:
         matrix: (3, 4) or (4, 4).
-        path, image: Where the pose was read, for errors.
+        path, image: File and image of the pose, for errors.
 
     Raises:
         MalformedFileError: Another shape.

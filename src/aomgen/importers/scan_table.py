@@ -15,8 +15,8 @@ def change_scan_table(text: str, images: str, intrinsics: Intrinsics | None, pat
     Args:
         text: TOML.
         images: Folder of the scan's images.
-        intrinsics: Of the images, None where they are unknown.
-        path: Of the file, for errors.
+        intrinsics: Intrinsics of the images; None if unknown.
+        path: Path of the file, for errors.
 
     Raises:
         MalformedFileError: The text is not TOML.

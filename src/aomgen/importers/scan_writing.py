@@ -31,7 +31,7 @@ class WrittenScan:
     Attributes:
         names: File names, in the order of the source.
         width, height: Their size, [px].
-        intrinsics: Of their pinhole camera, None where unknown.
+        intrinsics: Intrinsics of their pinhole camera; None if unknown.
         resampled: Number of images that a lens was removed from.
         poses: Poses that came with them, None where there are none.
         warnings: Sentences about what was changed.

@@ -26,7 +26,7 @@ def read_source(source: Path, number: int) -> RecordedEpisode:
     Raises:
         MissingFileError: Nothing is there.
         ConfigError: No such episode.
-        AomgenError: As the reader of the format.
+        AomgenError: The reader of the format failed.
     """
     if not source.exists():
         raise MissingFileError(source, "is missing", f"give {KNOWN}")

@@ -97,7 +97,7 @@ def copy_file(source: Path, target: Path) -> WrittenVideo:
     """Copy a video file; its container is changed to MP4 where it is another one.
 
     Raises:
-        MissingFileError, MalformedFileError, LimitExceededError: As `io.video.decode_frames`.
+        MissingFileError, MalformedFileError, LimitExceededError: See `io.video.decode_frames`.
     """
     with open_stream(source) as (container, stream):
         is_mp4 = (

@@ -32,7 +32,7 @@ def save_artifact(folder: Path, name: str, value: Any) -> None:
     """Write a dataclass of arrays, numbers, texts, None, tuples, mappings and dataclasses.
 
     Raises:
-        StorageError: The disk refuses.
+        StorageError: Writing to the disk failed.
     """
     arrays: dict[str, NDArray[Any]] = {}
     content = _pack(value, "", arrays)
@@ -45,12 +45,12 @@ def load_artifact(folder: Path, name: str, kind: type[T]) -> T:
     """Read back what `save_artifact` wrote.
 
     Args:
-        folder: Of a finished stage.
-        name: Of the files, without suffix.
+        folder: Folder of a finished stage.
+        name: Name of the files without suffix.
         kind: Class of the value.
 
     Raises:
-        MissingFileError, LimitExceededError: As their names say.
+        MissingFileError, LimitExceededError: The file is missing or too large.
         MalformedFileError: The files hold something else.
     """
     path = folder / f"{name}.json"
@@ -186,7 +186,7 @@ def read_npz(path: Path) -> dict[str, NDArray[Any]]:
     """All arrays of an npz file.
 
     Raises:
-        MissingFileError, LimitExceededError, MalformedFileError: As their names say.
+        MissingFileError, LimitExceededError, MalformedFileError: The file is missing, malformed or too large.
     """
     _check_size(path, MAX_NPZ_BYTES, "run the stage again")
     return arrays_from_bytes(path.read_bytes(), path)
@@ -202,7 +202,7 @@ def read_json(path: Path) -> Any:
     """Parse a JSON file that holds no NaN or infinity.
 
     Raises:
-        MissingFileError, LimitExceededError, MalformedFileError: As their names say.
+        MissingFileError, LimitExceededError, MalformedFileError: The file is missing, malformed or too large.
     """
     _check_size(path, MAX_JSON_BYTES, "check the path")
     try:

@@ -69,7 +69,7 @@ def stage_folder(path: Path) -> Iterator[Path]:
     second rename leaves no folder at `path`.
 
     Raises:
-        StorageError: The disk refuses.
+        StorageError: Writing to the disk failed.
     """
     try:
         with scratch_folder(path.parent) as staging:
@@ -93,7 +93,7 @@ def remove_folder(path: Path) -> None:
     """Delete a folder in one step, so that other processes never find a part of it.
 
     Raises:
-        StorageError: The disk refuses.
+        StorageError: Writing to the disk failed.
     """
     try:
         with scratch_folder(path.parent) as discarded:
@@ -126,7 +126,7 @@ def remove_staging(folder: Path) -> None:
     The staging of running processes remains. On a file system without locks, all staging remains.
 
     Raises:
-        StorageError: The disk refuses.
+        StorageError: Writing to the disk failed.
     """
     for path in folder.glob(f"{STAGING_PREFIX}*"):
         try:

@@ -36,7 +36,7 @@ class ColmapModel:
         views: Registered images by file name, in name order.
         points_recon: Points (P, 3).
         colors_srgb: Their colors (P, 3) uint8.
-        observations: Who sees what, (M, 2) int32: rows of (point, index into `views` in order).
+        observations: Observations (M, 2) int32: rows of (point, index into `views` in order).
     """
 
     views: dict[str, ColmapView]

@@ -56,12 +56,12 @@ class CommittedEpisode:
     """An episode that is safely on disk.
 
     Attributes:
-        folder: Where it lies.
+        folder: Folder of the episode.
         episode: Its content.
         videos: MP4 path of each camera.
         sha256: Digest of each file beside episode.json.
-        codec: Of the videos.
-        color_counts: How often each value 0..255 occurs in each channel (3, 256) of sampled frames, by camera.
+        codec: Codec of the videos.
+        color_counts: Histogram (3, 256) of the values 0..255 in each channel of sampled frames, by camera.
         images: Files of exact images by kind and camera; see `read_images`.
     """
 
@@ -104,16 +104,16 @@ def commit_episode(
 
     Args:
         root: Folder of all episodes.
-        episode: What to store.
+        episode: Episode to store.
         videos: MP4 bytes by camera name; the same names as `episode.cameras`.
         images: Exact images (T, H, W) by kind and camera.
-        codec: Of the videos.
+        codec: Codec of the videos.
 
     Returns:
         The episode's folder.
 
     Raises:
-        StorageError: The disk refuses.
+        StorageError: Writing to the disk failed.
         CorruptArtifactError: A video cannot be decoded, or has not as many frames as the episode.
         ValueError: Videos or images and cameras differ in their names, or images in their shape; a programming error.
     """
@@ -164,7 +164,7 @@ def read_images(path: Path) -> NDArray[np.integer]:
     """The exact images (T, H, W) of one of an episode's files.
 
     Raises:
-        MissingFileError, LimitExceededError, MalformedFileError: As their names say.
+        MissingFileError, LimitExceededError, MalformedFileError: The file is missing, malformed or too large.
     """
     arrays = read_npz(path)
     kind = path.name.split(".")[-2]

@@ -87,7 +87,7 @@ def write_splat(path: Path, gaussians: Gaussians) -> None:
 
     Raises:
         NonFiniteError: A value is NaN or infinite, or a quaternion is zero.
-        StorageError: The disk refuses.
+        StorageError: Writing to the disk failed.
     """
     check_readable(path, gaussians)
     table = np.empty(len(gaussians), RECORD)
@@ -135,7 +135,7 @@ def write_gaussians(path: Path, gaussians: Gaussians, *, meters_per_unit: float 
         ConfigError: Another suffix.
         NonFiniteError: A value is NaN or infinite, or a quaternion is zero.
         LimitExceededError: A position does not fit into a `.spz`.
-        StorageError: The disk refuses.
+        StorageError: Writing to the disk failed.
     """
     if path.suffix.lower() in usd.SUFFIXES:
         usd.write_gaussians(path, gaussians, meters_per_unit=meters_per_unit)

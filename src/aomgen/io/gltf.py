@@ -89,7 +89,7 @@ def write_glb(path: Path, gaussians: Gaussians) -> None:
 
     Raises:
         NonFiniteError: A value is NaN or infinite, or a quaternion is zero.
-        StorageError: The disk refuses.
+        StorageError: Writing to the disk failed.
     """
     check_readable(path, gaussians)
     quats = xyzw_from_wxyz(gaussians.quats / np.linalg.norm(gaussians.quats, axis=1, keepdims=True))

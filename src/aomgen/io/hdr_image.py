@@ -23,7 +23,7 @@ def read_environment(path: Path) -> EnvironmentMap:
     """Read the light of an equirectangular image, see `EnvironmentMap`.
 
     Raises:
-        MissingFileError, LimitExceededError: As their names say.
+        MissingFileError, LimitExceededError: The file is missing or too large.
         MalformedFileError: Not such an image, truncated, not twice as wide as high, negative or black.
         NonFiniteError: A value is NaN or infinite.
     """

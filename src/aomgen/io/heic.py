@@ -17,7 +17,7 @@ def open_heic(path: Path) -> Image.Image:
 
     Raises:
         BackendError: pi-heif is not installed.
-        MissingFileError, MalformedFileError, LimitExceededError: As their names say.
+        MissingFileError, MalformedFileError, LimitExceededError: The file is missing, malformed or too large.
     """
     if importlib.util.find_spec("pi_heif") is None:
         raise BackendError(

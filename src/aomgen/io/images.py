@@ -24,7 +24,7 @@ def image_size(path: Path) -> tuple[int, int]:
     """Width and height after the EXIF rotation is applied, from the header alone.
 
     Raises:
-        MissingFileError, MalformedFileError, LimitExceededError: As their names say.
+        MissingFileError, MalformedFileError, LimitExceededError: The file is missing, malformed or too large.
     """
     with open_image(path) as image:
         transposed = exif_orientation(image) >= FIRST_TRANSPOSED
@@ -48,7 +48,7 @@ def read_image(path: Path, mode: Mode = "RGB", *, upright: bool = True) -> NDArr
     """Image (H, W, 3 or 4) uint8 sRGB, EXIF rotation applied where `upright`.
 
     Raises:
-        MissingFileError, MalformedFileError, LimitExceededError: As their names say.
+        MissingFileError, MalformedFileError, LimitExceededError: The file is missing, malformed or too large.
     """
     with open_image(path) as image:
         return _pixels(image, path, mode, upright=upright)
@@ -58,7 +58,7 @@ def decode_image(data: bytes, where: Path, mode: Mode = "RGB") -> NDArray[np.uin
     """Image (H, W, 3 or 4) uint8 sRGB of the bytes of an image file; `where` names the file that holds them.
 
     Raises:
-        MalformedFileError, LimitExceededError: As their names say.
+        MalformedFileError, LimitExceededError: The file is malformed or too large.
     """
     with _check(io.BytesIO(data), where) as image:
         return _pixels(image, where, mode)
@@ -82,7 +82,7 @@ def read_labels(path: Path) -> NDArray[np.uint8]:
     """Label image (H, W) uint8, as stored in a one-channel or palette PNG.
 
     Raises:
-        MissingFileError, MalformedFileError, LimitExceededError: As their names say.
+        MissingFileError, MalformedFileError, LimitExceededError: The file is missing, malformed or too large.
     """
     with open_image(path) as image:
         if image.mode not in ("L", "P", "1"):
@@ -125,7 +125,7 @@ def open_image(path: Path) -> Image.Image:
     """An image whose header has been read and checked; its pixels are not decoded yet.
 
     Raises:
-        MissingFileError, MalformedFileError, LimitExceededError: As their names say.
+        MissingFileError, MalformedFileError, LimitExceededError: The file is missing, malformed or too large.
     """
     if not path.is_file():
         raise MissingFileError(path, "is missing", "check the folder")

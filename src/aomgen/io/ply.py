@@ -99,7 +99,7 @@ def write_gaussians(path: Path, gaussians: Gaussians) -> None:
 
     Raises:
         NonFiniteError: A value is NaN or infinite, or a quaternion is zero.
-        StorageError: The disk refuses.
+        StorageError: Writing to the disk failed.
     """
     check_readable(path, gaussians)
     rest = 3 * (gaussians.sh.shape[1] - 1)

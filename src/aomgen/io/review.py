@@ -97,14 +97,14 @@ def change_review(out: Path, episode_folder: Path, change: ReviewChange) -> Revi
     Args:
         out: Folder of the run.
         episode_folder: Folder of the committed episode.
-        change: What the person has decided.
+        change: Decision of the person.
 
     Returns:
         The review after the change.
 
     Raises:
         MissingFileError, MalformedFileError: The episode or the review file cannot be read; nothing is written.
-        StorageError: The disk refuses.
+        StorageError: Writing to the disk failed.
     """
     number, content = int(episode_folder.name), read_content(episode_folder)
     with lock_folder(out):

@@ -30,7 +30,7 @@ def read_toml(path: Path, model: type[Schema], absent: str) -> Schema:
     Args:
         path: TOML.
         model: Schema of the whole file.
-        absent: What to do when it is missing.
+        absent: Remedy if the file is missing.
 
     Raises:
         MissingFileError, LimitExceededError: No such file, or larger than 1 MiB.
@@ -55,7 +55,7 @@ def complaint(error: ValidationError, model: type[BaseModel]) -> tuple[str, str]
     """Problem and remedy of the first error in a file.
 
     Args:
-        error: What validation by `model` raised.
+        error: Error of the validation by `model`.
         model: The schema of the whole file.
     """
     # An unknown key often explains a missing one, so it is named first.
@@ -88,7 +88,7 @@ def override(params: T, changes: Mapping[str, Any], where: str) -> T:
     """A dataclass of parameters with some of its fields changed, those of nested dataclasses too.
 
     Args:
-        params: As they are by default.
+        params: Default parameters.
         changes: Values by field; a mapping for a nested dataclass.
         where: Name of the dataclass in messages, for example "motion.joint".
 

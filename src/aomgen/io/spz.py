@@ -97,7 +97,7 @@ def write_spz(path: Path, gaussians: Gaussians) -> None:
     Raises:
         NonFiniteError: A value is NaN or infinite, or a quaternion is zero.
         LimitExceededError: A position is farther than 8 million units from the origin.
-        StorageError: The disk refuses.
+        StorageError: Writing to the disk failed.
     """
     check_readable(path, gaussians)
     farthest = float(np.abs(gaussians.means).max(initial=1e-9))

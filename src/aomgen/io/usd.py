@@ -44,7 +44,7 @@ def export_stage(stage: Any, path: Path) -> None:
     """Write a stage's root layer as one file; readers see the old content or the new.
 
     Raises:
-        StorageError: The disk refuses.
+        StorageError: Writing to the disk failed.
     """
     from pxr import Sdf, Tf
 
@@ -78,7 +78,7 @@ def write_gaussians(path: Path, gaussians: Gaussians, *, meters_per_unit: float 
     Raises:
         ConfigError: Another suffix.
         NonFiniteError: A value is NaN or infinite, or a quaternion is zero.
-        StorageError: The disk refuses.
+        StorageError: Writing to the disk failed.
     """
     check_readable(path, gaussians)
     stage = new_stage(path, meters_per_unit)

@@ -69,7 +69,7 @@ class VideoInfo:
         width, height: Size of the frames as they are shown, [px].
         frames: Number of the frames that are shown.
         fps: Their mean rate, [1/s].
-        display: How the stored frames are shown.
+        display: Conversion of stored frames for display.
     """
 
     width: int
@@ -85,7 +85,7 @@ def probe_video(path: Path) -> VideoInfo:
     Frames that an edit list cuts away, as the trim of a phone does, do not count.
 
     Raises:
-        MissingFileError, MalformedFileError, LimitExceededError: As their names say.
+        MissingFileError, MalformedFileError, LimitExceededError: The file is missing, malformed or too large.
     """
     with open_stream(path) as (container, stream):
         try:

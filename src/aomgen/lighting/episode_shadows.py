@@ -62,12 +62,12 @@ def cast_shadows(
     """Return the twin with a relit object's shadow on its walls, and the shadows on its table.
 
     Args:
-        twin, robot: As in `render_episode`.
+        twin, robot: See `render_episode`.
         Ts_world_body: Poses (B, 4, 4) of the twin's bodies in any state.
         eyes_world: Camera centers (K, 3).
         table: Visibility from the table past a relit object, if there is one.
         T_world_plane: Pose of the table; None for the directional light's shadow alone.
-        threads: As in `splatting.rasterizer.render`.
+        threads: See `splatting.rasterizer.render`.
     """
     lamp, shadows = twin.directional_light, []
     if lamp is not None:

@@ -85,7 +85,7 @@ def project_shadow(
         Ts_plane_part: Poses (T, P, 4, 4) in the frame of the surface.
         directions_plane: Unit directions to the light (D, 3), z > 0.
         grid: Cells of the maps.
-        threads: As in `splatting.rasterizer.render`.
+        threads: See `splatting.rasterizer.render`.
     """
     camera = Camera(
         fx=1 / grid.cell, fy=1 / grid.cell, cx=0.0, cy=0.0, width=grid.columns, height=grid.rows, T_world_cam=np.eye(4)
@@ -138,7 +138,7 @@ def measure_blocked_light(
         T_world_plane: Pose of a surface near the points, on which the maps are computed.
         directions: Unit directions to the light, world frame.
         points_world: Points on, above or below the surface.
-        threads: As in `splatting.rasterizer.render`.
+        threads: See `splatting.rasterizer.render`.
     """
     to_plane = invert(T_world_plane)
     directions_plane, points = directions @ to_plane[:3, :3].T, apply(to_plane, points_world)

@@ -118,7 +118,7 @@ def compute_path_value_sd(
 
     Args:
         estimate: Joint with equally likely axes, origins and held points.
-        Ts_world_ee, face_normal: As in `compute_path_values`; the first pose has value 0.
+        Ts_world_ee, face_normal: See `compute_path_values`; the first pose has value 0.
         values: Joint values (T,) at the poses.
         yield_m: Standard deviation of the distance by which the grasp yields before the part follows, see `YIELD_M`, [m].
     """

@@ -43,7 +43,7 @@ def pair_costs(
     weights; here all are 1, with distances divided by the moving part's diagonal.
 
     Args:
-        boxes: Of the static and of the moving part, world frame.
+        boxes: Boxes of the static and the moving part, world frame.
         contact_world: Contact point (3,), [m].
         direction_world: Unit vector (3,): approach of the end effector, or its displacement.
 
@@ -70,7 +70,7 @@ def box_joint(
     """Find the joint at the cheapest pair of edges, and the outward normal of the moving part's face.
 
     Args:
-        points: Of the static (N, 3) and of the closed moving part (M, 3), world frame, [m].
+        points: Points of the static (N, 3) and of the closed moving part (M, 3), world frame, [m].
         contact_world: Contact point on the moving part (3,), [m].
         direction_world: Unit direction (3,) of the end effector, the paper's `v_ee`.
         joint_type: Known beforehand, as in the paper.

@@ -60,7 +60,7 @@ class PromptedScan:
 
     Attributes:
         gaussians: World frame, cut.
-        cut: Which Gaussians of the scan were cut.
+        cut: Gaussians of the scan that were cut.
         bodies: (N,) robot bodies, -1 where a Gaussian is not of the robot.
         prompted: Segmented prompts.
         surfaces: Views in which boxes are rendered.
@@ -119,7 +119,7 @@ def cut_scan(
     """Cut the scan where faces of the fitted boxes, if any, intersect Gaussians, and weigh the evidence of the pieces.
 
     Args:
-        scan, motion_log_ratios: As in `weigh_evidence`.
+        scan, motion_log_ratios: See `weigh_evidence`.
         evidence: Its result.
     """
     if evidence.panel is None:

@@ -230,7 +230,7 @@ def cut_at_faces(gaussians: Gaussians, panel: Panel, free: NDArray[np.bool_]) ->
     Args:
         gaussians: World frame.
         panel: The boxes.
-        free: Which Gaussians (N,) may be cut.
+        free: Mask (N,) of the Gaussians that may be cut.
     """
     origins = np.flatnonzero(free)
     pieces, cut = gaussians.select(origins), np.zeros(len(origins), bool)

@@ -123,7 +123,7 @@ def descend(panel: Panel, size: float, terms: Sequence[Term], shares: Sequence[f
     Args:
         panel: Start.
         size: Diagonal of the panel, [m].
-        terms: What the boxes explain.
+        terms: Terms of the objective.
         shares: Steps, as shares of the diagonal.
 
     Returns:

@@ -12,7 +12,7 @@ class Figure:
     """Presentation of one metric of a stage.
 
     Attributes:
-        name: What it is, in words.
+        name: Name of the metric in words.
         unit: Behind the number; a number without a unit is a count.
         digits: After the point.
         factor, offset: The shown number is the stage's times `factor`, plus `offset`.
@@ -196,7 +196,7 @@ def read_figures(stage: str, figures: Mapping[str, Any]) -> list[Reading]:
 
     Args:
         stage: Name of the stage.
-        figures: As the stage returned them.
+        figures: Metrics that the stage returned.
     """
     known = FIGURES.get(stage, {})
     return [

@@ -74,7 +74,7 @@ def write_project(path: Path, project: Project) -> None:
 
     Raises:
         ConfigError: A path is not Unicode text.
-        StorageError: The disk refuses.
+        StorageError: Writing to the disk failed.
     """
     base = path.parent.resolve()
     values = project.model_dump(mode="json")

@@ -232,7 +232,7 @@ def lock(out: Path) -> Iterator[None]:
 
     Raises:
         LockedError: Another run holds it.
-        StorageError: The disk refuses.
+        StorageError: Writing to the disk failed.
     """
     _make_folder(out)
     path = out / LOCK_FILE

@@ -21,7 +21,7 @@ class ScanImages:
     """Images of a scan by number, in the order of the walk.
 
     Attributes:
-        names: Of the images, as `[[prompts]]` name them.
+        names: Names of the images in `[[prompts]]`.
         blurs: (N,) blur of each, 0 sharp .. 1; see `scan_images.blur`.
     """
 

@@ -33,9 +33,9 @@ class PromptSession:
 
     Attributes:
         capture: Folder with a capture.toml.
-        images: Of the scan.
+        images: Images of the scan.
         size: Their width and height, [px].
-        prompts: As saved last.
+        prompts: The last saved prompts.
         stated: Category of the object and language instruction, as saved last; "" where they are missing.
         no_masks: Why there are no masks, or empty.
     """
@@ -99,7 +99,7 @@ class PromptSession:
         """Mask (H, W) of what points and box mark; None without a segmenter or where they mark nothing.
 
         Args:
-            index: Of the image.
+            index: Index of the image.
             part: One of `PARTS`.
             points: Rows of x, y [px] and 1 on the part or 0 off it.
             box: x0, y0, x1, y1 [px]; or empty.

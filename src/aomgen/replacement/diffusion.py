@@ -77,7 +77,7 @@ def estimate_environment(folder: Path, photograph: Photograph, world: Gaussians,
 
     Args:
         folder: A pipeline `LIGHT_PIPELINE`, as diffusers saves it.
-        photograph: Of the scan.
+        photograph: Photograph of the scan.
         world: The scanned Gaussians, world frame.
         seed: Chooses the balls.
 
@@ -175,7 +175,7 @@ def inpaint_table(folder: Path, image: Array, known: NDArray[np.bool_], seed: in
 
     Args:
         folder: A pipeline `TABLE_PIPELINE`, as diffusers saves it.
-        seed: Of the noise.
+        seed: Seed of the noise.
 
     Raises:
         BackendError: The extra is not installed, or the folder holds no such pipeline.

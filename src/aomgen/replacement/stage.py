@@ -122,8 +122,8 @@ def light_of_assets(results: Results, scan_light: SceneLight, view: Photograph) 
     """The light that a project chooses for its assets.
 
     Args:
-        results: Of the stages before.
-        scan_light: What the scan and the robot show of it.
+        results: Results of the previous stages.
+        scan_light: Light estimated from the scan and the robot.
         view: A photograph that shows the assets' place.
     """
     project = results.project

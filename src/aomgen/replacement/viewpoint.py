@@ -56,7 +56,7 @@ def choose_viewpoint(
     Args:
         scan_cameras: Registered scan cameras, world frame, by image name.
         states: A few states along the demonstration.
-        key_points: What must be seen in each state, for example gripper and handle, (P, 3) each.
+        key_points: Points (P, 3) that must be visible in each state, for example gripper and handle.
 
     Raises:
         ReconstructionError: There is no scan camera, or none sees the action.

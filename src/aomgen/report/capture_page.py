@@ -45,7 +45,7 @@ def write_capture_page(
     Args:
         path: HTML file.
         greys: Grey levels (H, W) of the scan images by name, see `scan_images.read_grey`.
-        overlap: Of the same images.
+        overlap: Overlap of the same images.
         facts: Lines about robot, scan, videos and log.
         warnings: Sentences.
     """
@@ -60,7 +60,8 @@ def write_capture_page(
         section(
             "Walk",
             paragraph(
-                "The scan from above: each dot is an image, its line the direction of the camera, red where something is "
+                "The scan from above: each dot is an image, its line the direction of the camera, red where "
+                "something is "
                 "wrong with it. From the shaded sector nothing was recorded: surfaces that face it are unobserved."
             ),
             _draw_walk(overlap),

@@ -59,7 +59,7 @@ class GripperSection(_Section):
             its names; empty when the arm's file holds it.
         open, closed: Values of the joints that drive it at gripper 0 and 1, [rad] or [m]. The joint log's
             gripper value measures the first; the others follow it.
-        actuator: When given, the model's own actuators and contact shapes are used as they are.
+        actuator: If given, the actuators and contact shapes of the model are used without changes.
         left, right: The pads.
     """
 
@@ -110,7 +110,7 @@ def read_description(path: Path) -> RobotDescription:
     """Read a robot.toml.
 
     Raises:
-        InputError: Of the kind that fits.
+        InputError: The file is missing or malformed.
     """
     found = read_toml(path, RobotDescription, "write it with `aomgen robot propose`")
     gripper = found.gripper

@@ -84,7 +84,7 @@ class RobotModel:
         joint_names: The J arm joints, in the order of every `joints` argument.
         body_names: The B bodies in MuJoCo's order, world left out: body b is MuJoCo's b + 1.
         joint_limits: [rad] or [m].
-        slides: Which arm joints are prismatic.
+        slides: Mask (J,) of the prismatic arm joints.
         gripper_table: Finger joints over the gripper value 0 (open) .. 1 (closed).
         pads: Left and right; empty for an arm without fingers.
         pad_geoms: Names of each finger's colliding shapes, by side.

@@ -32,8 +32,8 @@ class PassRule:
             limit for a moment, where the command's velocity changes.
         torque_s: Length of a frame at usual rates, [s].
         tracking_mm: Distance between commanded and reached end effector, [mm]: 100 N on a usual arm's servos.
-        handle_penetration_mm: Of gripper and handle, [mm]: pads are rubber, some 3 mm thick.
-        penetration_mm: Of robot and anything else, [mm].
+        handle_penetration_mm: Penetration of gripper and handle, [mm]; pads are rubber of about 3 mm.
+        penetration_mm: Penetration of the robot and other bodies, [mm].
         base_friction: Coefficient between the object and its support.
         drift_mm: Distance that the base of an object that is not bolted may slide, [mm].
     """

@@ -172,7 +172,7 @@ def assumptions(
     """List the assumptions of verification for other simulators: `simulation` in `episode.json`, SI units.
 
     Args:
-        asset: As it was simulated, after scaling.
+        asset: The simulated asset, after scaling.
         settings: The simulated settings; the last one gave the episode's states.
         joint_zeros_rad: All joints of the episode minus what the real arm reads there (J,).
         bolted: Its base was held by the world.

@@ -75,7 +75,7 @@ def render(
 
     Args:
         gaussians: In the frame that `camera.T_world_cam` maps to, or in the frames of `parts`.
-        camera: Where to look from.
+        camera: Camera of the image.
         background: sRGB color 0..1 behind everything.
         features: (N, D) values to blend like colors.
         parts: Poses of the scene's parts; their view-dependent colors turn along.

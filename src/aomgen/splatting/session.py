@@ -73,7 +73,7 @@ class RenderSession:
         static: Gaussians that never move, world frame.
         camera: Camera that never moves.
         background: sRGB color 0..1 behind everything.
-        antialiased: As in `render`.
+        antialiased: See `render`.
         threads: For opening and drawing; None for all processors of the process.
         instruction_set: One of `native.instruction_sets()`, None for the best.
 
@@ -117,7 +117,7 @@ class RenderSession:
 
         Args:
             moving: Gaussians in the world frame, or in the frames of `parts`.
-            parts: Where the parts are; their view-dependent colors turn along.
+            parts: Poses of the parts; view-dependent colors rotate with them.
             shade: Factor (H, W) on the sRGB colors of what never moves, for shadows.
             with_ids: Also give median depth and the most contributing Gaussian; indices of
                 moving Gaussians follow those of static ones.
@@ -230,8 +230,8 @@ def draw_outputs(
     Args:
         sessions: Cameras; their static Gaussians need not be the same.
         moving: N Gaussians in the frames of their parts.
-        motion: Where the parts are in each frame.
-        outputs: Of "rgb8", "alpha", "median_depth" and "max_id" (these two together).
+        motion: Poses of the parts in each frame.
+        outputs: Some of "rgb8", "alpha", "median_depth" and "max_id" (the last two only together).
         shades: For each session factors (T, H, W) as in `RenderSession.draw`, or None.
         threads: None for all processors of the process.
     """

@@ -51,10 +51,10 @@ class Surfels:
     Attributes:
         gaussians: N discs colored with their albedo, as opaque as the meshes, in the frame of the meshes.
         normals: Unit, outward.
-        bends: What normal maps add to the normals, in the surface.
+        bends: Tangential offsets of the normals by normal maps.
         albedo_linear: 0..1.
         transfer: See `core.light`.
-        roughness, metallic: Of the meshes, 0..1.
+        roughness, metallic: Values of the meshes, 0..1.
     """
 
     gaussians: Annotated[Gaussians, "N"]

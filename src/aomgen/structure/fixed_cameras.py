@@ -64,7 +64,7 @@ class PlacedCamera:
 
     Attributes:
         camera_recon: Optics of its undistorted frames, and pose.
-        figures: What was found and which still is used (JSON values).
+        figures: Metrics of the registration and name of the used still image (JSON values).
     """
 
     camera_recon: Camera
@@ -78,7 +78,7 @@ class Resection:
 
     Attributes:
         camera_recon: Optics of the undistorted image, and pose.
-        inliers: Which matches (M,) fit.
+        inliers: Mask (M,) of the matches that fit.
         depth: Median depth of these, recon units.
         spread: Extent of these in the image: the smaller of width and height between the 5th and
             95th percentile, as a share of the image's.

@@ -151,7 +151,7 @@ def duplicates(pairs: list[Pair], preferred: set[str]) -> dict[str, str]:
     """Images that show nothing but what another one shows, and that other one.
 
     Args:
-        preferred: Of two equal images one of these stays.
+        preferred: Images that are kept if two images are equal.
     """
     found: dict[str, str] = {}
     for pair in sorted(pairs, key=lambda pair: (pair.a, pair.b)):

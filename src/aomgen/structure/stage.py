@@ -100,7 +100,7 @@ def undistort_scan(
 
     Raises:
         InputError: An image or mask cannot be read.
-        StorageError: The disk refuses.
+        StorageError: Writing to the disk failed.
     """
     files = write_undistorted(images, lens, folder, progress)
     stems = {Path(name).stem for name in images}
@@ -126,7 +126,7 @@ def write_undistorted(
 
     Raises:
         InputError: An image cannot be read.
-        StorageError: The disk refuses.
+        StorageError: Writing to the disk failed.
     """
     undistort = undistorter(lens)
     for index, (name, path) in enumerate(sorted(images.items())):

@@ -75,7 +75,7 @@ def extract_frames(video: Path, forced: set[str], folder: Path, progress: Progre
     Raises:
         IncompleteCaptureError: Fewer different views than `MIN_FRAMES`.
         InputError: The video cannot be read.
-        StorageError: The disk refuses.
+        StorageError: Writing to the disk failed.
     """
     if (folder / LISTING).is_file():
         return _paths(folder, [int(index) for index in read_json(folder / LISTING)["frames"]])

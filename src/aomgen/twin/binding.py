@@ -95,7 +95,7 @@ def with_object(
         background: Twin whose recorded object was removed.
         static, moving: The asset's links, asset frame at joint value 0.
         joint: The asset's joint, asset frame.
-        light: What the asset is lit by.
+        light: Light on the asset.
     """
     cleared = background.select(~np.isin(background.labels, (STATIC, MOVING)))
     counts = [len(static.gaussians), len(moving.gaussians)]

@@ -67,7 +67,7 @@ def find_support(
     Args:
         object_points: Centres of the object's Gaussians (N, 3), world frame.
         object_opacities: (N,).
-        surroundings: What is neither object nor robot, world frame.
+        surroundings: Gaussians that belong neither to the object nor to the robot, world frame.
         T_world_object: Gives the directions of the sides.
 
     Raises:

@@ -47,7 +47,7 @@ class Hole:
         x, y: Its center, world frame, [m].
         radius_m: Distance to the nearest episode.
         draws: Draws inside that gave no episode.
-        reasons: How often each reason prevented one.
+        reasons: Number of rejections by reason.
     """
 
     x: float

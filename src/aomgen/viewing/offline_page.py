@@ -55,7 +55,7 @@ def write_offline_page(out: Path, path: Path) -> int:
     Raises:
         MissingFileError: There is no run, or it has neither a twin nor an episode.
         CorruptArtifactError, MalformedFileError: A file of the run is damaged.
-        StorageError: The disk refuses.
+        StorageError: Writing to the disk failed.
     """
     results = results_of(find_project(out), STAGES)
     folder, reviews = results.folders["episodes"], read_reviews(results.out)

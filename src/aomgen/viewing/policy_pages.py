@@ -54,9 +54,9 @@ class Evaluation:
     """Stored rollouts of one policy in a suite.
 
     Attributes:
-        folder: Of its rollouts and videos.
-        policy, visuals, action_space: As requested.
-        records: Of the trials that are done, by number.
+        folder: Folder of its rollouts and videos.
+        policy, visuals, action_space: Requested values.
+        records: Records of the finished trials, by number.
         filmed: Numbers of the trials that have a video.
     """
 

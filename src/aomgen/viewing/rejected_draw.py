@@ -25,7 +25,7 @@ def replan_draw(results: Results, draw: Draw) -> CommittedEpisode:
     farthest breaks its limit most; else the arm at the demonstrated start.
 
     Args:
-        results: Of a run whose stage "replacement" has finished.
+        results: Results of a run whose stage "replacement" has finished.
         draw: With the outcome "rejected" or "skipped".
 
     Returns:

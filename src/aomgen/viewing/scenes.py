@@ -116,10 +116,10 @@ def open_episode_scene(
     """Open the scene of an episode as its videos show it.
 
     Args:
-        results: Of a run whose stage "replacement" has finished.
-        robot: Of the run.
+        results: Results of a run whose stage "replacement" has finished.
+        robot: Robot of the run.
         asset: Number of the fitted asset.
-        variation: Of the episode.
+        variation: Variation of the episode.
         first: Its first state.
         eyes_world: Centers (K, 3) of its cameras, from which the object's shadow on walls is found.
     """
