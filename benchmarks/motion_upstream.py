@@ -110,8 +110,7 @@ class Misplacement:
     Attributes:
         S_given_world: Similarity (4, 4) from the true scene to the given one.
         camera: The given camera.
-        clock_s: Error of the offset, [s].
-        clock_s: Of the offset, [s].
+        clock_s: Error of the clock offset, [s].
     """
 
     S_given_world: Array

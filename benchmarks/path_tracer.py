@@ -70,7 +70,7 @@ class PathTracedRenderer(SceneRenderer):
 
     Args:
         scene: Compiled scene.
-        size: As for `SceneRenderer`.
+        size: See `SceneRenderer`.
         folder: Folder of the scene's files and of every image, so that none is rendered twice.
         light: Light of the room.
     """

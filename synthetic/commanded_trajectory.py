@@ -27,7 +27,7 @@ class CommandedTrajectory:
         grip: Share of its force with which the gripper closes.
         theta_start: Joint value of the object before, [rad] or [m].
         motion_s: Beginning and end of the commanded motion of the part.
-        film_s: What may be recorded.
+        film_s: Interval that may be recorded, [s].
     """
 
     times_s: Annotated[Array, "T"]

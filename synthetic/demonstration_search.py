@@ -59,7 +59,7 @@ class SimulatedDemonstration:
 
     Attributes:
         times_s: (T,) from 0.
-        qpos: Of the whole model (T, nq).
+        qpos: States of the whole model (T, nq).
         joints: (T, J), [rad].
         gripper: Measured share of its stroke (T,).
         theta: Joint value of the object (T,), [rad] or [m].
@@ -116,7 +116,7 @@ def find_demonstration(
     """Draw layouts until one demonstration moves the object by contact with the handle alone.
 
     Args:
-        style: How it is done; a random pinch that opens the object when None.
+        style: Style of the demonstration; None selects a random pinch that opens the object.
 
     Raises:
         ConfigError: None of MAX_TRIES does, or the object cannot be touched in this style.

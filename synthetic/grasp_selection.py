@@ -128,7 +128,7 @@ def choose_grasp(
 
     Args:
         model: Any compiled model that holds the robot.
-        style: Of a touch that is possible.
+        style: Style with a possible touch.
     """
     if style.touch == "pinch" and not held_at_rim(asset):
         return _pinch(robot, asset, grasp_style, style)

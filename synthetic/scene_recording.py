@@ -38,7 +38,7 @@ class Conditions:
     Attributes:
         size: Width and height of stills and video, [px].
         scan_views: Number of stills.
-        fps: Of the video.
+        fps: Frame rate of the video.
         focal_share: Focal length over image width; a phone's main camera has about 0.94.
         noise: Sensor noise, 1 = a phone in a bright room.
         gain_spread: Largest relative change of exposure between stills.

@@ -42,11 +42,11 @@ class DemonstrationStyle:
     """Style of one demonstration.
 
     Attributes:
-        travel: How far the part is moved, [rad] or [m], > 0.
-        direction: Of the motion; opening mostly starts from the closed part, closing from an open one.
+        travel: Travel of the part, [rad] or [m], > 0.
+        direction: Direction of the motion; opening mostly starts with the closed part, closing with an open one.
         start: Joint value of the scanned state, [rad] or [m].
         touch: Pinched between the fingers, pulled by closed fingers behind the bar, or pushed by them.
-        outcome: What comes of it; see `Outcome`.
+        outcome: Outcome of the demonstration, see `Outcome`.
         follow: Share of the part's turn that the end effector turns with; the handle pivots by the rest.
         slip_m: Distance that the gripper slides along the handle's bar while the part moves, signed, [m].
         grip: Share of its force with which the gripper closes; a firm grip hardly slides.
@@ -95,7 +95,7 @@ def draw_style(
     """A random style for an asset, whose joint gives the range and whose handle the lever.
 
     Args:
-        direction, touch, outcome: As in `DemonstrationStyle`; `list_grasp_types` lists the touches that a part
+        direction, touch, outcome: See `DemonstrationStyle`; `list_grasp_types` lists the touches that a part
             allows.
         moving_share: Share of the video in which the part moves, 0.03..0.85; drawn when None. It
             is met but for the random cut of the video (0.2 s at either end), by a longer video where

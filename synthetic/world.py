@@ -67,7 +67,7 @@ def make_capture(
         seed: Chooses asset, room, places, path, cameras, noise and clock.
         conditions: Cameras and their errors; those of `Conditions` when None.
         robot_file: URDF or MJCF of another robot, copied into the capture with all it refers to.
-        style: How the robot demonstrates; a random pinch that opens the object when None.
+        style: Style of the demonstration; None selects a random pinch that opens the object.
         renderer: Draws the images of a compiled scene up to a size.
         progress: Receives the progress of the images.
 

@@ -21,10 +21,6 @@ class Cut:
     Attributes:
         sources: (M,) index of the Gaussian that each piece comes from.
         pieces: The M pieces.
-
-    Attributes:
-        sources: (M,) index of the Gaussian that each piece comes from.
-        pieces: M of them.
     """
 
     sources: Annotated[NDArray[np.int64], "N"]

@@ -122,7 +122,7 @@ def train_scene(
 
     Args:
         images_srgb: All scan images (H, W, 3) uint8 by name; those without a camera are ignored.
-        checkpoint: Where training continues after a kill. One that cannot be used (damaged, or
+        checkpoint: File from which the training continues after a kill. One that cannot be used (damaged, or
             of other inputs) is left out: it is only saved time, and progress says so.
 
     Raises:

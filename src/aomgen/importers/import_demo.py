@@ -224,7 +224,7 @@ def _name_source(source: object, staged: Path) -> Iterator[None]:
     """Errors about what is being written name the source instead.
 
     Raises:
-        InputError: As the block, or its video library failed.
+        InputError: The block raised it, or the video library failed.
     """
     try:
         yield

@@ -34,7 +34,7 @@ def read_cameras_bin(path: Path) -> dict[int, ColmapCamera]:
     """Read `cameras.bin`: cameras by their number.
 
     Raises:
-        MissingFileError, LimitExceededError, MalformedFileError, NonFiniteError: The file is missing, too large or invalid.
+        MissingFileError, LimitExceededError, MalformedFileError, NonFiniteError: Missing, too large or invalid file.
         UnknownCameraModelError: A camera has a model without pinhole equivalent.
     """
     cursor = _Cursor(path)
@@ -69,7 +69,7 @@ def read_points_bin(path: Path, views: dict[int, int]) -> tuple[Array, NDArray[n
         views: Index of the view by image number.
 
     Raises:
-        MalformedFileError, NonFiniteError, MissingFileError, LimitExceededError: The file is missing, too large or invalid.
+        MalformedFileError, NonFiniteError, MissingFileError, LimitExceededError: Missing, too large or invalid file.
     """
     cursor = _Cursor(path)
     count = cursor.count(_POINT.size + _COUNT.size)

@@ -19,7 +19,7 @@ def read_cameras_txt(path: Path) -> dict[int, ColmapCamera]:
     """Read `cameras.txt`: cameras by their number.
 
     Raises:
-        MissingFileError, LimitExceededError, MalformedFileError, NonFiniteError: The file is missing, too large or invalid.
+        MissingFileError, LimitExceededError, MalformedFileError, NonFiniteError: Missing, too large or invalid file.
         UnknownCameraModelError: A camera has a model without pinhole equivalent.
     """
     cameras = {}

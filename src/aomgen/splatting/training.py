@@ -103,14 +103,14 @@ def train(
     """Fit Gaussians to images; the same inputs and generator give the same result on one machine.
 
     Args:
-        initial: Where to start, in the frame of the cameras; its SH degree is raised to the
+        initial: Initial Gaussians, in the frame of the cameras; its SH degree is raised to the
             result's.
         cameras: One for every image, at the image's size.
         images: (H, W, 3) uint8 sRGB.
         params: Length, rates, growth.
         progress: Called after every tenth iteration.
         rng: Order of the images, background colors and choice of Gaussians to split.
-        checkpoint: Where the state is kept. When the file is there the training continues from
+        checkpoint: File of the state. If it exists, the training continues from
             it, to the same result bit by bit; it is left behind when the training is done.
         device: "cpu", or "cuda" for gsplat, whose results repeat but for rounding.
 
