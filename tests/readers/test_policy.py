@@ -24,10 +24,11 @@ def call(tmp_path: Path, program: str, *words: str) -> None:
     assert done.returncode == 0, done.stdout[-2000:] + done.stderr[-4000:]
 
 
-def test_the_small_policy_keeps_its_laws() -> None:
+@pytest.mark.parametrize("part", ["small_act", "finder"])
+def test_a_part_of_the_plugin_keeps_its_laws(part: str) -> None:
     if not (BIN / "python").is_file():
         pytest.skip("needs .venv-policy: make policy-env")
-    script = Path(__file__).with_name("small_act_laws.py")
+    script = Path(__file__).with_name(f"{part}_laws.py")
     done = subprocess.run([BIN / "python", script], capture_output=True, text=True, timeout=300, check=False)
     assert (done.returncode, done.stdout) == (0, ""), done.stdout + done.stderr[-4000:]
 
