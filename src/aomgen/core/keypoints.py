@@ -4,8 +4,9 @@ from collections.abc import Sequence
 from typing import Final
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
+from aomgen.conventions import MOVING, STATIC
 from aomgen.core.asset import ArticulatedAsset
 from aomgen.core.camera import Camera
 from aomgen.core.joint import Joint
@@ -17,6 +18,8 @@ KEYPOINTS: Final = ("grasp", "handle_0", "handle_1", "axis_0", "axis_1")
 MOVING_POINTS: Final = 3
 # Coordinates of two ends that differ by less are equal when the ends are ordered, [m].
 SAME_M: Final = 1e-4
+# Distance of a visible surface from a point inside it, [m]: a handle is thin, and an axis lies behind a door's edge.
+NEAR_M, NEAR_AXIS_M = 0.025, 0.06
 
 
 def find_keypoints(asset: ArticulatedAsset) -> Array:
@@ -52,9 +55,30 @@ def move_keypoints(keypoints: ArrayLike, joint: Joint, thetas: ArrayLike) -> Arr
 
 
 def project_keypoints(camera: Camera, points_world: Array) -> tuple[Array, Array]:
-    """Project points (..., 3) to pixels (..., 2) and depths (...,), [m]; pixels behind the camera are not a number."""
+    """Project points (..., 3) to pixels (..., 2) and depths (...,), [m]; points behind the camera are at (-1, -1)."""
     pixels, depths = camera.project(points_world)
-    return np.where(depths[..., None] > 0, pixels, np.nan), depths
+    return np.where(depths[..., None] > 0, pixels, -1.0), depths
+
+
+def judge_visible(
+    camera: Camera, points_world: Array, depth: NDArray[np.floating], labels: NDArray[np.uint8]
+) -> NDArray[np.bool_]:
+    """Judge which keypoints (5, 3) an image shows, by its depth (H, W), [m], and its part labels (H, W).
+
+    A point is visible if one of the pixels around it shows the object at about the point's depth: the points of the
+    handle on the moving part, those of the axis on either part.
+    """
+    pixels, depths = project_keypoints(camera, points_world)
+    visible = np.zeros(len(points_world), bool)
+    for k, ((u, v), distance) in enumerate(zip(pixels, depths, strict=True)):
+        if not (0 <= u < camera.width and 0 <= v < camera.height):
+            continue
+        rows, columns = (slice(max(int(x) - 1, 0), int(x) + 2) for x in (v, u))
+        near = np.abs(depth[rows, columns] - distance) < (NEAR_M if k < MOVING_POINTS else NEAR_AXIS_M)
+        shown = labels[rows, columns]
+        of_object = (shown == MOVING) | ((shown == STATIC) & (k >= MOVING_POINTS))
+        visible[k] = (near & of_object).any()
+    return visible
 
 
 def _order_ends(ends: Array, keys: Sequence[Array]) -> Array:
