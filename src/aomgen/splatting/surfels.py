@@ -92,15 +92,17 @@ class _Candidates:
         return _Candidates(*(getattr(self, name)[which] for name in _Candidates.__slots__))
 
 
-def surfels_of(meshes: Sequence[Mesh], count: int, rng: np.random.Generator) -> Surfels:
+def surfels_of(
+    meshes: Sequence[Mesh], count: int, rng: np.random.Generator, oversampling: float = OVERSAMPLING
+) -> Surfels:
     """Cover the meshes of one rigid link with discs, each of which sees the whole sky: `count` within about a third.
 
-    Not checked: normals are those of the triangles, outward only where the meshes are wound so.
+    `oversampling` is the number of candidates for each disc. Not checked: normals are those of the triangles, outward only where the meshes are wound so.
 
     Raises:
         AssetError: The meshes have no surface.
     """
-    kept, radii = _place_discs(meshes, count, rng)
+    kept, radii = _place_discs(meshes, count, rng, oversampling)
     return _discs(kept, radii)
 
 
@@ -120,7 +122,9 @@ def hiding_points(meshes: Sequence[Mesh], count: int, rng: np.random.Generator) 
     return found if len(found) else np.concatenate(passing)
 
 
-def _place_discs(meshes: Sequence[Mesh], count: int, rng: np.random.Generator) -> tuple[_Candidates, Array]:
+def _place_discs(
+    meshes: Sequence[Mesh], count: int, rng: np.random.Generator, oversampling: float
+) -> tuple[_Candidates, Array]:
     """Places of discs and their radii."""
     areas = np.array([face_normals_areas(mesh.vertices, mesh.faces)[1].sum() for mesh in meshes])
     total = float(areas.sum())
@@ -128,7 +132,7 @@ def _place_discs(meshes: Sequence[Mesh], count: int, rng: np.random.Generator) -
         raise AssetError("mesh", "has no surface to cover", "check the asset's meshes")
     guess = float(np.sqrt(DISC_DENSITY * total / count))
     parts = [
-        _candidates(mesh, max(int(OVERSAMPLING * count * area / total), 64), guess, rng)
+        _candidates(mesh, max(int(oversampling * count * area / total), 64), guess, rng)
         for mesh, area in zip(meshes, areas, strict=True)
         if area > 0
     ]
