@@ -24,7 +24,7 @@ def call(tmp_path: Path, program: str, *words: str) -> None:
     assert done.returncode == 0, done.stdout[-2000:] + done.stderr[-4000:]
 
 
-@pytest.mark.parametrize("part", ["small_act", "finder"])
+@pytest.mark.parametrize("part", ["small_act", "finder", "handle_act"])
 def test_a_part_of_the_plugin_keeps_its_laws(part: str) -> None:
     if not (BIN / "python").is_file():
         pytest.skip("needs .venv-policy: make policy-env")

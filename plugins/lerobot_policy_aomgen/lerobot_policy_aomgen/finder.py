@@ -6,6 +6,7 @@ same network takes both looks, for all cameras.
 """
 
 import json
+import math
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Final
@@ -16,18 +17,22 @@ from safetensors.torch import save
 from torch import Tensor, nn
 from torch.nn import functional as F
 
+from aomgen.core.keypoints import KEYPOINTS
 from aomgen.errors import MalformedFileError, MissingFileError
 from aomgen.io.atomic import write_bytes
 from lerobot_policy_aomgen.lite0 import CHANNELS, MEAN, SPREAD, Lite0
 
-# The located points: where fingers grasp, the ends of the handle's bar, and the ends of the joint's axis in the part.
-KEYPOINTS: Final = ("grasp", "handle_0", "handle_1", "axis_0", "axis_1")
-# Points that share a crop of the second look, which is centered between them.
+# Keypoints that share a crop of the second look, which is centered between them.
 GROUPS: Final = ((0, 1, 2), (3, 4))
 # Side of the network's input, [px].
 SIDE: Final = 96
 # Channels of the feature pyramid.
 PYRAMID: Final = 64
+# Variance of a uniform heat map, in squares of its side: it knows nothing of the point.
+UNIFORM: Final = 1 / 12
+# Least share of certainty, so that no spread is infinite; the spread of a uniform heat map in units of its side follows.
+LEAST: Final = 1e-2
+UNSEEN: Final = math.sqrt(UNIFORM / LEAST)
 METADATA: Final = "aomgen_finder"
 
 
@@ -60,21 +65,6 @@ class FinderErrors:
     offsets: Tensor
     spreads: Tensor
 
-    def select(self, camera: str) -> tuple[Tensor, Tensor]:
-        """Offsets (M, P, 2) and spreads (M, P) in the images of one camera that contain all points.
-
-        Raises:
-            ValueError: There are none.
-        """
-        chosen = torch.tensor([name == camera for name in self.cameras], dtype=torch.bool)
-        chosen &= self.offsets.isfinite().all(-1).all(-1)
-        if not chosen.any():
-            known = ", ".join(sorted(set(self.cameras)))
-            raise ValueError(
-                f"the finder was not measured on images of the camera {camera!r} (known: {known})"
-            )
-        return self.offsets[chosen], self.spreads[chosen]
-
 
 class Finder(nn.Module):
     """Images (B, 3, 96, 96), normalized, to logits of heat maps (B, P, 24, 24), one for each point."""
@@ -104,8 +94,8 @@ class Finder(nn.Module):
         """Locate the points in images (B, 3, H, W) with values 0..1.
 
         Returns:
-            Points (B, P, 2) and the spreads (B, P) of their heat maps, [px]. A large spread means that the point is not
-            seen. The second look counts where its spread is smaller.
+            Points (B, P, 2) and their spreads (B, P), see `read_heat_maps`, [px]. The second look counts where its spread
+            is smaller.
         """
         count, _, height, width = images.shape
         size = torch.tensor([width, height], dtype=torch.float32, device=images.device)
@@ -152,15 +142,21 @@ def crop_images(levels: Tensor, centers: Tensor, spans: Tensor) -> Tensor:
 
 
 def read_heat_maps(logits: Tensor) -> tuple[Tensor, Tensor]:
-    """Mean and standard deviation of heat maps (B, P, h, w): points (B, P, 2) and spreads (B, P), in units of the map's side."""
+    """Read points from heat maps (B, P, h, w), in units of their side.
+
+    Returns:
+        Means (B, P, 2) and spreads (B, P): standard deviations that belong to the information which a heat map has more
+        than a uniform one. A point that is not seen has a spread of many sides.
+    """
     height, width = logits.shape[-2:]
     shares = logits.flatten(2).softmax(-1).view_as(logits)
     x = (torch.arange(width, device=logits.device) + 0.5) / width
     y = (torch.arange(height, device=logits.device) + 0.5) / height
     columns, rows = shares.sum(-2), shares.sum(-1)
     points = torch.stack([columns @ x, rows @ y], -1)
-    variances = torch.stack([columns @ x**2, rows @ y**2], -1) - points**2
-    return points, variances.clamp_min(0).mean(-1).sqrt()
+    variances = (torch.stack([columns @ x**2, rows @ y**2], -1) - points**2).mean(-1)
+    certainties = (1 - variances / UNIFORM).clamp_min(LEAST)
+    return points, (variances.clamp_min(0) / certainties).sqrt()
 
 
 def save_finder(path: Path, finder: Finder, errors: FinderErrors) -> None:

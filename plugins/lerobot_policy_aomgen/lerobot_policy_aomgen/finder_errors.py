@@ -11,10 +11,11 @@ from typing import Any
 import numpy as np
 import torch
 
+from aomgen.core.keypoints import KEYPOINTS
 from aomgen.core.values import Array
 from aomgen.errors import AomgenError
 from aomgen.io.atomic import write_json
-from lerobot_policy_aomgen.finder import KEYPOINTS, Finder, FinderErrors, load_finder
+from lerobot_policy_aomgen.finder import Finder, FinderErrors, load_finder
 from lerobot_policy_aomgen.finder_images import LabeledImages, read_images
 
 # Fingers forgive this error at the handle, [mm].

@@ -12,11 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
+from aomgen.core.keypoints import KEYPOINTS
 from aomgen.core.transforms import apply, invert
 from aomgen.core.values import Array
 from aomgen.errors import MalformedFileError
 from aomgen.io.artifact import read_json
-from lerobot_policy_aomgen.finder import KEYPOINTS
 
 DATASET: Final = "dataset.json"
 # Limits on a member of a shard before it is read, [bytes].

@@ -13,10 +13,12 @@ class Views(NamedTuple):
     """Calibrated cameras of a batch.
 
     Attributes:
+        size: Width and height of all images, [px].
         K: Intrinsic matrices (C, 3, 3), [px].
         T_world_cam: Poses (B, C, 4, 4).
     """
 
+    size: tuple[int, int]
     K: Tensor
     T_world_cam: Tensor
 
@@ -35,8 +37,8 @@ def lift_points(views: Views, pixels: Tensor, spreads: Tensor) -> tuple[Tensor, 
     Args:
         views: Two or more cameras at different positions.
         pixels: Found pixels (B, C, P, 2).
-        spreads: Standard deviations of the found pixels (B, C, P), [px]; a ray counts with the inverse square of what they are
-            at the point's distance.
+        spreads: Standard deviations of the found pixels (B, C, P), [px]. A ray counts with the inverse square of
+            what they are at the point's distance.
 
     Returns:
         Points in the world frame (B, P, 3), [m], and their standard deviations (B, P), [m], which follow from the spreads.
