@@ -15,8 +15,15 @@ from typing import Any, Final
 
 import numpy as np
 
-from aomgen.assets.choice import asset_file, is_made, list_styles, make_asset, open_asset, require_usable
-from aomgen.assets.choice import suggest_category
+from aomgen.assets.choice import (
+    asset_file,
+    is_made,
+    list_styles,
+    make_asset,
+    open_asset,
+    require_usable,
+    suggest_category,
+)
 from aomgen.conventions import PART_LABELS
 from aomgen.core.asset import ArticulatedAsset
 from aomgen.core.keypoints import KEYPOINTS
@@ -117,7 +124,9 @@ def _style_of(category: str, seed: int) -> str:
     return styles[(seed - 1) % len(styles)]
 
 
-def export_images(results: Results, folder: Path, request: ImageRequest, progress: Progress) -> list[dict[str, Any]]:
+def export_images(
+    results: Results, folder: Path, request: ImageRequest, progress: Progress
+) -> list[dict[str, Any]]:
     """Render labelled images into a folder; an interrupted export continues.
 
     Args:
