@@ -96,7 +96,8 @@ def select_episodes(episode_folders: Sequence[Path], dataset: Path, choices: Cho
     episodes = [read_episode(path) for path in episode_folders]
     for item in episodes:
         _check_alike(item, episodes[0])
-    if choices.size is not None:
+    # Without images, keypoints are in pixels of the rendered ones.
+    if choices.size is not None and choices.media != "none":
         episodes = [_resize_cameras(item, choices.size) for item in episodes]
     chosen = spread(len(episodes), choices.val)
     return Selection(

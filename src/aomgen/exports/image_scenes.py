@@ -252,7 +252,9 @@ class SceneMaker:
         radii = np.array([radius for *_, radius in self._spheres])
         asset, local = fitted.asset, apply(np.linalg.inv(T), centers)
         away = asset.static.distances(local)
-        away = np.minimum(away, asset.moving.distances(apply(np.linalg.inv(asset.joint.motion(theta)), local)))
+        away = np.minimum(
+            away, asset.moving.distances(apply(np.linalg.inv(asset.joint.motion(theta)), local))
+        )
         height = centers[:, 2] - self._results.episode_scene.support.height
         carried = np.array([body for body, *_ in self._spheres]) > 2
         return bool((away > radii).all() and (height > radii)[carried].all())

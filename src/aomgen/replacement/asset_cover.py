@@ -16,7 +16,7 @@ from aomgen.splatting.surfels import Surfels, hiding_points, surfels_of
 POINTS: Final = 100_000
 # Discs on each link of an asset that is not fitted to images, about one for a pixel of an image that is 256 pixels wide;
 # candidates for each of them; and discs to which light is traced.
-DISCS, OVERSAMPLING, COARSE = 14_000, 2.0, 2500
+DISCS, OVERSAMPLING, COARSE = 14_000, 2.0, 1800
 # A difference of direction between two discs counts as this distance, [m].
 ALIKE_M: Final = 0.2
 
@@ -36,7 +36,7 @@ def cover_links(
 
 
 def cover_asset(asset: ArticulatedAsset, rng: np.random.Generator) -> tuple[tuple[Surfels, Surfels], ...]:
-    """Cover an asset's static and moving link finely, and coarsely, with discs that know which light reaches them.
+    """Cover an asset's static and moving link finely, with discs that know which light reaches them, and coarsely.
 
     Light is traced to the coarse discs, and the fine ones take it from their neighbors.
 
@@ -51,19 +51,17 @@ def cover_asset(asset: ArticulatedAsset, rng: np.random.Generator) -> tuple[tupl
         _turn_like(surfels_of(items, DISCS, rng, OVERSAMPLING), before, after)
         for items, before, after in zip(meshes, drawn, coarse, strict=True)
     ]
-    result = []
-    for covers in (fine, coarse):
-        means, normals = (
-            np.concatenate(parts)
-            for parts in zip(*((cover.gaussians.means, cover.normals) for cover in covers), strict=True)
-        )
-        count = len(covers[0].gaussians)
-        links = np.repeat([0, 1], [count, len(means) - count])
-        transfer = estimate_link_transfer(asset, coarse, solids, means, normals, links)
-        result.append(
-            (replace(covers[0], transfer=transfer[:count]), replace(covers[1], transfer=transfer[count:]))
-        )
-    return tuple(result)
+    means, normals = (
+        np.concatenate(parts)
+        for parts in zip(*((cover.gaussians.means, cover.normals) for cover in fine), strict=True)
+    )
+    count = len(fine[0].gaussians)
+    links = np.repeat([0, 1], [count, len(means) - count])
+    transfers = np.split(estimate_link_transfer(asset, coarse, solids, means, normals, links), [count])
+    static, moving = (
+        replace(cover, transfer=transfer) for cover, transfer in zip(fine, transfers, strict=True)
+    )
+    return (static, moving), (coarse[0], coarse[1])
 
 
 def _turn_like(cover: Surfels, before: Surfels, after: Surfels) -> Surfels:
