@@ -20,13 +20,14 @@ from lerobot_policy_aomgen.finder import (
     save_finder,
 )
 from lerobot_policy_aomgen.finder_errors import lateral_mm, make_table, measure_errors
-from lerobot_policy_aomgen.finder_images import DATASET, read_images
+from lerobot_policy_aomgen.finder_images import read_images
 from lerobot_policy_aomgen.finder_training import compute_loss, draw_batch, train_finder
 from lerobot_policy_aomgen.lifting import Views, lift_points, project_points
 from PIL import Image
 
 from aomgen.core.keypoints import KEYPOINTS
 from aomgen.errors import MalformedFileError
+from aomgen.exports.image_dataset import DATASET_FILE
 
 SIZE, FOCAL_PX, DEPTH_M = 128, 160.0, 1.4
 
@@ -40,7 +41,7 @@ def write_images(folder: Path, count: int) -> None:
     """Bright bars on noise, with the ends of another bar beside them."""
     rng, K = np.random.default_rng(0), [[FOCAL_PX, 0, SIZE / 2], [0, FOCAL_PX, SIZE / 2], [0, 0, 1]]
     folder.mkdir()
-    (folder / DATASET).write_text(json.dumps({"keypoints": KEYPOINTS}))
+    (folder / DATASET_FILE).write_text(json.dumps({"keypoints": KEYPOINTS}))
     with tarfile.open(folder / "shard-000000.tar", "w") as tar:
         for number in range(count):
             image = rng.integers(0, 60, (SIZE, SIZE, 3)).astype(np.uint8)

@@ -1,4 +1,4 @@
-"""`python -m lerobot_policy_aomgen.finder_errors FINDER IMAGES`: lateral errors of a finder on labeled images.
+"""`python -m lerobot_policy_aomgen.finder_errors FINDER IMAGES`: lateral errors of a finder on labelled images.
 
 The lateral error is the distance between the true point and the ray of the found one, at the point's depth.
 """
@@ -16,14 +16,14 @@ from aomgen.core.values import Array
 from aomgen.errors import AomgenError
 from aomgen.io.atomic import write_json
 from lerobot_policy_aomgen.finder import Finder, FinderErrors, load_finder
-from lerobot_policy_aomgen.finder_images import LabeledImages, read_images
+from lerobot_policy_aomgen.finder_images import LabelledImages, read_images
 
 # Fingers forgive this error at the handle, [mm].
 TOLERATED_MM = 10.0
 BATCH = 32
 
 
-def measure_errors(finder: Finder, images: LabeledImages) -> FinderErrors:
+def measure_errors(finder: Finder, images: LabelledImages) -> FinderErrors:
     """Run a finder on all images; points outside an image have no error."""
     offsets, spreads = [], []
     for first in range(0, len(images), BATCH):
@@ -41,7 +41,7 @@ def measure_errors(finder: Finder, images: LabeledImages) -> FinderErrors:
     )
 
 
-def lateral_mm(errors: FinderErrors, images: LabeledImages) -> Array:
+def lateral_mm(errors: FinderErrors, images: LabelledImages) -> Array:
     """Lateral errors (N, P) at the points' depths, [mm]; NaN outside the image."""
     return 1000 * images.depths * np.linalg.norm(errors.offsets.numpy(), axis=-1)
 
@@ -61,7 +61,7 @@ def summarize(errors_mm: Array) -> dict[str, float]:
     }
 
 
-def make_table(errors: FinderErrors, images: LabeledImages) -> dict[str, dict[str, Any]]:
+def make_table(errors: FinderErrors, images: LabelledImages) -> dict[str, dict[str, Any]]:
     """Errors of every point: of all cameras where it lies in the image, and of the grasp by camera and where it is visible."""
     found_mm = lateral_mm(errors, images)
     table: dict[str, dict[str, Any]] = {
@@ -88,7 +88,7 @@ def main(arguments: list[str] | None = None) -> int:
     """Print the errors of a finder; returns the exit code."""
     parser = argparse.ArgumentParser(
         prog="python -m lerobot_policy_aomgen.finder_errors",
-        description="Print lateral errors of a finder on labeled images.",
+        description="Print lateral errors of a finder on labelled images.",
     )
     parser.add_argument("finder", type=Path, help="finder.safetensors")
     parser.add_argument("images", type=Path, help="folder of `aomgen export --format images`")

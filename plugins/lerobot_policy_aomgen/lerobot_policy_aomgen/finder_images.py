@@ -1,4 +1,4 @@
-"""Labeled images of `aomgen export --format images`, in memory as JPEG."""
+"""Labelled images of `aomgen export --format images`, in memory as JPEG."""
 
 import io
 import json
@@ -16,18 +16,16 @@ from aomgen.core.keypoints import KEYPOINTS
 from aomgen.core.transforms import apply, invert
 from aomgen.core.values import Array
 from aomgen.errors import MalformedFileError
+from aomgen.exports.image_dataset import DATASET_FILE, read_shard
 from aomgen.io.artifact import read_json
 
-DATASET: Final = "dataset.json"
-# Limits on a member of a shard before it is read, [bytes].
-MAX_BYTES: Final = 16 << 20
 # Points nearer to the camera's plane than this are not in the image, [m].
 NEAR_M: Final = 0.02
 REMEDY: Final = "export it again with `aomgen export --format images`"
 
 
 @dataclass(frozen=True, kw_only=True)
-class LabeledImages:
+class LabelledImages:
     """Images of one size with their projected points.
 
     Attributes:
@@ -62,25 +60,28 @@ class LabeledImages:
         return np.stack([np.asarray(Image.open(io.BytesIO(self.jpegs[row])).convert("RGB")) for row in rows])
 
 
-def read_images(folder: Path, limit: int | None = None) -> LabeledImages:
-    """Read a dataset of labeled images, its first `limit` ones.
+def read_images(folder: Path, limit: int | None = None) -> LabelledImages:
+    """Read a dataset of labelled images, its first `limit` ones.
 
     Raises:
         MissingFileError: There is no dataset.
         MalformedFileError: A shard is damaged, or the labels are other points.
     """
-    described = read_json(folder / DATASET)
+    described = read_json(folder / DATASET_FILE)
     if tuple(described.get("keypoints", ())) != KEYPOINTS:
         raise MalformedFileError(
-            folder / DATASET, f"labels {described.get('keypoints')}, want {KEYPOINTS}", REMEDY
+            folder / DATASET_FILE, f"labels {described.get('keypoints')}, want {KEYPOINTS}", REMEDY
         )
     jpegs, labels = list[bytes](), list[dict[str, Any]]()
     for shard in sorted(folder.glob("shard-*.tar")):
         if limit is not None and len(jpegs) >= limit:
             break
-        for jpeg, label in _read_shard(shard):
-            jpegs.append(jpeg)
-            labels.append(label)
+        try:
+            for _, files in read_shard(shard):
+                jpegs.append(files["jpg"])
+                labels.append(json.loads(files["json"]))
+        except (tarfile.TarError, KeyError, ValueError) as error:
+            raise MalformedFileError(shard, f"is no shard of labelled images ({error})", REMEDY) from error
     if not jpegs:
         raise MalformedFileError(folder, "holds no images", REMEDY)
     jpegs, labels = jpegs[:limit], labels[:limit]
@@ -94,7 +95,7 @@ def read_images(folder: Path, limit: int | None = None) -> LabeledImages:
     projected[depths < NEAR_M] = np.nan
     with Image.open(io.BytesIO(jpegs[0])) as first:
         size = first.size
-    return LabeledImages(
+    return LabelledImages(
         jpegs=tuple(jpegs),
         cameras=tuple(label["camera"] for label in labels),
         assets=tuple(label["asset"] for label in labels),
@@ -104,18 +105,3 @@ def read_images(folder: Path, limit: int | None = None) -> LabeledImages:
         visible=np.array([label["visible"] for label in labels], bool),
         size=size,
     )
-
-
-def _read_shard(path: Path) -> list[tuple[bytes, dict[str, Any]]]:
-    """Image and label of every sample of a WebDataset shard."""
-    parts: dict[str, dict[str, bytes]] = {}
-    try:
-        with tarfile.open(path) as tar:
-            for member in tar:
-                key, _, kind = member.name.partition(".")
-                if kind in ("jpg", "json") and member.isfile() and member.size <= MAX_BYTES:
-                    file = tar.extractfile(member)
-                    parts.setdefault(key, {})[kind] = file.read() if file else b""
-        return [(part["jpg"], json.loads(part["json"])) for part in parts.values()]
-    except (tarfile.TarError, KeyError, ValueError) as error:
-        raise MalformedFileError(path, f"is no shard of labeled images ({error})", REMEDY) from error

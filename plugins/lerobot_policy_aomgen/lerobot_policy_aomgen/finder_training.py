@@ -1,4 +1,4 @@
-"""Training of a finder: crops of labeled images, their loss, and steps that a killed training continues."""
+"""Training of a finder: crops of labelled images, their loss, and steps that a killed training continues."""
 
 import io
 import math
@@ -14,7 +14,7 @@ from torch import Tensor
 from aomgen.errors import MalformedFileError
 from aomgen.io.atomic import write_bytes
 from lerobot_policy_aomgen.finder import GROUPS, Finder, FinderSettings, crop_images, read_heat_maps
-from lerobot_policy_aomgen.finder_images import LabeledImages
+from lerobot_policy_aomgen.finder_images import LabelledImages
 
 BATCH: Final = 32
 # Steps between checkpoints.
@@ -41,7 +41,7 @@ HEAT_WEIGHT, POINT_WEIGHT = 0.1, 1.0
 
 
 def train_finder(
-    images: LabeledImages,
+    images: LabelledImages,
     settings: FinderSettings,
     steps: int,
     seed: int,
@@ -51,7 +51,7 @@ def train_finder(
     """Train a finder; a killed training continues from its last checkpoint in `folder`.
 
     Args:
-        images: Labeled images.
+        images: Labelled images.
         settings: Parts of the finder.
         steps: Number of steps of 32 images.
         seed: Of weights and samples. The result depends on it, not on interruptions.
@@ -123,7 +123,7 @@ def _continue(path: Path, parts: dict[str, Any], identity: dict[str, Any]) -> in
 
 
 def draw_batch(
-    images: LabeledImages, settings: FinderSettings, rng: np.random.Generator
+    images: LabelledImages, settings: FinderSettings, rng: np.random.Generator
 ) -> tuple[Tensor, Tensor]:
     """Draw parts of random images, with changed colors.
 
@@ -148,7 +148,7 @@ def draw_batch(
 
 
 def _draw_whole(
-    images: LabeledImages, rows: np.ndarray, rng: np.random.Generator
+    images: LabelledImages, rows: np.ndarray, rng: np.random.Generator
 ) -> tuple[np.ndarray, np.ndarray]:
     """Centers and spans (B, 2) of nearly whole images, [px]."""
     size = np.array(images.size, float)
@@ -157,7 +157,7 @@ def _draw_whole(
 
 
 def _draw_crops(
-    images: LabeledImages, rows: np.ndarray, crop_px: int, rng: np.random.Generator
+    images: LabelledImages, rows: np.ndarray, crop_px: int, rng: np.random.Generator
 ) -> tuple[np.ndarray, np.ndarray]:
     """Centers and spans (B, 2) of crops around one group of points, or anywhere, [px]."""
     size, count = np.array(images.size, float), len(rows)

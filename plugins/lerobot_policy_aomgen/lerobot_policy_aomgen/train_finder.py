@@ -26,7 +26,7 @@ def main(arguments: list[str] | None = None) -> int:
     """Train a finder and print its errors; returns the exit code."""
     parser = argparse.ArgumentParser(
         prog="python -m lerobot_policy_aomgen.train_finder",
-        description="Train a finder on labeled images and print its errors on others.",
+        description="Train a finder on labelled images and print its errors on others.",
     )
     parser.add_argument("images", type=Path, help="folder of `aomgen export --format images`")
     parser.add_argument("out", type=Path, help="gets finder.safetensors")

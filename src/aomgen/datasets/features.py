@@ -34,8 +34,10 @@ ACTION_SPACES: Final[tuple[ActionSpace, ...]] = get_args(ActionSpace)
 _POSE = ("x", "y", "z", "qw", "qx", "qy", "qz")
 _DELTA = ("dx", "dy", "dz", "drx", "dry", "drz")
 _IMAGE_POINT = ("u", "v", "visible")
-# Pose of the object, and the name under which LeRobot's policies without images observe it.
-OBJECT_POSE, TOLD = "annotation.object_pose", "observation.environment_state"
+OBJECT_POSE, WORLD_POINTS = "annotation.object_pose", "annotation.keypoints"
+# Feature that LeRobot's policies observe instead of images, by the option --media, and its name as an observation.
+TOLD_FEATURES: Final = {"none": OBJECT_POSE, "keypoints": WORLD_POINTS}
+TOLD: Final = "observation.environment_state"
 # Quantiles that LeRobot v3.0 stores for each feature.
 QUANTILES: Final = {"q01": 0.01, "q10": 0.1, "q50": 0.5, "q90": 0.9, "q99": 0.99}
 # Quality of videos that are encoded again: finer than when rendered, since small images have more detail a pixel.
@@ -58,7 +60,7 @@ def feature_names(episode: Episode, actions: ActionSpace = "joint") -> dict[str,
         OBJECT_POSE: _POSE,
         "annotation.object_joint": ("theta",),
         "annotation.finger_force": ("left", "right"),
-        "annotation.keypoints": tuple(f"{point}_{axis}" for point in KEYPOINTS for axis in "xyz"),
+        WORLD_POINTS: tuple(f"{point}_{axis}" for point in KEYPOINTS for axis in "xyz"),
         **{
             image_points_feature(name): tuple(
                 f"{point}_{part}" for point in KEYPOINTS for part in _IMAGE_POINT
@@ -93,7 +95,7 @@ def feature_columns(episode: Episode, actions: ActionSpace = "joint") -> dict[st
         OBJECT_POSE: np.tile(pose_vectors(episode.T_world_object[None]), (len(episode), 1)),
         "annotation.object_joint": episode.thetas[:, None],
         "annotation.finger_force": _finger_forces(episode),
-        "annotation.keypoints": points.reshape(len(episode), -1),
+        WORLD_POINTS: points.reshape(len(episode), -1),
         **{
             image_points_feature(name): _image_points(episode, name, points)
             for name in sorted(episode.cameras)
