@@ -170,7 +170,7 @@ with tempfile.TemporaryDirectory() as scratch:
     check((certain <= spreads).all(), "a second look counts where it is more certain")
     check(((first > 0) & (first < SIZE)).all(), "points of the first look lie in the image")
     table = make_table(errors, images)
-    check(table["grasp"]["images"] == 24 and table["axis_1"]["images"] == 23, "the table counts known points")
+    check(table["grasp"]["number"] == 24 and table["axis_1"]["number"] == 23, "the table counts known points")
 
     save_finder(folder / "finder.safetensors", again, errors)
     loaded, kept = load_finder(folder / "finder.safetensors")

@@ -11,15 +11,14 @@ from typing import Any
 import numpy as np
 import torch
 
-from aomgen.core.keypoints import KEYPOINTS
 from aomgen.core.values import Array
 from aomgen.errors import AomgenError
+from aomgen.evaluation.finder_errors import format_errors, summarize_errors, summarize_points
 from aomgen.io.atomic import write_json
 from lerobot_policy_aomgen.finder import Finder, FinderErrors, load_finder
 from lerobot_policy_aomgen.finder_images import LabelledImages, read_images
 
-# Fingers forgive this error at the handle, [mm].
-TOLERATED_MM = 10.0
+# Number of images that the network receives at once.
 BATCH = 32
 
 
@@ -46,42 +45,18 @@ def lateral_mm(errors: FinderErrors, images: LabelledImages) -> Array:
     return 1000 * images.depths * np.linalg.norm(errors.offsets.numpy(), axis=-1)
 
 
-def summarize(errors_mm: Array) -> dict[str, float]:
-    """Median, 90th percentile and share of tolerated errors, of those that are numbers."""
-    known = errors_mm[np.isfinite(errors_mm)]
-    if not len(known):
-        return {"images": 0}
-    median, high = np.percentile(known, (50, 90))
-    within = float(np.mean(known <= TOLERATED_MM))
-    return {
-        "images": len(known),
-        "median_mm": float(median),
-        "p90_mm": float(high),
-        "within_10_mm": within,
-    }
-
-
 def make_table(errors: FinderErrors, images: LabelledImages) -> dict[str, dict[str, Any]]:
     """Errors of every point: of all cameras where it lies in the image, and of the grasp by camera and where it is visible."""
     found_mm = lateral_mm(errors, images)
-    table: dict[str, dict[str, Any]] = {
-        name: summarize(found_mm[:, number]) for number, name in enumerate(KEYPOINTS)
-    }
     grasp, names = found_mm[:, 0], np.array(images.cameras)
-    for name in sorted(set(images.cameras)):
-        table[f"grasp, camera {name}"] = summarize(grasp[names == name])
-    table["grasp, visible"] = summarize(grasp[images.visible[:, 0]])
-    return table
-
-
-def format_table(table: dict[str, dict[str, Any]]) -> str:
-    """The table as text, one row for each point."""
-    lines = [f"{'lateral error':24}{'images':>8}{'median':>12}{'90 %':>12}{'within 10 mm':>15}"]
-    for name, row in table.items():
-        if row["images"]:
-            values = f"{row['median_mm']:9.1f} mm{row['p90_mm']:9.1f} mm{row['within_10_mm']:15.2f}"
-            lines.append(f"{name:24}{row['images']:8d}{values}")
-    return "\n".join(lines) + "\n"
+    return {
+        **summarize_points(found_mm),
+        **{
+            f"grasp, camera {name}": summarize_errors(grasp[names == name])
+            for name in sorted(set(images.cameras))
+        },
+        "grasp, visible": summarize_errors(grasp[images.visible[:, 0]]),
+    }
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -99,7 +74,7 @@ def main(arguments: list[str] | None = None) -> int:
         finder, _ = load_finder(given.finder)
         images = read_images(given.images, given.limit)
         table = make_table(measure_errors(finder, images), images)
-        sys.stdout.write(format_table(table))
+        sys.stdout.write(format_errors(table, "lateral error") + "\n")
         if given.json:
             write_json(given.json, table)
     except AomgenError as error:

@@ -13,8 +13,9 @@ from pathlib import Path
 import torch
 
 from aomgen.errors import AomgenError
+from aomgen.evaluation.finder_errors import format_errors
 from lerobot_policy_aomgen.finder import FinderSettings, save_finder
-from lerobot_policy_aomgen.finder_errors import format_table, make_table, measure_errors
+from lerobot_policy_aomgen.finder_errors import make_table, measure_errors
 from lerobot_policy_aomgen.finder_images import read_images
 from lerobot_policy_aomgen.finder_training import train_finder
 
@@ -61,7 +62,7 @@ def main(arguments: list[str] | None = None) -> int:
     except AomgenError as error:
         sys.stderr.write(f"error: {error}\n")
         return error.exit_code
-    sys.stdout.write(format_table(make_table(errors, others)))
+    sys.stdout.write(format_errors(make_table(errors, others), "lateral error") + "\n")
     return 0
 
 
