@@ -35,7 +35,10 @@ def export(
         typer.Option(help="Space of the actions: joint, ee_absolute or ee_delta; rlds has ee_delta without."),
     ] = "",
     media: Annotated[
-        str, typer.Option(help="LeRobot's images: video, image (PNG), or none: the object's pose instead.")
+        str,
+        typer.Option(
+            help="LeRobot's images: video, image (PNG), or none or keypoints: the object's pose or keypoints instead."
+        ),
     ] = "",
     size: Annotated[
         str,
