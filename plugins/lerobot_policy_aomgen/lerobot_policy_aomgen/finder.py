@@ -22,7 +22,7 @@ from aomgen.errors import MalformedFileError, MissingFileError
 from aomgen.io.atomic import write_bytes
 from lerobot_policy_aomgen.lite0 import CHANNELS, MEAN, SPREAD, Lite0
 
-# Keypoints that share a crop of the second look, which is centered between them.
+# Keypoints that share a crop of the second look, which is centered between those that the first look saw.
 GROUPS: Final = ((0, 1, 2), (3, 4))
 # Side of the network's input, [px].
 SIDE: Final = 96
@@ -103,11 +103,11 @@ class Finder(nn.Module):
         points, spreads = self._look(levels, (size / 2).expand(count, 2), size.expand(count, 2))
         if not self.settings.second_look:
             return points, spreads
-        points, spreads = points.clone(), spreads.clone()
         span = torch.full_like(size, self.settings.crop_px).expand(count, 2)
-        first = points.clone()
         for group in map(list, GROUPS):
-            found, certain = self._look(levels, first[:, group].mean(1), span)
+            weights = spreads[:, group, None] ** -2
+            centers = (weights * points[:, group]).sum(1) / weights.sum(1)
+            found, certain = self._look(levels, centers, span)
             better = certain[:, group] < spreads[:, group]
             points[:, group] = torch.where(better[..., None], found[:, group], points[:, group])
             spreads[:, group] = torch.where(better, certain[:, group], spreads[:, group])

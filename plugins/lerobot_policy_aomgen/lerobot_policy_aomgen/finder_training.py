@@ -159,19 +159,20 @@ def _draw_whole(
 def _draw_crops(
     images: LabelledImages, rows: np.ndarray, crop_px: int, rng: np.random.Generator
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Centers and spans (B, 2) of crops around one group of points, or anywhere, [px]."""
+    """Centers and spans (B, 2) of crops around the points of one group that lie in the image, or anywhere, [px]."""
     size, count = np.array(images.size, float), len(rows)
-    chosen = np.where(rng.random(count) < HANDLE_SHARE, 0, 1)
-    around = np.stack(
-        [images.points_px[row][list(GROUPS[group])].mean(0) for row, group in zip(rows, chosen, strict=True)]
-    )
+    members = np.zeros((len(GROUPS), images.points_px.shape[1]))
+    for number, group in enumerate(GROUPS):
+        members[number, list(group)] = 1
+    seen = members[np.where(rng.random(count) < HANDLE_SHARE, 0, 1)] * images.inside[rows]
+    known = seen.any(1)
+    points = np.nan_to_num(images.points_px[rows])
+    around = np.einsum("np,npi->ni", seen, points) / np.maximum(seen.sum(1), 1)[:, None]
     around += crop_px * rng.uniform(-CROP_SHIFT, CROP_SHIFT, (count, 2))
     anywhere = size * rng.random((count, 2))
-    free = (rng.random(count) < ANYWHERE_SHARE) | ~((around >= 0) & (around < size)).all(1)
+    free = (rng.random(count) < ANYWHERE_SHARE) | ~known
     centers = np.where(free[:, None], anywhere, around)
-    return centers, np.full((count, 2), float(crop_px)) * rng.uniform(
-        1 - CROP_ZOOM, 1 + CROP_ZOOM, (count, 1)
-    )
+    return centers, np.tile(crop_px * rng.uniform(1 - CROP_ZOOM, 1 + CROP_ZOOM, (count, 1)), 2)
 
 
 def compute_loss(finder: Finder, batch: Tensor, targets: Tensor) -> Tensor:
