@@ -1,6 +1,6 @@
 """Random scenes of labelled images: an object's pose, size and look, joint values, the robot's joints, and cameras."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Final
@@ -8,9 +8,10 @@ from typing import Final
 import numpy as np
 
 from aomgen.core.asset import ArticulatedAsset
-from aomgen.core.camera import Camera
+from aomgen.core.camera import Camera, CameraPath
+from aomgen.core.demonstration import SceneTrajectory
 from aomgen.core.joint import LIMIT_SHARE
-from aomgen.core.plan import FittedAsset, LightChange, OrbitChange, Variation
+from aomgen.core.plan import FittedAsset, LightChange, MaterialChange, OrbitChange, Variation
 from aomgen.core.transforms import apply, matrix_from_rotvec, transform
 from aomgen.core.values import Array
 from aomgen.episodes.factory import GenerationParams
@@ -22,7 +23,7 @@ from aomgen.episodes.variations import Ranges, draw_independently, scale_fit
 from aomgen.errors import ConfigError
 from aomgen.lighting.episode_shadows import find_body_spheres
 from aomgen.results import Results
-from aomgen.robots.robot import longest_reach
+from aomgen.robots.robot import RobotConfiguration, longest_reach
 
 # Half of the objects stand where episodes put them, the others anywhere on the table that the arm reaches.
 WIDE: Final = 0.5
@@ -48,29 +49,17 @@ BACK_M, ASIDE_M, TURNED_DEG = (0.0, 0.15), 0.015, 5.0
 NEAR_TRIES, RESIDUAL_MM, RESIDUAL_DEG = 12, 3.0, 2.0
 # Standard deviation of the arm's joints about those of the demonstration, [rad], and tries to keep it off the object.
 JOINTS_RAD, FREE_TRIES = 0.25, 20
-# States of a scene with the arm anywhere, and with the gripper near the handle: of these only as many for fixed cameras.
-FREE_STATES, NEAR_STATES = 2, 4
+# Bodies that no more than this number of joints move are the arm's foot, which may be below the table's level.
+FOOT_JOINTS: Final = 2
+# States of a scene; share of open grippers; chance that a grasp is not passed over for the next one, and that the gripper
+# has turned with the part.
+STATES, OPEN, USUAL, WITH_PART = 8, 0.6, 0.4, 0.5
 # Draws of a pose before an object is refused.
 MAX_DRAWS: Final = 2000
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class SceneState:
-    """One state of a scene: the arm's joints (J,), the gripper 0 open .. 1 closed, and the object's joint value."""
-
-    joints: Array
-    gripper: float
-    theta: float
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class SceneView:
-    """An image of a scene: name and pose of the camera, world frame, state, and intensity and color of the light."""
-
-    name: str
-    camera: Camera
-    state: SceneState
-    light: LightChange
+# Index of a body in the twin, center (3,) in its frame, and radius, [m].
+Spheres = Sequence[tuple[int, Array, float]]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -80,16 +69,16 @@ class ImageScene:
     Attributes:
         variation: Pose, size, light and material of the object.
         fitted: The object at its size.
-        T_world_object: Its pose (4, 4).
-        fixed_views: Images of fixed cameras, with equal optics.
-        carried_views: Images of the robot's cameras, with equal optics.
+        states: States of robot and object, one after the other, and the object's pose.
+        cameras: Fixed cameras, world frame, by name.
+        paths: Cameras of the robot in the states, by name.
     """
 
     variation: Variation
     fitted: FittedAsset
-    T_world_object: Array
-    fixed_views: tuple[SceneView, ...]
-    carried_views: tuple[SceneView, ...]
+    states: SceneTrajectory
+    cameras: Mapping[str, Camera]
+    paths: Mapping[str, CameraPath]
 
 
 class SceneMaker:
@@ -107,7 +96,11 @@ class SceneMaker:
         self._recorded_handle = apply(first.T_world_asset, first.contact_asset)
         self.cameras = {name: camera.resize(*size) for name, camera in scene.cameras.items()}
         usual = results.params("episodes", GenerationParams()).ranges
-        low, high = scene.support.low_xy, scene.support.high_xy
+        reach = longest_reach(self._robot)
+        low = np.maximum(scene.support.low_xy, reach.shoulder_world[:2] - reach.reach_m)
+        high = np.minimum(scene.support.high_xy, reach.shoulder_world[:2] + reach.reach_m)
+        # The known table as far as the arm reaches, corners (2,), world frame, [m].
+        self.table = low, high
         corners = ((low[0], low[1]), (high[0], low[1]), (high[0], high[1]), (low[0], high[1]))
         table = tuple((float(x), float(y)) for x, y in corners)
         self._ranges = (replace(usual, **LOOKS), replace(Ranges(polygon=table, yaw_deg=YAW_DEG), **LOOKS))
@@ -116,7 +109,7 @@ class SceneMaker:
                 ranges=ranges,
                 support=scene.support,
                 obstacles=scene.obstacles,
-                reach=longest_reach(self._robot),
+                reach=reach,
                 cameras=self.cameras,
             )
             for ranges in self._ranges
@@ -131,8 +124,17 @@ class SceneMaker:
         return DemonstratedMotion(self._results.demonstration)
 
     @cached_property
-    def _spheres(self) -> list[tuple[int, Array, float]]:
-        return find_body_spheres(self._robot)
+    def _spheres(self) -> Spheres:
+        """Spheres on the bodies that more than the first two joints move: the others stand on the table's level."""
+        zero = np.zeros(len(self._robot.joint_names))
+        moved_by = RobotConfiguration(robot=self._robot, joints=zero, gripper=0.0).segments()
+        return [item for item in find_body_spheres(self._robot) if moved_by[item[0] - 1] > FOOT_JOINTS]
+
+    @cached_property
+    def _arm_spheres(self) -> Spheres:
+        """Those of the arm without its gripper."""
+        hand = {self._robot.body_names.index(name) for name in self._robot.hand_bodies}
+        return [item for item in self._spheres if item[0] - 1 not in hand]
 
     def put_in_place(self, asset: ArticulatedAsset) -> FittedAsset:
         """Put an asset at true size where the recorded object stood, handle at the recorded handle as seen from above."""
@@ -168,68 +170,83 @@ class SceneMaker:
                 placed.asset.name, "has no room on the table within the arm's reach", "choose another asset"
             )
         if rng.random() < AS_MADE:
-            variation = replace(variation, material=type(variation.material)())
-        T = variation.place_at(fitted)
-        free = [self._draw_free(fitted, T, rng) for _ in range(FREE_STATES)]
-        near = [self._draw_near(fitted, T, rng) for _ in range(NEAR_STATES)]
-        fixed = [view for state in free + near[:FREE_STATES] for view in self._fixed_views(state, rng)]
-        carried = [view for state in near for view in self._carried_views(state, rng)]
+            variation = replace(variation, material=MaterialChange())
+        states = self._draw_states(fitted, variation.place_at(fitted), rng)
         return ImageScene(
             variation=variation,
             fitted=fitted,
-            T_world_object=T,
-            fixed_views=tuple(fixed),
-            carried_views=tuple(carried),
+            states=states,
+            cameras=dict(self._draw_cameras(rng)),
+            paths=dict(self._draw_paths(states, rng)),
         )
 
-    def _fixed_views(self, state: SceneState, rng: np.random.Generator) -> Iterator[SceneView]:
-        """Yield an image of each fixed camera, most of them moved a little."""
+    def draw_light(self, rng: np.random.Generator) -> LightChange:
+        """Draw the light of an image."""
+        return draw_independently(rng, 0, 0, self._ranges[0]).light
+
+    def _draw_cameras(self, rng: np.random.Generator) -> Iterator[tuple[str, Camera]]:
+        """Yield the fixed cameras, most of them moved a little."""
         for name, camera in self.cameras.items():
             turn, tilt = (float(np.radians(rng.uniform(*span))) for span in (TURN_DEG, TILT_DEG))
             change = OrbitChange(turn=turn, tilt=tilt, distance=float(rng.uniform(*DISTANCE)))
             keep = rng.random() < RECORDED
-            moved = camera if keep else orbit_camera(camera, self._recorded_handle, change)
-            yield SceneView(name=name, camera=moved, state=state, light=self._draw_light(rng))
+            yield name, camera if keep else orbit_camera(camera, self._recorded_handle, change)
 
-    def _carried_views(self, state: SceneState, rng: np.random.Generator) -> Iterator[SceneView]:
-        """Yield an image of each of the robot's cameras, displaced as mounts differ from robot to robot."""
-        for name, path in self._robot.camera_paths(state.joints[None], state.gripper).items():
-            turn = matrix_from_rotvec(np.radians(MOUNT_DEG) * rng.normal(size=3))
-            T = path.Ts_world_cam[0] @ transform(turn, MOUNT_M * rng.normal(size=3))
-            camera = path.camera.resize(*self._size).move(T)
-            yield SceneView(name=name, camera=camera, state=state, light=self._draw_light(rng))
+    def _draw_paths(
+        self, states: SceneTrajectory, rng: np.random.Generator
+    ) -> Iterator[tuple[str, CameraPath]]:
+        """Yield the robot's cameras, displaced as mounts differ from robot to robot."""
+        for name, path in self._robot.camera_paths(states.joints, states.gripper).items():
+            turns = matrix_from_rotvec(np.radians(MOUNT_DEG) * rng.normal(size=(len(states), 3)))
+            moves = transform(turns, MOUNT_M * rng.normal(size=(len(states), 3)))
+            camera = path.camera.resize(*self._size)
+            yield name, CameraPath(camera=camera, Ts_world_cam=path.Ts_world_cam @ moves)
 
-    def _draw_light(self, rng: np.random.Generator) -> LightChange:
-        return draw_independently(rng, 0, 0, self._ranges[0]).light
+    def _draw_states(self, fitted: FittedAsset, T: Array, rng: np.random.Generator) -> SceneTrajectory:
+        """Draw states: in the first half the arm is anywhere, in the other one the gripper is near the handle."""
+        thetas = [self._draw_theta(fitted, rng) for _ in range(STATES)]
+        joints = [
+            self._draw_near(fitted, theta, T, rng)
+            if k >= STATES // 2
+            else self._draw_free(fitted, theta, T, rng)
+            for k, theta in enumerate(thetas)
+        ]
+        closed = np.where(rng.random(STATES) < OPEN, 0.0, rng.uniform(0, 1, STATES))
+        return SceneTrajectory(
+            times_s=np.arange(STATES, dtype=np.float64),
+            joints=np.stack(joints),
+            gripper=closed,
+            thetas=np.array(thetas),
+            T_world_object=T,
+        )
 
     def _draw_theta(self, fitted: FittedAsset, rng: np.random.Generator) -> float:
         share = 0.0 if rng.random() < CLOSED else rng.uniform(0, LIMIT_SHARE)
         return float(share * fitted.asset.joint.upper)
 
-    def _draw_free(self, fitted: FittedAsset, T: Array, rng: np.random.Generator) -> SceneState:
-        """Draw a state with the arm near a random configuration of the demonstration, off the object."""
-        demo, theta = self._results.demonstration, self._draw_theta(fitted, rng)
+    def _draw_free(self, fitted: FittedAsset, theta: float, T: Array, rng: np.random.Generator) -> Array:
+        """Draw joints (J,) near a random configuration of the demonstration, off the object."""
+        demo = self._results.demonstration
         low, high = self._robot.joint_limits.T
         joints = demo.joints[rng.integers(len(demo))]
         for _ in range(FREE_TRIES):
             shown = demo.joints[rng.integers(len(demo))]
             joints = np.clip(shown + rng.normal(0, JOINTS_RAD, len(shown)), low, high)
-            if self._is_free(joints, fitted, theta, T):
+            if self._is_free(joints, fitted, theta, T, self._spheres):
                 break
-        return SceneState(joints=joints, gripper=self._draw_gripper(rng), theta=theta)
+        return joints
 
-    def _draw_near(self, fitted: FittedAsset, T: Array, rng: np.random.Generator) -> SceneState:
-        """Draw a state with the gripper near the handle; where the arm reaches none, the arm is anywhere."""
-        asset, theta = fitted.asset, self._draw_theta(fitted, rng)
+    def _draw_near(self, fitted: FittedAsset, theta: float, T: Array, rng: np.random.Generator) -> Array:
+        """Draw joints (J,) with the gripper near the handle; where the arm reaches none, the arm is anywhere."""
+        asset, Ts = fitted.asset, np.tile(np.eye(4), (NEAR_TRIES, 1, 1))
         R_front = self._motion.hand_at_closed(self._reference)
         choices = [R for _, R in orientations(R_front, asset.handle_axis, TILTS_DEG)]
-        Ts = np.tile(np.eye(4), (NEAR_TRIES, 1, 1))
         moved = asset.joint.motion(theta)
         for T_ee in Ts:
             # The first orientations are those that episodes prefer.
-            R = choices[min(int(rng.geometric(0.4)) - 1, len(choices) - 1)]
+            R = choices[min(int(rng.geometric(USUAL)) - 1, len(choices) - 1)]
             R = R @ matrix_from_rotvec(np.radians(TURNED_DEG) * rng.normal(size=3))
-            turned = moved[:3, :3] @ R if rng.random() < 0.5 else R
+            turned = moved[:3, :3] @ R if rng.random() < WITH_PART else R
             aside = ASIDE_M * rng.normal(size=2)
             point = apply(moved, asset.handle_point) + turned @ [*aside, -rng.uniform(*BACK_M)]
             T_ee[:] = T @ transform(turned, point)
@@ -237,24 +254,20 @@ class SceneMaker:
         start = demo.contact_frames[0]
         joints = walk(self._solver, demo.Ts_world_ee[start], Ts, demo.joints[start])
         mm, deg = path_residuals(self._solver, Ts, joints)
-        found = np.flatnonzero((mm < RESIDUAL_MM) & (deg < RESIDUAL_DEG))
-        if not len(found):
-            return self._draw_free(fitted, T, rng)
-        return SceneState(joints=joints[found[0]], gripper=self._draw_gripper(rng), theta=theta)
+        for k in np.flatnonzero((mm < RESIDUAL_MM) & (deg < RESIDUAL_DEG)):
+            if self._is_free(joints[k], fitted, theta, T, self._arm_spheres):
+                return joints[k]
+        return self._draw_free(fitted, theta, T, rng)
 
-    def _draw_gripper(self, rng: np.random.Generator) -> float:
-        return 0.0 if rng.random() < 0.6 else float(rng.uniform(0, 1))
-
-    def _is_free(self, joints: Array, fitted: FittedAsset, theta: float, T: Array) -> bool:
-        """Return whether the arm, as spheres, is off the object and the table."""
+    def _is_free(self, joints: Array, fitted: FittedAsset, theta: float, T: Array, spheres: Spheres) -> bool:
+        """Return whether spheres on the robot's bodies are off the object and above the table."""
         bodies = self._robot.link_poses(joints[None], 0.0)[0]
-        centers = np.stack([apply(bodies[body - 1], center) for body, center, _ in self._spheres])
-        radii = np.array([radius for *_, radius in self._spheres])
+        centers = np.stack([apply(bodies[body - 1], center) for body, center, _ in spheres])
+        radii = np.array([radius for *_, radius in spheres])
         asset, local = fitted.asset, apply(np.linalg.inv(T), centers)
         away = asset.static.distances(local)
         away = np.minimum(
             away, asset.moving.distances(apply(np.linalg.inv(asset.joint.motion(theta)), local))
         )
         height = centers[:, 2] - self._results.episode_scene.support.height
-        carried = np.array([body for body, *_ in self._spheres]) > 2
-        return bool((away > radii).all() and (height > radii)[carried].all())
+        return bool((away > radii).all() and (height > radii).all())
