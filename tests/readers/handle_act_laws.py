@@ -139,10 +139,12 @@ with tempfile.TemporaryDirectory() as scratch:
     cut = {**batch, "action_is_pad": (torch.arange(CHUNK) >= 5).expand(8, -1)}
     beyond = {**cut, "action": cut["action"] + 100 * cut["action_is_pad"][..., None]}
     losses = []
-    for part in (cut, beyond):
+    for part, coarse in ((cut, False), (beyond, False), (cut, True)):
         torch.manual_seed(1)
-        losses.append(policy(part)[0])
+        with torch.autocast("cpu", torch.bfloat16, enabled=coarse):
+            losses.append(policy(part)[0])
     check(torch.isclose(losses[0], losses[1]), "what lies beyond an episode's end does not count")
+    check(torch.equal(losses[0], losses[2]), "mixed precision changes nothing")
     optimizer = torch.optim.AdamW(policy.get_optim_params(), 2e-3)
     first = policy(demonstrate(256))[0].item()
     for _ in range(150):
