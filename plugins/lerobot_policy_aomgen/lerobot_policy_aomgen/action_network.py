@@ -22,7 +22,7 @@ GRIPPER_WEIGHT = 0.3
 class ActionNetwork(nn.Module):
     """Inputs (B, INPUT) to poses (B, N, POSE) in the end effector's frame.
 
-    A linear path beside the layers lets a pose follow a point one to one.
+    A linear path parallel to the layers lets a pose follow a point one to one.
     """
 
     def __init__(self, chunk_size: int, hidden_dim: int, n_layers: int) -> None:
@@ -45,7 +45,7 @@ def join_inputs(T_world_ee: Tensor, points: Tensor, sigmas: Tensor, first: Tenso
     Args:
         T_world_ee: Pose of the end effector (B, 4, 4).
         points, sigmas: Keypoints (B, P, 3) in the world frame and their standard deviations (B, P), [m].
-        first: Grasp point (B, 3) when the episode began: the distance from it tells how far the object is open.
+        first: Grasp point (B, 3) when the episode began: the distance from it indicates how far the object is open.
         gripper: Its state (B,), 0 open .. 1 closed.
     """
     relative = torch.cat([points, first[:, None]], 1) - T_world_ee[:, None, :3, 3]

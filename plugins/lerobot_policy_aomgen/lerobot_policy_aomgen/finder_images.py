@@ -52,7 +52,7 @@ class LabelledImages:
 
     @property
     def inside(self) -> NDArray[np.bool_]:
-        """Whether a point lies in the image (N, P), visible or not."""
+        """Return whether each point lies in its image (N, P), visible or not."""
         return ((self.points_px >= 0) & (self.points_px < self.size)).all(-1)
 
     def decode(self, rows: Sequence[int] | NDArray[np.int64]) -> NDArray[np.uint8]:

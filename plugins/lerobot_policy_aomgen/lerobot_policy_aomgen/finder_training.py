@@ -62,7 +62,7 @@ def train_finder(
         The finder in evaluation mode.
 
     Raises:
-        BackendError: Pretrained weights are wanted and missing.
+        BackendError: Pretrained weights are requested and missing.
         MalformedFileError: The checkpoint is damaged or of another training.
         StorageError: The disk refuses.
     """

@@ -42,7 +42,7 @@ class Choices:
 
     @property
     def has_images(self) -> bool:
-        """Whether images are stored."""
+        """Return whether images are stored."""
         return self.media not in TOLD_FEATURES
 
 
