@@ -164,8 +164,9 @@ def test_named_objects_and_categories_take_turns() -> None:
 @pytest.mark.parametrize(
     ("changes", "error", "said"),
     [
-        ({"images": 0}, ConfigError, "--n"),
-        ({"per_object": 0}, ConfigError, "--per-object"),
+        ({}, ConfigError, "--category: is missing"),
+        ({"images": 0, "categories": ("drawer",)}, ConfigError, "--n"),
+        ({"per_object": 0, "categories": ("drawer",)}, ConfigError, "--per-object"),
         ({"categories": ("spoon",)}, ConfigError, "cannot be made"),
         ({"categories": ("drawer",), "styles": ("rounded",)}, UnknownNameError, "rounded"),
         ({"categories": ("drawer", "cabinet"), "styles": ("kitchen",)}, ConfigError, "no style of 'cabinet'"),
