@@ -1,4 +1,4 @@
-"""Five points of an articulated object that say where and how it opens: grasp point, ends of handle and joint axis."""
+"""Five points of an articulated object that describe where and how it opens: grasp, ends of handle and axis."""
 
 from collections.abc import Sequence
 from typing import Final

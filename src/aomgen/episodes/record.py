@@ -76,7 +76,7 @@ def store_episode(
     folder: Path, episode: Episode, drawn: Mapping[str, CameraFrames], params: ImageParams
 ) -> Path:
     """Encode an episode's images and commit it with the keypoints that they show; raises as `commit_episode`."""
-    episode = replace(episode, visible={name: frames.visible for name, frames in drawn.items()})
+    episode = replace(episode, visible={name: np.asarray(frames.visible) for name, frames in drawn.items()})
     videos = {
         name: encode_video(frames.images_srgb, episode.fps, codec=params.codec)
         for name, frames in drawn.items()

@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
-from typing import Annotated, Final
+from typing import Annotated, Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -156,7 +156,9 @@ def _make_frames(
 
 def _join_frames(parts: Sequence[CameraFrames]) -> CameraFrames:
     """Join all batches of a camera."""
-    columns = {item.name: [getattr(part, item.name) for part in parts] for item in fields(CameraFrames)}
+    columns: dict[str, Any] = {
+        item.name: [getattr(part, item.name) for part in parts] for item in fields(CameraFrames)
+    }
     return CameraFrames(
         **{name: None if values[0] is None else np.concatenate(values) for name, values in columns.items()}
     )

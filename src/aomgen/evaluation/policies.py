@@ -30,13 +30,12 @@ POLICIES: Final = (
 
 
 class Policy(Protocol):
-    """Chooses actions; the same for all trials of a suite.
+    """Chooses actions; the same for all trials of a suite."""
 
-    Attributes:
-        points_world: Keypoints (5, 3) that it located last, world frame, [m]; None if it locates none.
-    """
-
-    points_world: Array | None
+    @property
+    def points_world(self) -> Array | None:
+        """Keypoints (5, 3) that it located last, world frame, [m]; None if it locates none."""
+        ...
 
     def reset(self, rollout: Rollout) -> None:
         """Begin a trial. Only what knows the truth on purpose looks into it."""
@@ -54,7 +53,7 @@ class Policy(Protocol):
 class OracleReplay:
     """The plan of the trial's own pose: what the demonstrations of a perfect memory would do."""
 
-    points_world = None
+    points_world: Array | None = None
 
     def __init__(self, world: World) -> None:
         self._world = world
@@ -100,7 +99,7 @@ class NearestReplay:
         MissingFileError: There is no episode.
     """
 
-    points_world = None
+    points_world: Array | None = None
 
     def __init__(self, world: World, training: Path | None) -> None:
         self._world = world

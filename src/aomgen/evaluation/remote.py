@@ -55,7 +55,7 @@ class RemotePolicy:
             environment's action.
     """
 
-    points_world = None
+    points_world: Array | None = None
 
     def __init__(self, ask: Ask, conversion: Callable[[], Convert]) -> None:
         self._ask, self._conversion = ask, conversion

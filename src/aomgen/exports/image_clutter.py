@@ -24,9 +24,9 @@ COLORS, MARGIN_M = (0.1, 0.95), 0.1
 SURFACES: Final = (textures.plastic, textures.make_speckles, textures.wood, textures.make_brushed_metal)
 
 
-def make_clutter(rng: np.random.Generator, kinds: int = KINDS) -> list[Surfels]:
+def make_clutter(rng: np.random.Generator) -> list[Surfels]:
     """Make small objects, each in a frame with z = 0 at its foot."""
-    return [_make_item(rng) for _ in range(kinds)]
+    return [_make_item(rng) for _ in range(KINDS)]
 
 
 def _make_item(rng: np.random.Generator) -> Surfels:

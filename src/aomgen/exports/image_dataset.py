@@ -89,6 +89,8 @@ class ImageRequest:
             ConfigError, UnknownNameError: A number is too small, or a category or a style is unknown.
             AssetError, InputError: An asset cannot be used.
         """
+        if not (self.categories or self.assets):
+            raise ConfigError("--category", "is missing", "name the category of the objects, or objects")
         for name, value in (("--n", self.images), ("--per-object", self.per_object)):
             if not value >= 1:
                 raise ConfigError(name, f"is {value}", "want 1 or more")

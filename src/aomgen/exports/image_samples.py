@@ -124,9 +124,10 @@ class ImageRoom:
         )
         Ts_world_ee = states.ee_poses(robot)
         for name, frames in drawn.items():
+            labels, depth_mm, visible = map(np.asarray, (frames.labels, frames.depth_mm, frames.visible))
             for t, image in enumerate(frames.images_srgb):
                 camera = scene.paths[name].at(t) if name in scene.paths else scene.cameras[name]
-                facts = _describe_view(name, camera, points[t], frames.visible[t]) | {
+                facts = _describe_view(name, camera, points[t], visible[t]) | {
                     "scale": variation.scale,
                     "T_world_object": T.tolist(),
                     "joint_type": asset.joint.type,
@@ -137,8 +138,8 @@ class ImageRoom:
                 }
                 yield ImageSample(
                     image_srgb=illuminate_image(image, light_gains(self._scenes.draw_light(rng))),
-                    labels=frames.labels[t],
-                    depth_mm=frames.depth_mm[t],
+                    labels=labels[t],
+                    depth_mm=depth_mm[t],
                     facts=facts,
                 )
 

@@ -132,7 +132,7 @@ class SceneMaker:
 
     @cached_property
     def _arm_spheres(self) -> Spheres:
-        """Those of the arm without its gripper."""
+        """Spheres on the arm without its gripper."""
         hand = {self._robot.body_names.index(name) for name in self._robot.hand_bodies}
         return [item for item in self._spheres if item[0] - 1 not in hand]
 

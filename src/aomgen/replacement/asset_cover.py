@@ -68,7 +68,7 @@ def _turn_like(cover: Surfels, before: Surfels, after: Surfels) -> Surfels:
     """The cover with its normals turned as those of the nearest discs of another cover of the same meshes were turned."""
 
     def places(discs: Surfels) -> Array:
-        return np.column_stack([discs.gaussians.means, ALIKE_M * discs.normals])
+        return np.column_stack([discs.gaussians.means, ALIKE_M * discs.normals]).astype(np.float64)
 
     turned = (before.normals * after.normals).sum(1) < 0
     _, nearest = cKDTree(places(before)).query(places(cover))

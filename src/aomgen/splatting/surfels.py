@@ -97,35 +97,12 @@ def surfels_of(
 ) -> Surfels:
     """Cover the meshes of one rigid link with discs, each of which sees the whole sky: `count` within about a third.
 
-    `oversampling` is the number of candidates for each disc. Not checked: normals are those of the triangles, outward only where the meshes are wound so.
+    `oversampling` is the number of candidates for each disc. Not checked: normals are those of the triangles, outward
+    only where the meshes are wound so.
 
     Raises:
         AssetError: The meshes have no surface.
     """
-    kept, radii = _place_discs(meshes, count, rng, oversampling)
-    return _discs(kept, radii)
-
-
-def hiding_points(meshes: Sequence[Mesh], count: int, rng: np.random.Generator) -> Array:
-    """Some `count` points (M, 3) spread evenly over what light does not pass; over all of it where it passes everything."""
-    areas = np.array([face_normals_areas(mesh.vertices, mesh.faces)[1].sum() for mesh in meshes])
-    hiding, passing = [], []
-    for mesh, share in zip(meshes, areas / areas.sum(), strict=True):
-        if share > 0:
-            number = int(np.ceil(count * share))
-            points, face_ids, weights = sample_surface(mesh.vertices, mesh.faces, number, rng)
-            image = mesh.maps.get("opacity")
-            opacity = _sample(mesh, face_ids, weights, 0.0, image, [mesh.opacity])[:, 0]
-            hiding.append(points[opacity > HIDES])
-            passing.append(points)
-    found = np.concatenate(hiding)
-    return found if len(found) else np.concatenate(passing)
-
-
-def _place_discs(
-    meshes: Sequence[Mesh], count: int, rng: np.random.Generator, oversampling: float
-) -> tuple[_Candidates, Array]:
-    """Places of discs and their radii."""
     areas = np.array([face_normals_areas(mesh.vertices, mesh.faces)[1].sum() for mesh in meshes])
     total = float(areas.sum())
     if not total > 0:
@@ -144,7 +121,23 @@ def _place_discs(
     parts = _select_uncovered(parts, radius)
     # A mesh is thinned alone: a sticker must not lose its discs to the wall it lies on.
     chosen = [_thin(part, radius, rng) for part in parts]
-    return _join([part for part, _ in chosen]), np.concatenate([radii for _, radii in chosen])
+    return _discs(_join([part for part, _ in chosen]), np.concatenate([radii for _, radii in chosen]))
+
+
+def hiding_points(meshes: Sequence[Mesh], count: int, rng: np.random.Generator) -> Array:
+    """Some `count` points (M, 3) spread evenly over what light does not pass; over all of it where it passes everything."""
+    areas = np.array([face_normals_areas(mesh.vertices, mesh.faces)[1].sum() for mesh in meshes])
+    hiding, passing = [], []
+    for mesh, share in zip(meshes, areas / areas.sum(), strict=True):
+        if share > 0:
+            number = int(np.ceil(count * share))
+            points, face_ids, weights = sample_surface(mesh.vertices, mesh.faces, number, rng)
+            image = mesh.maps.get("opacity")
+            opacity = _sample(mesh, face_ids, weights, 0.0, image, [mesh.opacity])[:, 0]
+            hiding.append(points[opacity > HIDES])
+            passing.append(points)
+    found = np.concatenate(hiding)
+    return found if len(found) else np.concatenate(passing)
 
 
 def _candidates(mesh: Mesh, count: int, radius: float, rng: np.random.Generator) -> _Candidates:

@@ -12,18 +12,19 @@ from PIL import Image
 
 from aomgen.assets.choice import make_asset
 from aomgen.conventions import MOVING, PART_LABELS
+from aomgen.core.asset import ArticulatedAsset
 from aomgen.core.camera import Camera
 from aomgen.core.keypoints import KEYPOINTS, find_keypoints, move_keypoints
 from aomgen.core.transforms import apply, similarity
 from aomgen.core.values import Array
 from aomgen.errors import ConfigError, UnknownNameError
 from aomgen.executors import Done
-from aomgen.exports import image_clutter, image_dataset
+from aomgen.exports import image_clutter, image_dataset, image_samples
 from aomgen.exports.image_dataset import ImageRequest, export_images, open_room, read_shard
 from aomgen.exports.image_samples import illuminate_image
 from aomgen.io.artifact import load_artifact, read_json, save_artifact
-from aomgen.replacement import asset_cover
 from aomgen.results import BACKGROUND_FOLDER
+from aomgen.splatting.surfels import surfels_of
 from aomgen.twin.twin import TwinModel
 from toy_run import ToyResults, toy_run
 
@@ -52,13 +53,16 @@ class Inline:
         pass
 
 
+def cover_plainly(asset: ArticulatedAsset, rng: np.random.Generator) -> Any:
+    links = tuple(surfels_of(link.meshes, 400, rng) for link in (asset.static, asset.moving))
+    return links, links
+
+
 @pytest.fixture(scope="module", autouse=True)
-def coarse() -> Iterator[None]:
-    """Few discs: the tests do not look at colors."""
+def plain() -> Iterator[None]:
+    """Few discs in all light: the tests do not look at colors."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(asset_cover, "DISCS", 1500)
-        patch.setattr(asset_cover, "COARSE", 300)
-        patch.setattr(asset_cover, "POINTS", 4000)
+        patch.setattr(image_samples, "cover_asset", cover_plainly)
         patch.setattr(image_clutter, "KINDS", 2)
         yield
 
@@ -160,8 +164,9 @@ def test_named_objects_and_categories_take_turns() -> None:
 @pytest.mark.parametrize(
     ("changes", "error", "said"),
     [
-        ({"images": 0}, ConfigError, "--n"),
-        ({"per_object": 0}, ConfigError, "--per-object"),
+        ({}, ConfigError, "--category: is missing"),
+        ({"images": 0, "categories": ("drawer",)}, ConfigError, "--n"),
+        ({"per_object": 0, "categories": ("drawer",)}, ConfigError, "--per-object"),
         ({"categories": ("spoon",)}, ConfigError, "cannot be made"),
         ({"categories": ("drawer",), "styles": ("rounded",)}, UnknownNameError, "rounded"),
         ({"categories": ("drawer", "cabinet"), "styles": ("kitchen",)}, ConfigError, "no style of 'cabinet'"),
