@@ -134,14 +134,14 @@ def _export_images(
 ) -> None:
     from aomgen.datasets.selection import parse_size
     from aomgen.executors import require_cluster
-    from aomgen.exports.image_dataset import ImageRequest, export_images
+    from aomgen.exports.image_dataset import ImageSetRequest, export_images
     from aomgen.pipeline.runner import results_of
     from aomgen.pipeline.stages import STAGES, find_project
 
     if choices["images"] is None:
         raise ConfigError("--n", "is missing", "state the number of images")
     given = {name: value for name, value in choices.items() if value is not None}
-    request = ImageRequest(size=parse_size(size), **given)
+    request = ImageSetRequest(size=parse_size(size), **given)
     if ray:
         require_cluster(ray)
     results = results_of(find_project(out), STAGES)

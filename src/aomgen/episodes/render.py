@@ -156,12 +156,11 @@ def _make_frames(
 
 def _join_frames(parts: Sequence[CameraFrames]) -> CameraFrames:
     """Join all batches of a camera."""
-    columns: dict[str, Any] = {
-        item.name: [getattr(part, item.name) for part in parts] for item in fields(CameraFrames)
-    }
-    return CameraFrames(
-        **{name: None if values[0] is None else np.concatenate(values) for name, values in columns.items()}
-    )
+    joined: dict[str, Any] = {}
+    for item in fields(CameraFrames):
+        values = [getattr(part, item.name) for part in parts]
+        joined[item.name] = None if values[0] is None else np.concatenate(values)
+    return CameraFrames(**joined)
 
 
 def static_layers(

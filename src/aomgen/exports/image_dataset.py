@@ -42,6 +42,7 @@ VERSION: Final = 1
 DATASET_FILE: Final = "dataset.json"
 SHARD: Final = "shard-{:06d}.tar"
 OBJECTS: Final = "objects"
+# As in RLDS: at least 36 dB.
 JPEG_QUALITY: Final = 95
 # Compression of PNG: a few milliseconds an image are saved for a tenth more bytes.
 PNG_LEVEL: Final = 1
@@ -52,7 +53,7 @@ TIMEOUT_S: Final = 3600.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class ImageRequest:
+class ImageSetRequest:
     """Request for labelled images.
 
     Attributes:
@@ -129,7 +130,7 @@ def _style_of(category: str, seed: int) -> str:
 
 
 def export_images(
-    results: Results, folder: Path, request: ImageRequest, progress: Progress
+    results: Results, folder: Path, request: ImageSetRequest, progress: Progress
 ) -> list[dict[str, Any]]:
     """Render labelled images into a folder; an interrupted export continues.
 
@@ -162,13 +163,13 @@ def export_images(
     return objects
 
 
-def open_room(results: Results, folder: Path, request: ImageRequest) -> Callable[[int], dict[str, Any]]:
+def open_room(results: Results, folder: Path, request: ImageSetRequest) -> Callable[[int], dict[str, Any]]:
     """Open a worker function that renders a shard."""
     room = ImageRoom(results, request.size, request.seed)
     return lambda shard: write_shard(room, folder, request, shard)
 
 
-def write_shard(room: ImageRoom, folder: Path, request: ImageRequest, shard: int) -> dict[str, Any]:
+def write_shard(room: ImageRoom, folder: Path, request: ImageSetRequest, shard: int) -> dict[str, Any]:
     """Render the images of a shard and write it; returns what it shows."""
     asset, origin = request.open_object(shard)
     facts = {"asset": asset.name, "category": asset.category, **origin, "seed": request.seed, "shard": shard}
@@ -213,7 +214,7 @@ def read_shard(path: Path) -> Iterator[tuple[str, Mapping[str, bytes]]]:
 
 
 def _describe(
-    results: Results, request: ImageRequest, objects: Sequence[Mapping[str, Any]]
+    results: Results, request: ImageSetRequest, objects: Sequence[Mapping[str, Any]]
 ) -> dict[str, Any]:
     cameras = [*results.episode_scene.cameras, *results.robot.cameras]
     return {

@@ -27,8 +27,9 @@ from aomgen.robots.robot import RobotConfiguration, longest_reach
 
 # Half of the objects stand where episodes put them, the others anywhere on the table that the arm reaches.
 WIDE: Final = 0.5
-# Rotations of objects on the whole table, [deg]; sizes; looks and lights, see `Ranges`.
+# Rotations of objects on the whole table, [deg].
 YAW_DEG: Final = (-60.0, 60.0)
+# Sizes, appearances and lights, see `Ranges`: wider than a policy meets, so that it interpolates.
 LOOKS: Final = {
     "scale": (0.6, 1.0),
     "light_turn_deg": (-60.0, 60.0),

@@ -20,7 +20,7 @@ from aomgen.core.values import Array
 from aomgen.errors import ConfigError, UnknownNameError
 from aomgen.executors import Done
 from aomgen.exports import image_clutter, image_dataset, image_samples
-from aomgen.exports.image_dataset import ImageRequest, export_images, open_room, read_shard
+from aomgen.exports.image_dataset import ImageSetRequest, export_images, open_room, read_shard
 from aomgen.exports.image_samples import illuminate_image
 from aomgen.io.artifact import load_artifact, read_json, save_artifact
 from aomgen.results import BACKGROUND_FOLDER
@@ -28,7 +28,7 @@ from aomgen.splatting.surfels import surfels_of
 from aomgen.twin.twin import TwinModel
 from toy_run import ToyResults, toy_run
 
-REQUEST = ImageRequest(images=5, size=(64, 48), seed=3, per_object=3, categories=("drawer",))
+REQUEST = ImageSetRequest(images=5, size=(64, 48), seed=3, per_object=3, categories=("drawer",))
 
 
 class Inline:
@@ -93,7 +93,7 @@ def dataset(results: ToyResults, tmp_path_factory: pytest.TempPathFactory) -> Pa
         export_images(results, folder, REQUEST, lambda share, text: None)
         assert (folder / "shard-000000.tar").stat().st_mtime_ns == first
         with pytest.raises(ConfigError, match="begun for something else"):
-            export_images(results, folder, ImageRequest(images=9, categories=("drawer",)), print)
+            export_images(results, folder, ImageSetRequest(images=9, categories=("drawer",)), print)
     return folder
 
 
@@ -150,14 +150,14 @@ def test_a_shard_depends_on_seed_and_number_alone(results: ToyResults, dataset: 
 
 
 def test_named_objects_and_categories_take_turns() -> None:
-    request = ImageRequest(images=4, per_object=1, categories=("microwave",), assets=("drawer:7",), seed=1)
+    request = ImageSetRequest(images=4, per_object=1, categories=("microwave",), assets=("drawer:7",), seed=1)
     request.check()
     opened = [request.open_object(shard) for shard in range(4)]
     assert [origin["source"] for _, origin in opened] == [
         "microwave:20000", "drawer:7", "microwave:20001", "drawer:7",
     ]  # fmt: skip
     assert [origin["style"] for _, origin in opened] == ["classic", "classic", "compact", "classic"]
-    only = ImageRequest(images=2, per_object=1, categories=("microwave",), styles=("wide",))
+    only = ImageSetRequest(images=2, per_object=1, categories=("microwave",), styles=("wide",))
     assert [only.open_object(shard)[1]["style"] for shard in range(2)] == ["wide", "wide"]
 
 
@@ -175,7 +175,7 @@ def test_named_objects_and_categories_take_turns() -> None:
 )
 def test_refused_before_work_starts(changes: dict[str, Any], error: type[Exception], said: str) -> None:
     with pytest.raises(error, match=said):
-        ImageRequest(**{"images": 1, **changes}).check()
+        ImageSetRequest(**{"images": 1, **changes}).check()
 
 
 def test_a_foreign_folder_is_not_touched(results: ToyResults, tmp_path: Path, monkeypatch) -> None:
