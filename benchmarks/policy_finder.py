@@ -6,7 +6,7 @@ from typing import Any, Final
 
 from aomgen.errors import BackendError
 from aomgen.evaluation.suite import open_results
-from aomgen.exports.image_dataset import DATASET_FILE, ImageRequest, export_images
+from aomgen.exports.image_dataset import DATASET_FILE, ImageSetRequest, export_images
 from benchmarks.policy_data import PolicyData
 
 # Made microwaves in the training images, and others; none of them is an object of the tables of policies.
@@ -63,7 +63,7 @@ def _export(data: PolicyData, name: str, assets: list[str], seed: int) -> Path:
     folder = data.folder / "images" / name
     if not (folder / DATASET_FILE).is_file():
         results = replace(open_results(data.run("microwave")), workers=data.workers)
-        request = ImageRequest(
+        request = ImageSetRequest(
             images=PER_OBJECT * len(assets), seed=seed, per_object=PER_OBJECT, assets=tuple(assets)
         )
         data.tell(f"images {name}")
