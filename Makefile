@@ -52,6 +52,7 @@ install: $(VENV)/demo.stamp weights
 
 # The real LeRobot with our plug-ins, in an environment of its own: `. .venv-policy/bin/activate; lerobot-train ...`
 policy-env: .venv-policy/installed.stamp weights
+	@.venv-policy/bin/python -m aomgen.segmentation.weights lite0
 
 # Blender for the path-traced rooms of `python -m benchmarks replace FOLDER`.
 blender-env: .venv-blender/installed.stamp

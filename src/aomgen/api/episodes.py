@@ -247,7 +247,8 @@ def export(
         folder: The dataset; replaced if AOMGen wrote it.
         format: "lerobot-v3", "lerobot-v2.1", "rlds", "rlds-array-record" or "hdf5".
         actions: "joint", "ee_absolute" or "ee_delta"; the format's own when empty.
-        media: LeRobot's images: "video", "image", or "none" for the object's pose instead; "video" when empty.
+        media: LeRobot's images: "video", "image", or "none" or "keypoints" for the object's pose or its keypoints instead;
+            "video" when empty.
         size: Width and height of the images, "128x96"; as rendered when empty.
         val: Number of episodes for validation; the format's own share when None.
 

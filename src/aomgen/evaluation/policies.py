@@ -32,6 +32,11 @@ POLICIES: Final = (
 class Policy(Protocol):
     """Chooses actions; the same for all trials of a suite."""
 
+    @property
+    def points_world(self) -> Array | None:
+        """Keypoints (5, 3) that it located last, world frame, [m]; None if it locates none."""
+        ...
+
     def reset(self, rollout: Rollout) -> None:
         """Begin a trial. Only what knows the truth on purpose looks into it."""
         ...
@@ -47,6 +52,8 @@ class Policy(Protocol):
 
 class OracleReplay:
     """The plan of the trial's own pose: what the demonstrations of a perfect memory would do."""
+
+    points_world: Array | None = None
 
     def __init__(self, world: World) -> None:
         self._world = world
@@ -91,6 +98,8 @@ class NearestReplay:
     Raises:
         MissingFileError: There is no episode.
     """
+
+    points_world: Array | None = None
 
     def __init__(self, world: World, training: Path | None) -> None:
         self._world = world

@@ -162,7 +162,7 @@ STAGES: tuple[Stage, ...] = (
         folder="dataset",
         title="LeRobot dataset",
         needs=("episodes", "review"),
-        version=5,
+        version=6,
         weight=2,
         function=_lazily("datasets.stage"),
     ),
