@@ -31,8 +31,8 @@ from aomgen.simulation.verify import verify_plan
 
 # Below a run's folder: requests of `generate` without a folder of their own.
 GENERATED_FOLDER = "generated"
-# Stages whose results do not depend on assets and ranges; requests share them.
-SHARED_STAGES = ("structure", "gaussians", "alignment", "parts", "motion", "twin")
+# Stages whose results do not depend on ranges; requests share them. A request with other assets recomputes the last one.
+SHARED_STAGES = ("structure", "gaussians", "alignment", "parts", "motion", "twin", "replacement")
 # Interval between looks for new episodes, [s].
 POLL_S = 0.2
 

@@ -128,7 +128,7 @@ class Run:
 
     @cached_property
     def cameras(self) -> Mapping[str, Camera]:
-        """Cameras by name, world frame: scan images, fixed cameras, cameras of the episodes; raises as `twin`."""
+        """Cameras of scan images, videos and episodes by name, world frame; raises as `twin`."""
         self.require_stage("alignment")
         return list_cameras(self.results)
 
