@@ -1,5 +1,7 @@
 """Laws of the policy with a finder, run by test_policy.py in .venv-policy: prints what failed, nothing else."""
 
+import contextlib
+import io
 import json
 import tempfile
 from pathlib import Path
@@ -165,7 +167,9 @@ with tempfile.TemporaryDirectory() as scratch:
     check(torch.allclose(policy.select_action(seen), chunk[:, 0]), "the first action is the chunk's")
     policy.save_pretrained(folder / "policy")
     (folder / "finder.safetensors").unlink()
-    loaded = HandleACTPolicy.from_pretrained(folder / "policy")
+    # LeRobot prints a line about the weights.
+    with contextlib.redirect_stdout(io.StringIO()):
+        loaded = HandleACTPolicy.from_pretrained(folder / "policy")
     check(torch.allclose(loaded.predict_action_chunk(seen), chunk, atol=1e-6), "a checkpoint is complete")
     check(torch.equal(loaded.errors, policy.errors), "it contains the errors, so that training can go on")
 
