@@ -4,9 +4,9 @@ from dataclasses import dataclass, field
 
 from lerobot.configs.policies import PreTrainedConfig
 from lerobot.configs.types import NormalizationMode
-from lerobot.optim.optimizers import AdamWConfig
-from lerobot.optim.schedulers import CosineDecayWithWarmupSchedulerConfig
 from lerobot.utils.constants import OBS_ENV_STATE
+
+from lerobot_policy_aomgen.chunk_configuration import ChunkConfig
 
 # A chunk that begins this number of frames before an observation begins at the first frame of its episode: LeRobot repeats it.
 FIRST_FRAME = -100_000
@@ -17,11 +17,13 @@ REMEDY = "export the dataset with --format lerobot-v3 --media keypoints --action
 
 @PreTrainedConfig.register_subclass("handle_act")
 @dataclass
-class HandleACTConfig(PreTrainedConfig):
+class HandleACTConfig(ChunkConfig):
     """A finder locates handle and joint axis in all cameras; a small network predicts end effector poses from the points.
 
     The finder is trained before, on labelled images. The network is trained on the true points of demonstrations with the
     errors that were measured for the finder.
+
+    The settings of chunks and optimizer are those of `ChunkConfig`.
 
     Attributes:
         finder: File of the finder; needed when a training begins, afterwards the policy contains it.
@@ -30,13 +32,9 @@ class HandleACTConfig(PreTrainedConfig):
         cameras: Names of the cameras that the policy uses, at least two; by default all of the suite. Without the wrist
             camera, for example, for an ablation.
         geometry, finder_settings: JSON that the policy keeps of suite and finder.
-        chunk_size: Number of poses that are predicted at once.
-        n_action_steps: Number of these that are executed before the next prediction, see `ChunkBlender`.
         hidden_dim, n_layers: Size of the network.
         pose_noise_m, pose_noise_rad: Standard deviation of the changes of the end effector's pose in training, so that the
             policy returns to the path after a deviation.
-        optimizer_lr, optimizer_weight_decay, warmup_steps, decay_steps: Of AdamW, with a cosine decay to zero; fewer
-            steps of training shorten both.
     """
 
     finder: str = ""
@@ -44,26 +42,13 @@ class HandleACTConfig(PreTrainedConfig):
     cameras: list[str] = field(default_factory=list)
     geometry: str = ""
     finder_settings: str = ""
-    chunk_size: int = 50
-    n_action_steps: int = 5
     hidden_dim: int = 384
     n_layers: int = 3
     pose_noise_m: float = 0.005
     pose_noise_rad: float = 0.02
-    optimizer_lr: float = 1e-3
-    optimizer_weight_decay: float = 1e-4
-    warmup_steps: int = 300
-    decay_steps: int = 6000
     normalization_mapping: dict[str, NormalizationMode] = field(
         default_factory=lambda: dict.fromkeys(("VISUAL", "STATE", "ACTION"), NormalizationMode.IDENTITY)
     )
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if not 1 <= self.n_action_steps <= self.chunk_size:
-            raise ValueError(
-                f"n_action_steps is {self.n_action_steps}, want 1 to chunk_size = {self.chunk_size}"
-            )
 
     def validate_features(self) -> None:
         """Raises ValueError without poses as actions, or if a training begins without keypoints, finder or suite."""
@@ -78,26 +63,7 @@ class HandleACTConfig(PreTrainedConfig):
         if not (self.finder and self.suite):
             raise ValueError("add --policy.finder=finder.safetensors --policy.suite=suite.json")
 
-    def get_optimizer_preset(self) -> AdamWConfig:
-        return AdamWConfig(lr=self.optimizer_lr, weight_decay=self.optimizer_weight_decay, grad_clip_norm=1.0)
-
-    def get_scheduler_preset(self) -> CosineDecayWithWarmupSchedulerConfig:
-        return CosineDecayWithWarmupSchedulerConfig(
-            num_warmup_steps=self.warmup_steps,
-            num_decay_steps=self.decay_steps,
-            peak_lr=self.optimizer_lr,
-            decay_lr=0.0,
-        )
-
     @property
     def observation_delta_indices(self) -> list[int]:
         """First frame of the episode, and now."""
         return [FIRST_FRAME, 0]
-
-    @property
-    def action_delta_indices(self) -> list[int]:
-        return list(range(self.chunk_size))
-
-    @property
-    def reward_delta_indices(self) -> None:
-        return None
