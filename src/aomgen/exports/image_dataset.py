@@ -22,6 +22,7 @@ from aomgen.assets.choice import (
     make_asset,
     open_asset,
     require_usable,
+    style_of_seed,
     suggest_category,
 )
 from aomgen.conventions import PART_LABELS
@@ -115,18 +116,13 @@ class ImageSetRequest:
         if source not in self.categories:
             asset = open_asset(source)
             made = "" if asset_file(source) else source.rpartition(":")[2]
-            style = _style_of(asset.category, int(made)) if made else ""
+            style = style_of_seed(asset.category, int(made)) if made else ""
             return asset, {"source": source, "style": style}
         styles = [style for style in list_styles(source) if not self.styles or style in self.styles]
         seed = SEEDS * (1 + self.seed) + shard // len(sources)
         style = styles[shard // len(sources) % len(styles)]
         asset = require_usable(make_asset(source, seed, style))
         return asset, {"source": f"{source}:{seed}", "style": style}
-
-
-def _style_of(category: str, seed: int) -> str:
-    styles = list_styles(category)
-    return styles[(seed - 1) % len(styles)]
 
 
 def export_images(

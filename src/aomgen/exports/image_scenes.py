@@ -12,7 +12,7 @@ from aomgen.core.camera import Camera, CameraPath
 from aomgen.core.demonstration import SceneTrajectory
 from aomgen.core.joint import LIMIT_SHARE
 from aomgen.core.plan import FittedAsset, LightChange, MaterialChange, OrbitChange, Variation
-from aomgen.core.transforms import apply, matrix_from_rotvec, transform
+from aomgen.core.transforms import apply, invert, matrix_from_rotvec, transform
 from aomgen.core.values import Array
 from aomgen.episodes.factory import GenerationParams
 from aomgen.episodes.grasps import TILTS_DEG, orientations
@@ -265,10 +265,8 @@ class SceneMaker:
         bodies = self._robot.link_poses(joints[None], 0.0)[0]
         centers = np.stack([apply(bodies[body - 1], center) for body, center, _ in spheres])
         radii = np.array([radius for *_, radius in spheres])
-        asset, local = fitted.asset, apply(np.linalg.inv(T), centers)
+        asset, local = fitted.asset, apply(invert(T), centers)
         away = asset.static.distances(local)
-        away = np.minimum(
-            away, asset.moving.distances(apply(np.linalg.inv(asset.joint.motion(theta)), local))
-        )
+        away = np.minimum(away, asset.moving.distances(apply(invert(asset.joint.motion(theta)), local)))
         height = centers[:, 2] - self._results.episode_scene.support.height
         return bool((away > radii).all() and (height > radii).all())
