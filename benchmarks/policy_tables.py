@@ -163,6 +163,8 @@ TABLES: Final = {
 # Policies that are tested on the recorded video, by their training data.
 FILMED: Final = {name: Training(world="microwave", sees=name, fixed_camera=True) for name in VISUALS}
 VIDEO: Final = "video_error_mm"
+# Errors of the finder in labelled images.
+FINDER: Final = "finder_error_mm"
 NOT_BY_DEFAULT: Final = (QUICK, "gpu.")
 
 
@@ -172,7 +174,7 @@ def chosen_tables(names: list[str]) -> list[str]:
     Raises:
         ConfigError: There is no such table.
     """
-    tables = [*TABLES, VIDEO]
+    tables = [*TABLES, VIDEO, FINDER]
     for name in names:
         if not any(table.startswith(name) for table in tables):
             raise UnknownNameError("--cells", name, tables)

@@ -16,8 +16,7 @@ from aomgen.core.transforms import transform
 from aomgen.core.values import Array
 from aomgen.episodes.render import render_episode, static_layers
 from aomgen.io.artifact import load_artifact
-from aomgen.replacement.stage import BACKGROUND_FOLDER
-from aomgen.results import Results
+from aomgen.results import BACKGROUND_FOLDER, Results
 from aomgen.simulation.scene_renderer import SceneRenderer
 from aomgen.twin.twin import TwinModel
 from benchmarks.replace_rooms import CONDITIONS, RoomTruth

@@ -5,18 +5,24 @@ from aomgen.version import __version__
 project = "AOMGen"
 author = copyright = "The AOMGen developers"
 release = version = __version__
-extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon"]
+extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx.ext.napoleon"]
 myst_enable_extensions = ["colon_fence"]
+# The notebooks contain their outputs; `make tutorials` executes them.
+nb_execution_mode = "off"
 # Links to a heading of another page use the slugs that GitHub uses.
 myst_heading_anchors = 3
+# A fence without a language is a command or a listing of files.
+highlight_language = "text"
 # A single backtick in a docstring means code.
 default_role = "code"
 html_theme = "furo"
 html_title = "AOMGen"
+html_static_path = ["static"]
+html_css_files = ["site.css"]
 exclude_patterns = ["figures"]
 autodoc_typehints = "description"
 autodoc_member_order = "bysource"
-autodoc_class_signature = "separated"
+autodoc_class_signature = "mixed"
 napoleon_use_rtype = False
 # Names of other packages and of private modules have no page here.
 nitpick_ignore_regex = [("py:.*", r".*")]

@@ -34,6 +34,8 @@ from aomgen.twin.twin import TwinModel, TwinState
 GAUSSIANS_FILE = "gaussians.ply"
 T = TypeVar("T")
 ASSETS_FOLDER, FITTED, ASSET_USD = "assets", "fitted", "asset.usda"
+# Folder of the twin without its object.
+BACKGROUND_FOLDER = "background"
 
 
 @dataclass(frozen=True)

@@ -50,7 +50,9 @@ def drawer_episode(
         contacts=no_contacts(),
         joint=Joint(type="prismatic", axis=(0, -1, 0), origin=(0, 0, 0), lower=0, upper=0.3),
         T_world_object=np.eye(4),
+        keypoints=np.zeros((5, 3)),
         cameras=cameras,
+        visible={name: np.ones((frames, 5), bool) for name in cameras},
         verdict=verdict,
         simulation=simulation,
     )

@@ -50,7 +50,9 @@ def make_episode(index: int, frames: int, *, cameras: tuple[str, ...] = ("front"
         contacts=contact,
         joint=Joint(type="revolute", axis=(0, 0, -1), origin=(0.4, 0, 0), lower=0, upper=1.6),
         T_world_object=np.eye(4),
+        keypoints=rng.normal(0, 0.2, (5, 3)),
         cameras={name: camera for name in cameras},
+        visible={name: rng.random((frames, 5)) < 0.7 for name in cameras},
         verdict={"passed": True},
         simulation={"bolted": True},
     )

@@ -1,7 +1,8 @@
-"""LeRobot imports this by its name, which makes `--policy.type=small_act` and `--env.type=aomgen` known."""
+"""LeRobot imports this by its name, which makes its policies and `--env.type=aomgen` known."""
 
 import lerobot_env_aomgen
 
+from lerobot_policy_aomgen.configuration_handle_act import HandleACTConfig
 from lerobot_policy_aomgen.configuration_small_act import SmallACTConfig
 
-__all__ = ["SmallACTConfig", "lerobot_env_aomgen"]
+__all__ = ["HandleACTConfig", "SmallACTConfig", "lerobot_env_aomgen"]

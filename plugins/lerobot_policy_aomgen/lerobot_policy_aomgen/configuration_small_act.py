@@ -4,22 +4,20 @@ from dataclasses import dataclass, field
 
 from lerobot.configs.policies import PreTrainedConfig
 from lerobot.configs.types import NormalizationMode
-from lerobot.optim.optimizers import AdamWConfig
-from lerobot.optim.schedulers import CosineDecayWithWarmupSchedulerConfig
+
+from lerobot_policy_aomgen.chunk_configuration import ChunkConfig
 
 
 @PreTrainedConfig.register_subclass("small_act")
 @dataclass
-class SmallACTConfig(PreTrainedConfig):
+class SmallACTConfig(ChunkConfig):
     """Action chunking with a small convolutional encoder: about 2 million parameters for two cameras of 96x96.
 
     Images, state and actions are normalized; noise and color changes are in units of their standard deviations.
 
+    The settings of chunks and optimizer are those of `ChunkConfig`.
+
     Attributes:
-        chunk_size: Actions that are predicted at once.
-        n_action_steps: Number of these that are done before the next prediction. Over as many steps the policy blends
-            the last prediction into the new one: predictions differ by millimetres, and an arm that holds a handle
-            follows steps of millimetres with all its torque.
         channels: Of the encoder's convolutions; each halves the image.
         joint_offsets: Actions are joints, and predicted as offsets from the state; False for those of another kind.
         picture_tokens: Number of the encoder's tokens of an image; each may depend on all of it.
@@ -27,12 +25,8 @@ class SmallACTConfig(PreTrainedConfig):
         state_noise: Added to the state in training, so that the policy returns to the path after a deviation.
         shift_px: Largest shift of images in training, [px].
         contrast, tint: Largest change of an image's contrast, as a share, and of each of its color channels.
-        optimizer_lr, optimizer_weight_decay, warmup_steps, decay_steps: Of AdamW, with a cosine decay to zero; fewer
-            steps of training shorten both.
     """
 
-    chunk_size: int = 50
-    n_action_steps: int = 5
     joint_offsets: bool = True
     channels: tuple[int, ...] = (32, 64, 96, 128)
     picture_tokens: int = 4
@@ -46,10 +40,6 @@ class SmallACTConfig(PreTrainedConfig):
     shift_px: int = 1
     contrast: float = 0.15
     tint: float = 0.2
-    optimizer_lr: float = 1e-3
-    optimizer_weight_decay: float = 1e-4
-    warmup_steps: int = 300
-    decay_steps: int = 6000
     normalization_mapping: dict[str, NormalizationMode] = field(
         default_factory=lambda: {
             "VISUAL": NormalizationMode.MEAN_STD,
@@ -57,13 +47,6 @@ class SmallACTConfig(PreTrainedConfig):
             "ACTION": NormalizationMode.MEAN_STD,
         }
     )
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if not 1 <= self.n_action_steps <= self.chunk_size:
-            raise ValueError(
-                f"n_action_steps is {self.n_action_steps}, want 1 to chunk_size = {self.chunk_size}"
-            )
 
     def validate_features(self) -> None:
         """Raises ValueError without an action, a state, or an input that locates the object, and for offsets of poses."""
@@ -74,25 +57,6 @@ class SmallACTConfig(PreTrainedConfig):
         if not (self.image_features or self.env_state_feature):
             raise ValueError("the dataset needs pictures, or observation.environment_state")
 
-    def get_optimizer_preset(self) -> AdamWConfig:
-        return AdamWConfig(lr=self.optimizer_lr, weight_decay=self.optimizer_weight_decay, grad_clip_norm=1.0)
-
-    def get_scheduler_preset(self) -> CosineDecayWithWarmupSchedulerConfig:
-        return CosineDecayWithWarmupSchedulerConfig(
-            num_warmup_steps=self.warmup_steps,
-            num_decay_steps=self.decay_steps,
-            peak_lr=self.optimizer_lr,
-            decay_lr=0.0,
-        )
-
     @property
     def observation_delta_indices(self) -> None:
-        return None
-
-    @property
-    def action_delta_indices(self) -> list[int]:
-        return list(range(self.chunk_size))
-
-    @property
-    def reward_delta_indices(self) -> None:
         return None

@@ -4,7 +4,6 @@ Source: Zhao et al., Learning Fine-Grained Bimanual Manipulation with Low-Cost H
 part: demonstrations of one planner differ in what is seen, not in style.
 """
 
-from collections import deque
 from typing import Any
 
 import torch
@@ -13,6 +12,7 @@ from lerobot.utils.constants import ACTION, OBS_ENV_STATE, OBS_STATE
 from torch import Tensor, nn
 from torch.nn import functional as F
 
+from lerobot_policy_aomgen.blending import ChunkBlender
 from lerobot_policy_aomgen.configuration_small_act import SmallACTConfig
 
 # Channels of each cell before all cells of an image are joined.
@@ -37,9 +37,7 @@ class SmallACTPolicy(PreTrainedPolicy):
 
     def reset(self) -> None:
         """Forget the last chunk."""
-        self._left: deque[Tensor] = deque(maxlen=self.config.n_action_steps)
-        # The last chunk's prediction of the steps after those.
-        self._ahead: Tensor | None = None
+        self._blender = ChunkBlender(self.config.n_action_steps)
 
     def forward(self, batch: dict[str, Tensor]) -> tuple[Tensor, dict[str, float]]:
         """Mean absolute error of the chunk, what lies beyond an episode's end left out."""
@@ -57,15 +55,7 @@ class SmallACTPolicy(PreTrainedPolicy):
     @torch.no_grad()
     def select_action(self, batch: dict[str, Tensor], **_: Any) -> Tensor:
         """The action (B, A) of this step; the policy looks when as many as it does at once are done."""
-        if not self._left:
-            chunk, count = self.predict_action_chunk(batch), self.config.n_action_steps
-            actions, ahead = chunk[:, :count], chunk[:, count:]
-            if self._ahead is not None and self._ahead.shape[1] >= count:
-                share = torch.arange(1, count + 1, device=chunk.device)[:, None] / (count + 1)
-                actions = share * actions + (1 - share) * self._ahead[:, :count]
-            self._left.extend(actions.unbind(1))
-            self._ahead = ahead
-        return self._left.popleft()
+        return self._blender.next_action(lambda: self.predict_action_chunk(batch))
 
 
 class SmallACT(nn.Module):

@@ -31,8 +31,8 @@ from aomgen.simulation.verify import verify_plan
 
 # Folder, in that of a run, for the results of `generate` without `out`.
 GENERATED_FOLDER = "generated"
-# Stages whose results do not depend on assets and ranges; all calls of `generate` share them.
-SHARED_STAGES = ("structure", "gaussians", "alignment", "parts", "motion", "twin")
+# Stages whose results do not depend on ranges; all calls of `generate` share them. Other assets recompute the last one.
+SHARED_STAGES = ("structure", "gaussians", "alignment", "parts", "motion", "twin", "replacement")
 # Interval between checks for new episodes, [s].
 POLL_S = 0.2
 
@@ -248,7 +248,8 @@ def export(
         folder: Folder of the dataset; an existing dataset of AOMGen is replaced.
         format: "lerobot-v3", "lerobot-v2.1", "rlds", "rlds-array-record" or "hdf5".
         actions: "joint", "ee_absolute" or "ee_delta"; if empty, the default of the format.
-        media: Images of LeRobot datasets: "video" (default), "image", or "none" (the object's pose instead of images).
+        media: Images of LeRobot datasets: "video" (default) or "image"; "none" or "keypoints" replace the images by the
+            object's pose or its keypoints.
         size: Width and height of the images, for example "128x96"; if empty, the rendered size.
         val: Number of validation episodes; None selects the default of the format.
 

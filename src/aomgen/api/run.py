@@ -128,7 +128,7 @@ class Run:
 
     @cached_property
     def cameras(self) -> Mapping[str, Camera]:
-        """Cameras by name, world frame: scan images, fixed cameras, cameras of the episodes; errors as for `twin`."""
+        """Cameras of scan images, videos and episodes by name, world frame; errors as for `twin`."""
         self.require_stage("alignment")
         return list_cameras(self.results)
 

@@ -52,8 +52,7 @@ def make_asset(category: str, seed: int, style: str = "") -> ArticulatedAsset:
         known = ", ".join(MAKERS | OTHER_MAKERS)
         raise ConfigError("category", f"{category!r} is unknown", f"choose one of {known}")
     styles = list_styles(category)
-    # No random number, so that consecutive seeds show all styles.
-    chosen = style or styles[(seed - 1) % len(styles)]
+    chosen = style or style_of_seed(category, seed)
     if chosen not in styles:
         raise ConfigError("style", f"{style!r} is unknown", f"choose one of {', '.join(styles)}")
     maker, table = (MAKERS | OTHER_MAKERS)[category], style_table(category, chosen)
@@ -63,6 +62,13 @@ def make_asset(category: str, seed: int, style: str = "") -> ArticulatedAsset:
 def list_styles(category: str) -> list[str]:
     """Styles of a made category; seed 1 has the first one, and after the last one they start again."""
     return list(design(category)[STYLES])
+
+
+def style_of_seed(category: str, seed: int) -> str:
+    """Return the style of a made category that a seed chooses."""
+    styles = list_styles(category)
+    # No random number, so that consecutive seeds show all styles.
+    return styles[(seed - 1) % len(styles)]
 
 
 def make_by(maker: Maker, category: str, seed: int) -> ArticulatedAsset:

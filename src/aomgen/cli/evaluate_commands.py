@@ -194,13 +194,17 @@ def _share(figures: dict[str, Any]) -> str:
 
 
 def _table(figures: dict[str, Any]) -> str:
+    from aomgen.evaluation.finder_errors import format_errors
+
     lines = [
         ("policy", f"{figures['policy']}, {figures['action_space']}, {figures['visuals']}"),
         ("success", f"{_share(figures)}, {figures['successes']} of {figures['trials']}"),
         *((f"  {reason}", str(count)) for reason, count in figures["failures"].items()),
         ("redrawn", json.dumps(figures["redrawn"])),
     ]
-    return "\n".join(f"{name:14} {value}" for name, value in lines)
+    text = "\n".join(f"{name:14} {value}" for name, value in lines)
+    finder = figures.get("finder_error_mm")
+    return f"{text}\n{format_errors(finder, 'error of the finder')}" if finder else text
 
 
 def _chosen_actions(name: str):

@@ -1,8 +1,9 @@
 """`aomgen export` and `aomgen audit`: datasets of the episodes, and files of the twin for other programs."""
 
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -12,6 +13,8 @@ from aomgen.errors import ConfigError, CorruptArtifactError, MissingFileError
 # Number of differences that `aomgen audit` prints.
 SHOWN_FAULTS = 10
 DATASET_FORMATS = "lerobot-v3, lerobot-v2.1, rlds, rlds-array-record or hdf5"
+IMAGES = "images"
+IMAGES_SIZE = "256x256"
 
 
 def export(
@@ -23,15 +26,26 @@ def export(
             "with --format the folder of a dataset, replaced if it is one of ours."
         ),
     ],
-    format: Annotated[str, typer.Option(help=f"Of a dataset: {DATASET_FORMATS}.")] = "",
+    format: Annotated[
+        str,
+        typer.Option(help=f"Of a dataset: {DATASET_FORMATS}; or images: labelled images without physics."),
+    ] = "",
     actions: Annotated[
         str,
         typer.Option(help="Space of the actions: joint, ee_absolute or ee_delta; rlds has ee_delta without."),
     ] = "",
     media: Annotated[
-        str, typer.Option(help="LeRobot's images: video, image (PNG), or none: the object's pose instead.")
+        str,
+        typer.Option(
+            help="LeRobot's images: video, image (PNG), or none or keypoints: the object's pose or keypoints instead."
+        ),
     ] = "",
-    size: Annotated[str, typer.Option(help="WxH of the images, [px]; as rendered without.")] = "",
+    size: Annotated[
+        str,
+        typer.Option(
+            help=f"WxH of the images, [px]; as rendered without, {IMAGES_SIZE} for --format images."
+        ),
+    ] = "",
     val: Annotated[
         int | None,
         typer.Option(
@@ -48,14 +62,48 @@ def export(
     time_s: Annotated[
         float | None, typer.Option("--time", help="Of a file of Gaussians: time of the motion, [s].")
     ] = None,
+    n: Annotated[int | None, typer.Option("--n", min=1, help="Of images: their number.")] = None,
+    seed: Annotated[
+        int | None, typer.Option(min=0, help="Of images: decides objects and scenes; 0 without.")
+    ] = None,
+    per_object: Annotated[
+        int | None, typer.Option(min=1, help="Of images: number of each object, in one shard; 100 without.")
+    ] = None,
+    categories: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--category", help="Of images: category of made objects; without, those of the run's. Repeatable."
+        ),
+    ] = None,
+    assets: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--asset", help="Of images: category:seed or a USD file, in turn with --category. Repeatable."
+        ),
+    ] = None,
+    styles: Annotated[
+        list[str] | None,
+        typer.Option("--style", help="Of images: style of made objects; all without. Repeatable."),
+    ] = None,
+    workers: Annotated[int, typer.Option(min=0, help="Of images: processes; 0 for one a processor.")] = 0,
+    ray: Annotated[
+        str, typer.Option(help="Of images: a Ray cluster that sees these folders: auto, or HOST:PORT.")
+    ] = "",
 ) -> None:
-    """Write the twin as a file for other programs, or the committed episodes that no person rejected as a dataset."""
+    """Write the twin as a file for other programs, the committed episodes that no person rejected as a dataset, or
+    labelled images of random objects without physics.
+    """
     from aomgen.exports.formats import TWIN_SUFFIXES, export_twin
     from aomgen.pipeline.runner import results_of
     from aomgen.pipeline.stages import STAGES, find_project
 
-    dataset = {"--format": format, "--actions": actions, "--media": media, "--size": size, "--val": val}
+    episodes = {"--actions": actions, "--media": media, "--val": val}
+    dataset = {"--format": format, "--size": size, **episodes}
     twin = {"--episode": episode, "--joint": joint, "--time": time_s}
+    request = {"--n": n, "--seed": seed, "--per-object": per_object, "--category": categories}
+    request |= {"--asset": assets, "--style": styles, "--workers": workers or None, "--ray": ray}
+    if format != IMAGES:
+        _refuse_options(request, "has no meaning without --format images", "it is for labelled images")
     if target.suffix.lower() in TWIN_SUFFIXES:
         _refuse_options(dataset, f"has no meaning for {target.suffix}", "it is for a dataset")
         results = results_of(find_project(out), STAGES)
@@ -63,15 +111,46 @@ def export(
         return
     if not format:
         problem = f"has suffix '{target.suffix}'" if target.suffix else "has no suffix of a file"
-        remedy = f"known: {', '.join(TWIN_SUFFIXES)}; or name a dataset's --format: {DATASET_FORMATS}"
+        remedy = f"known: {', '.join(TWIN_SUFFIXES)}; or name a dataset's --format: {DATASET_FORMATS}, images"
         raise ConfigError(target, problem, remedy)
     _refuse_options(twin, "has no meaning for a dataset", "it is for a file of the twin")
+    if format == IMAGES:
+        _refuse_options(episodes, "has no meaning for --format images", "it is for a dataset of episodes")
+        choices = {"images": n, "seed": seed or 0, "per_object": per_object}
+        named = {"categories": categories, "assets": assets, "styles": styles}
+        choices |= {name: tuple(values or ()) for name, values in named.items()}
+        _export_images(out, target.resolve(), size or IMAGES_SIZE, choices, workers, ray)
+        return
     from aomgen.datasets.formats import export_dataset
 
     made = export_dataset(
         _episodes(out), target.resolve(), format, actions=actions, media=media, size=size, val=val
     )
     print(f"wrote {target}: {len(made.train)} + {len(made.val)} episodes, {made.frames} frames")
+
+
+def _export_images(
+    out: Path, target: Path, size: str, choices: Mapping[str, Any], workers: int, ray: str
+) -> None:
+    from aomgen.datasets.selection import parse_size
+    from aomgen.executors import require_cluster
+    from aomgen.exports.image_dataset import ImageSetRequest, export_images
+    from aomgen.pipeline.runner import results_of
+    from aomgen.pipeline.stages import STAGES, find_project
+
+    if choices["images"] is None:
+        raise ConfigError("--n", "is missing", "state the number of images")
+    given = {name: value for name, value in choices.items() if value is not None}
+    request = ImageSetRequest(size=parse_size(size), **given)
+    if ray:
+        require_cluster(ray)
+    results = results_of(find_project(out), STAGES)
+    results = replace(results, ray=ray, workers=workers or results.workers)
+    objects = export_images(
+        results, target, request, lambda share, text: print(f"  {share:4.0%} {text}", flush=True)
+    )
+    names = {item["asset"] for item in objects}
+    print(f"wrote {target}: {request.images} images of {len(names)} objects in {request.shards} shards")
 
 
 def _refuse_options(given: Mapping[str, object], problem: str, remedy: str) -> None:

@@ -118,10 +118,9 @@ class CameraPath:
         """Return the camera at one frame."""
         return self.camera.move(self.Ts_world_cam[frame])
 
-    def batches(self, size: int) -> "list[CameraPath]":
-        """Split the path into parts of `size` frames; the last may be shorter."""
-        starts = range(0, len(self.Ts_world_cam), size)
-        return [replace(self, Ts_world_cam=self.Ts_world_cam[k : k + size]) for k in starts]
+    def part(self, frames: slice) -> "CameraPath":
+        """Select some of the frames."""
+        return replace(self, Ts_world_cam=self.Ts_world_cam[frames])
 
 
 def look_at(eye: ArrayLike, target: ArrayLike, up: ArrayLike = (0.0, 0.0, 1.0)) -> Array:

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from aomgen.core.camera import Camera
 from aomgen.core.demonstration import SceneTrajectory
 from aomgen.core.joint import Joint
+from aomgen.core.keypoints import KEYPOINTS
 from aomgen.core.values import Array, freeze_arrays
 
 PHASES: Final = ("approach", "contact", "retreat")
@@ -62,10 +63,12 @@ class Episode(SceneTrajectory):
         phases: (T,) index into `PHASES`.
         contacts: Finger contacts.
         joint: The object's joint, world frame, at this episode's object pose.
+        keypoints: `core.keypoints.KEYPOINTS` at joint value 0, world frame, [m].
         cameras: Camera of each video, by name; a moving one is at its first pose.
         verdict: Results of the verification; plain JSON values.
         simulation: Assumptions of the verification about object and control; plain JSON values.
         camera_poses: Poses T_world_cam (T, 4, 4) of the moving cameras, by name.
+        visible: Which keypoints (T, 5) each camera shows, by name; empty before the images are rendered.
     """
 
     index: int
@@ -83,13 +86,23 @@ class Episode(SceneTrajectory):
     phases: Annotated[NDArray[np.int64], "T"]
     contacts: ContactLog
     joint: Joint
+    keypoints: Annotated[Array, "5 3"]
     cameras: Mapping[str, Camera]
     verdict: Mapping[str, Any]
     simulation: Mapping[str, Any]
     camera_poses: Mapping[str, Array] = field(default_factory=dict)
+    visible: Mapping[str, NDArray[np.bool_]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         freeze_arrays(self)
         for name, Ts in self.camera_poses.items():
             if name not in self.cameras or np.shape(Ts) != (len(self), 4, 4):
                 raise ValueError(f"Episode.camera_poses of {name} have shape {np.shape(Ts)}, or no camera")
+        for name, shown in self.visible.items():
+            if name not in self.cameras or np.shape(shown) != (len(self), len(KEYPOINTS)):
+                raise ValueError(f"Episode.visible of {name} has shape {np.shape(shown)}, or no camera")
+
+    def camera_at(self, name: str, frame: int) -> Camera:
+        """Return a camera at a frame."""
+        poses = self.camera_poses.get(name)
+        return self.cameras[name] if poses is None else self.cameras[name].move(poses[frame])

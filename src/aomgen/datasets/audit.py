@@ -8,6 +8,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from aomgen.core.episode import Episode
 from aomgen.core.progress import Progress, silent
 from aomgen.datasets.features import read_images
 from aomgen.datasets.formats import DatasetFormat, find_format
@@ -72,7 +73,11 @@ def audit_dataset(dataset: Path, episode_folders: Sequence[Path], progress: Prog
             )
             continue
         item = read_episode(left.pop(found.source_index))
-        _compare_numbers(audit, kind, found, item, dataset)
+        cameras = {
+            name: camera.resize(*stored.sizes.get(name, (camera.width, camera.height)))
+            for name, camera in item.episode.cameras.items()
+        }
+        _compare_numbers(audit, kind, found, replace(item.episode, cameras=cameras), dataset)
         _compare_images(audit, stored, found, item)
         audit.frames += len(item.episode)
         progress(1 - len(left) / audit.committed, f"{audit.committed - len(left)} of {audit.committed}")
@@ -86,12 +91,12 @@ def audit_dataset(dataset: Path, episode_folders: Sequence[Path], progress: Prog
 
 
 def _compare_numbers(
-    audit: Audit, kind: DatasetFormat, found: StoredEpisode, item: CommittedEpisode, dataset: Path
+    audit: Audit, kind: DatasetFormat, found: StoredEpisode, episode: Episode, dataset: Path
 ) -> None:
-    number = item.folder.name
-    if found.instruction != item.episode.instruction:
+    number = f"{episode.index:06d}"
+    if found.instruction != episode.instruction:
         audit.faults.append(f"episode {number} has the instruction '{found.instruction}'")
-    for name, wanted in kind.columns(item.episode, audit.actions).items():  # type: ignore[arg-type]
+    for name, wanted in kind.columns(episode, audit.actions).items():  # type: ignore[arg-type]
         if name not in found.columns:
             raise MalformedFileError(dataset, f"lacks the feature '{name}' of episode {number}", REMEDY)
         values = np.reshape(found.columns[name], (len(found.columns[name]), -1))

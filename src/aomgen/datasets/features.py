@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from aomgen.core.episode import Episode
+from aomgen.core.keypoints import KEYPOINTS, move_keypoints, project_keypoints
 from aomgen.core.transforms import (
     invert,
     matrix_from_rotvec,
@@ -33,8 +34,11 @@ ActionSpace = Literal["joint", "ee_absolute", "ee_delta"]
 ACTION_SPACES: Final[tuple[ActionSpace, ...]] = get_args(ActionSpace)
 _POSE = ("x", "y", "z", "qw", "qx", "qy", "qz")
 _DELTA = ("dx", "dy", "dz", "drx", "dry", "drz")
-# Pose of the object, and the name under which LeRobot's policies without images observe it.
-OBJECT_POSE, TOLD = "annotation.object_pose", "observation.environment_state"
+_IMAGE_POINT = ("u", "v", "visible")
+OBJECT_POSE, WORLD_POINTS = "annotation.object_pose", "annotation.keypoints"
+# Feature that LeRobot's policies observe instead of images, by the option --media, and its name as an observation.
+TOLD_FEATURES: Final = {"none": OBJECT_POSE, "keypoints": WORLD_POINTS}
+TOLD: Final = "observation.environment_state"
 # Quantiles that LeRobot v3.0 stores for each feature.
 QUANTILES: Final = {"q01": 0.01, "q10": 0.1, "q50": 0.5, "q90": 0.9, "q99": 0.99}
 # Quality of videos that are encoded again; it is higher than for rendered videos, because small images have more detail
@@ -58,11 +62,18 @@ def feature_names(episode: Episode, actions: ActionSpace = "joint") -> dict[str,
         OBJECT_POSE: _POSE,
         "annotation.object_joint": ("theta",),
         "annotation.finger_force": ("left", "right"),
+        WORLD_POINTS: tuple(f"{point}_{axis}" for point in KEYPOINTS for axis in "xyz"),
+        **{
+            image_points_feature(name): tuple(
+                f"{point}_{part}" for point in KEYPOINTS for part in _IMAGE_POINT
+            )
+            for name in sorted(episode.cameras)
+        },
     }
 
 
 def feature_columns(episode: Episode, actions: ActionSpace = "joint") -> dict[str, Array]:
-    """Compute the values (T, D) of every low-dimensional feature; meters, radians, newtons.
+    """Compute the values (T, D) of every low-dimensional feature; meters, radians, newtons, pixels.
 
     The three action spaces describe the same target, which is to be reached at the next frame (the target of the last
     frame is the pose to hold): `joint` by joint values, `ee_absolute` by the end effector's pose in the world frame,
@@ -72,6 +83,7 @@ def feature_columns(episode: Episode, actions: ActionSpace = "joint") -> dict[st
     """
     target = episode.action_gripper[:, None]
     deltas = ee_deltas(last_targets(episode), episode.Ts_world_ee_action)
+    points = move_keypoints(episode.keypoints, episode.joint, episode.thetas)
     spaces = {
         "joint": np.column_stack([episode.action_joints, target]),
         "ee_absolute": np.column_stack([pose_vectors(episode.Ts_world_ee_action), target]),
@@ -84,7 +96,28 @@ def feature_columns(episode: Episode, actions: ActionSpace = "joint") -> dict[st
         OBJECT_POSE: np.tile(pose_vectors(episode.T_world_object[None]), (len(episode), 1)),
         "annotation.object_joint": episode.thetas[:, None],
         "annotation.finger_force": _finger_forces(episode),
+        WORLD_POINTS: points.reshape(len(episode), -1),
+        **{
+            image_points_feature(name): _image_points(episode, name, points)
+            for name in sorted(episode.cameras)
+        },
     }
+
+
+def image_points_feature(camera: str) -> str:
+    """Name of the feature that holds the keypoints in a camera's images."""
+    return f"annotation.keypoints_px.{camera}"
+
+
+def _image_points(episode: Episode, camera: str, points_world: Array) -> Array:
+    """Pixels of the keypoints (T, 5, 3), and 1 or 0 where they are visible or not, as (T, 15)."""
+    pixels = [
+        project_keypoints(episode.camera_at(camera, t), points)[0] for t, points in enumerate(points_world)
+    ]
+    visible = np.asarray(episode.visible[camera], np.float64)[..., None]
+    return np.concatenate([np.reshape(pixels, (*visible.shape[:2], 2)), visible], -1).reshape(
+        len(episode), -1
+    )
 
 
 def last_targets(episode: Episode) -> Array:

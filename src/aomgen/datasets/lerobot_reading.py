@@ -15,7 +15,7 @@ import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from aomgen.datasets import lerobot_v3, lerobot_v21
-from aomgen.datasets.features import OBJECT_POSE, TOLD
+from aomgen.datasets.features import TOLD, TOLD_FEATURES
 from aomgen.datasets.lerobot_tables import CHUNK_FILES, SOURCE, image_key
 from aomgen.datasets.selection import REMEDY, StoredDataset, StoredEpisode, chosen_space
 from aomgen.errors import MalformedFileError, MissingFileError
@@ -199,7 +199,8 @@ def _columns(table: pa.Table) -> dict[str, NDArray[Any]]:
     """Numbers (T, D) or (T,) of a table by feature."""
     numeric = [name for name in table.column_names if not pa.types.is_struct(table.schema.field(name).type)]
     columns = {str(name): np.array(table[name].to_pylist()) for name in numeric}
-    return {OBJECT_POSE if name == TOLD else name: values for name, values in columns.items()}
+    told = next((name for name in TOLD_FEATURES.values() if name not in columns), TOLD)
+    return {told if name == TOLD else name: values for name, values in columns.items()}
 
 
 def _images(table: pa.Table, feature: str, where: Path) -> Iterator[NDArray[np.uint8]]:

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from aomgen.core.episode import Episode
 from aomgen.datasets.features import (
-    OBJECT_POSE,
     TOLD,
+    TOLD_FEATURES,
     ActionSpace,
     column_statistics,
     count_colors,
@@ -71,8 +71,8 @@ def episode_columns(selection: Selection) -> list[dict[str, NDArray]]:
 
 
 def _make_stored_name(feature: str, media: Media) -> str:
-    """Name of a feature; without images the object's pose becomes an observation."""
-    return TOLD if feature == OBJECT_POSE and media == "none" else feature
+    """Name of a feature; without images another feature becomes an observation."""
+    return TOLD if feature == TOLD_FEATURES.get(media) else feature
 
 
 def single_precision_columns(episode: Episode, actions: ActionSpace) -> dict[str, NDArray]:
@@ -167,7 +167,7 @@ def _features(selection: Selection) -> dict[str, Any]:
         }
         for name, names in feature_names(item.episode, choices.actions).items()
     }
-    for name, camera in sorted(item.episode.cameras.items()) if choices.media != "none" else ():
+    for name, camera in sorted(item.episode.cameras.items()) if choices.has_images else ():
         feature = {
             "dtype": choices.media,
             "shape": [camera.height, camera.width, 3],

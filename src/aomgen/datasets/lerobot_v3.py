@@ -77,7 +77,7 @@ def write_lerobot_v3(
         if choices.media == "video":
             counts = _write_videos(staging, selection, rows, progress)
             _write_data(staging, columns, rows)
-        elif choices.media == "none":
+        elif not choices.has_images:
             counts = [Counts() for _ in rows]
             _write_data(staging, columns, rows)
         else:

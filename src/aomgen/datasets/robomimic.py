@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from aomgen.core.progress import Progress, silent
 from aomgen.core.values import Array
-from aomgen.datasets.features import ACTION_SPACES, feature_columns, read_images
+from aomgen.datasets.features import ACTION_SPACES, feature_columns, image_points_feature, read_images
 from aomgen.datasets.selection import (
     REMEDY,
     Choices,
@@ -192,10 +192,12 @@ def _episode(group: Any, split: str, limits: tuple[Any, Any], cameras: list[str]
         "observation.state": group["obs/state"][:],
         "action": unscale_actions(group["actions"][:], *limits),
     }
-    for name in ("ee_pose", "object_pose", "object_joint", "finger_force"):
+    for name in ("ee_pose", "object_pose", "object_joint", "finger_force", "keypoints"):
         columns[f"annotation.{name}"] = group[f"annotation/{name}"][:]
     for space in group["annotation/action"]:
         columns[f"annotation.action.{space}"] = group[f"annotation/action/{space}"][:]
+    for camera in cameras:
+        columns[image_points_feature(camera)] = group[image_points_feature(camera).replace(".", "/")][:]
     return StoredEpisode(
         source_index=int(group.attrs["source_index"]),
         split=split,

@@ -9,14 +9,14 @@ from typing import Any, Final, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from aomgen.datasets.features import ACTION_SPACES, ActionSpace
+from aomgen.datasets.features import ACTION_SPACES, TOLD_FEATURES, ActionSpace
 from aomgen.errors import ConfigError, MalformedFileError, MissingFileError
 from aomgen.io.atomic import stage_folder, write_json
 from aomgen.io.episode_folder import CommittedEpisode, read_episode
 
 # Storage of images in a LeRobot dataset: compressed videos, or PNG in its tables, which need no video decoder; or none, and
-# policies observe the object's pose instead, as an upper bound of perception.
-Media = Literal["video", "image", "none"]
+# policies observe the object's pose or its keypoints instead.
+Media = Literal["video", "image", "none", "keypoints"]
 # Default share of the validation episodes in formats that need such a split.
 VAL_SHARE: Final = 0.1
 # Beside a dataset's data: what it was made of. A folder without it is not ours to replace.
@@ -39,6 +39,11 @@ class Choices:
     media: Media = "video"
     size: tuple[int, int] | None = None
     val: int = 0
+
+    @property
+    def has_images(self) -> bool:
+        """Return whether images are stored."""
+        return self.media not in TOLD_FEATURES
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -96,7 +101,8 @@ def select_episodes(episode_folders: Sequence[Path], dataset: Path, choices: Cho
     episodes = [read_episode(path) for path in episode_folders]
     for item in episodes:
         _check_alike(item, episodes[0])
-    if choices.size is not None:
+    # Without images, keypoints are in pixels of the rendered ones.
+    if choices.size is not None and choices.has_images:
         episodes = [_resize_cameras(item, choices.size) for item in episodes]
     chosen = spread(len(episodes), choices.val)
     return Selection(

@@ -15,6 +15,7 @@ import numpy as np
 
 from aomgen.assets.usd_write import write_for_replay
 from aomgen.core.camera import Camera
+from aomgen.core.keypoints import move_keypoints
 from aomgen.core.plan import EpisodePlan, FittedAsset, Rejection, Variation, VerifiedEpisode
 from aomgen.episodes.candidates import Candidate
 from aomgen.episodes.generate import MAX_SKIPPED
@@ -254,6 +255,7 @@ class EpisodeFactory:
                 1,
                 soft=soft,
                 paths=paths,
+                points_world=move_keypoints(episode.keypoints, episode.joint, episode.thetas),
                 params=images,
             )
         with self._measure_time("encode"):

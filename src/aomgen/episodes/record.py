@@ -1,7 +1,7 @@
 """Record of a verified plan, and its commit with images."""
 
 from collections.abc import Mapping
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import numpy as np
@@ -9,7 +9,9 @@ from numpy.typing import NDArray
 
 from aomgen.core.camera import Camera, CameraPath
 from aomgen.core.episode import Episode
+from aomgen.core.keypoints import find_keypoints
 from aomgen.core.plan import VerifiedEpisode
+from aomgen.core.transforms import apply
 from aomgen.core.values import Array
 from aomgen.episodes.render import CameraFrames, ImageParams
 from aomgen.io.episode_folder import ImageKind, commit_episode
@@ -56,6 +58,7 @@ def episode_of(
         phases=plan.phases,
         contacts=verified.contacts,
         joint=asset.joint.move(plan.T_world_object),
+        keypoints=apply(plan.T_world_object, find_keypoints(asset)),
         T_world_object=plan.T_world_object,
         cameras={**cameras, **moving},
         camera_poses={name: path.Ts_world_cam for name, path in paths.items()},
@@ -72,7 +75,8 @@ def _ahead(samples: Array) -> Array:
 def store_episode(
     folder: Path, episode: Episode, drawn: Mapping[str, CameraFrames], params: ImageParams
 ) -> Path:
-    """Encode an episode's images and commit it; raises as `commit_episode`."""
+    """Encode an episode's images and commit it with the keypoints that they show; raises as `commit_episode`."""
+    episode = replace(episode, visible={name: np.asarray(frames.visible) for name, frames in drawn.items()})
     videos = {
         name: encode_video(frames.images_srgb, episode.fps, codec=params.codec)
         for name, frames in drawn.items()

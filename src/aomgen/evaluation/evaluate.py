@@ -2,7 +2,7 @@
 
 from collections import Counter
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, Final
@@ -11,9 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import binomtest
 
+from aomgen.core.keypoints import KEYPOINTS
 from aomgen.core.progress import Progress
 from aomgen.core.values import Array, freeze_arrays
 from aomgen.datasets.features import ActionSpace
+from aomgen.evaluation.finder_errors import summarize_points
 from aomgen.evaluation.policies import Policy, open_policy, policy_digest
 from aomgen.evaluation.rollout import World
 from aomgen.evaluation.suite import TRIAL_S, Suite, require_apart
@@ -55,6 +57,8 @@ class RolloutRecord:
         frames: Number F of the actions taken.
         opening_shares: That travel after each action (F,).
         ee_world: End effector after each action (F, 3), world frame, [m].
+        finder_mm: Distances (L, 5) of the keypoints that the policy located from the true ones, of each of its L looks;
+            without rows if it locates none.
     """
 
     trial: int
@@ -63,6 +67,7 @@ class RolloutRecord:
     frames: int
     opening_shares: Annotated[Array, "F"]
     ee_world: Annotated[Array, "F 3"]
+    finder_mm: Annotated[Array, "L 5"] = field(default_factory=lambda: np.zeros((0, len(KEYPOINTS))))
 
     __post_init__ = freeze_arrays
 
@@ -88,7 +93,7 @@ def evaluate(
     Returns:
         `policy`, `suite` and `twin` (digests), `action_space`, `visuals`, `trials`, `successes`, `success_rate`,
         `interval_95` (Wilson's), `failures` by reason, `redrawn`, `nearest_mm` and `nearest_deg` (of a trial and a
-        training episode), and all `rollouts`.
+        training episode), all `rollouts`, and `finder_error_mm` of each keypoint if the policy locates keypoints.
 
     Raises:
         ConfigError: The policy is unknown, or a trial is inside the training.
@@ -107,7 +112,9 @@ def evaluate(
     filming = Processes(partial(opener, film=out / VIDEOS_FOLDER), workers, TRIAL_S)
     SavedUnits(out / VIDEOS_FOLDER, identity, RolloutRecord).make(failed, filming, progress)
     successes = len(rows) - sum(bool(row.fail_reason) for row in rows)
+    finder_mm = np.concatenate([row.finder_mm for row in rows])
     return {
+        **({"finder_error_mm": summarize_points(finder_mm)} if len(finder_mm) else {}),
         "policy": request.policy,
         "suite": suite.digest,
         "twin": suite.twin,
@@ -141,13 +148,18 @@ def _open_rollouts(
 def roll_out(world: World, policy: Policy, number: int, film: Path | None = None) -> RolloutRecord:
     """Let a policy try a trial to its end; a folder `film` gets its video."""
     rollout, frames = world.rollout(number), list[NDArray[np.uint8]]()
-    openings, joints = list[float](), list[Array]()
+    openings, joints, finder_mm = list[float](), list[Array](), list[Array]()
     policy.reset(rollout)
     while rollout.fail_reason is None:
-        observation = rollout.observation(pixels=film is not None or policy.looks(rollout.frame))
+        looks = policy.looks(rollout.frame)
+        observation = rollout.observation(pixels=film is not None or looks)
         if film is not None:
             frames.append(np.concatenate(list(observation["pixels"].values()), 1))
-        rollout.step(np.asarray(policy.act(observation), np.float64))
+        action = np.asarray(policy.act(observation), np.float64)
+        if looks and policy.points_world is not None:
+            errors = policy.points_world - rollout.locate_keypoints()
+            finder_mm.append(1000 * np.linalg.norm(errors, axis=1))
+        rollout.step(action)
         openings.append(rollout.opening_share)
         joints.append(rollout.reached.joints[0])
     if film is not None:
@@ -159,4 +171,5 @@ def roll_out(world: World, policy: Policy, number: int, film: Path | None = None
         frames=rollout.frame,
         opening_shares=np.array(openings),
         ee_world=world.factory.results.robot.ee_poses(np.stack(joints))[:, :3, 3],
+        finder_mm=np.reshape(finder_mm, (-1, len(KEYPOINTS))),
     )

@@ -76,11 +76,20 @@ class LerobotPolicy:
             ) from error
         require_fit(config, suite, place)
         self._policy = policy.eval()
+        # Policies of our plug-in that locate points need the cameras of the trials.
+        if hasattr(policy, "place_cameras"):
+            policy.place_cameras(suite.cameras)
         self._images = list(config.image_features)
         # A policy that looks at one frame does not look at another before these are done.
         self._steps = config.n_action_steps if config.n_obs_steps == 1 else 1
         self._told: Array | None = None if config.env_state_feature is None else np.zeros(0)
         self._left: deque[Array] = deque()
+
+    @property
+    def points_world(self) -> Array | None:
+        """Keypoints (5, 3) that the policy located last, world frame, [m]; None if it locates none."""
+        points = getattr(self._policy, "points_world", None)
+        return None if points is None else np.asarray(points, np.float64)
 
     def reset(self, rollout: "Rollout") -> None:
         """Forget what is left of the last chunk; learn where the object stands, if it was trained on that."""

@@ -32,6 +32,11 @@ POLICIES: Final = (
 class Policy(Protocol):
     """Policy that selects actions; one object serves all trials of a suite."""
 
+    @property
+    def points_world(self) -> Array | None:
+        """Keypoints (5, 3) that it located last, world frame, [m]; None if it locates none."""
+        ...
+
     def reset(self, rollout: Rollout) -> None:
         """Begin a trial. Only oracle baselines may read the true state of the rollout."""
         ...
@@ -47,6 +52,8 @@ class Policy(Protocol):
 
 class OracleReplay:
     """Replay of the plan for the true pose of the trial."""
+
+    points_world: Array | None = None
 
     def __init__(self, world: World) -> None:
         self._world = world
@@ -91,6 +98,8 @@ class NearestReplay:
     Raises:
         MissingFileError: There is no episode.
     """
+
+    points_world: Array | None = None
 
     def __init__(self, world: World, training: Path | None) -> None:
         self._world = world

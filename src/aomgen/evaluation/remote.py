@@ -55,6 +55,8 @@ class RemotePolicy:
             environment's action.
     """
 
+    points_world: Array | None = None
+
     def __init__(self, ask: Ask, conversion: Callable[[], Convert]) -> None:
         self._ask, self._conversion = ask, conversion
         self._convert, self._left = conversion(), deque[Array]()

@@ -7,8 +7,9 @@ from typing import Any, Final
 import numpy as np
 
 from aomgen.core.demonstration import Trajectory
+from aomgen.core.keypoints import find_keypoints, move_keypoints
 from aomgen.core.plan import EpisodePlan, Rejection
-from aomgen.core.transforms import matrix_from_quat, transform
+from aomgen.core.transforms import apply, matrix_from_quat, transform
 from aomgen.core.values import Array
 from aomgen.datasets.features import ActionSpace, ee_targets
 from aomgen.episodes.factory import EpisodeFactory
@@ -133,6 +134,17 @@ class Rollout:
     def opening_share(self) -> float:
         """Travel of the object's joint over the planned one, signed."""
         return float((self.reached.thetas[0] - self.fitted.start_theta) / self.fitted.travel)
+
+    @cached_property
+    def _closed_keypoints(self) -> Array:
+        return find_keypoints(self.fitted.asset)
+
+    def locate_keypoints(self) -> Array:
+        """The object's true keypoints (5, 3) at this frame, world frame, [m]."""
+        joint = self.fitted.asset.joint
+        return apply(
+            self.T_world_object, move_keypoints(self._closed_keypoints, joint, self.reached.thetas[:1])[0]
+        )
 
     @cached_property
     def _views(self) -> TrialViews:

@@ -29,7 +29,7 @@ from aomgen.io.atomic import STAGING_PREFIX, stage_folder, write_bytes, write_js
 from aomgen.io.video import Codec, decode_samples
 
 # Raised when the files of an episode change.
-FORMAT: Final = 3
+FORMAT: Final = 4
 EPISODE_FILE: Final = "episode.json"
 # Pixels of every fourth row and column of about this many frames of a video enter its color statistics.
 SAMPLED_FRAMES: Final = 20
@@ -115,10 +115,11 @@ def commit_episode(
     Raises:
         StorageError: Writing to the disk failed.
         CorruptArtifactError: A video cannot be decoded, or has not as many frames as the episode.
-        ValueError: Videos or images and cameras differ in their names, or images in their shape; a programming error.
+        ValueError: Videos, images or visible keypoints and cameras differ in their names, or images in their shape; a
+            programming error.
     """
     images, path = images or {}, episode_folder(root, episode.index)
-    for kind, by_camera in {"videos": videos, **images}.items():
+    for kind, by_camera in {"videos": videos, "visible keypoints": episode.visible, **images}.items():
         if set(by_camera) != set(episode.cameras):
             raise ValueError(f"{kind} {sorted(by_camera)} do not match cameras {sorted(episode.cameras)}")
     arrays = _frame_arrays(episode)
@@ -241,7 +242,8 @@ def _check(path: Path, digest: str) -> bytes:
 def _frame_arrays(episode: Episode) -> dict[str, NDArray[Any]]:
     contacts = {f"contact_{name}": getattr(episode.contacts, name) for name in _CONTACT_ARRAYS}
     poses = {f"Ts_world_cam_{name}": np.asarray(Ts) for name, Ts in sorted(episode.camera_poses.items())}
-    return {name: getattr(episode, name) for name in _ARRAYS} | contacts | poses
+    visible = {f"visible_{name}": np.asarray(shown) for name, shown in sorted(episode.visible.items())}
+    return {name: getattr(episode, name) for name in _ARRAYS} | contacts | poses | visible
 
 
 def _header(episode: Episode) -> dict[str, Any]:
@@ -265,6 +267,7 @@ def _header(episode: Episode) -> dict[str, Any]:
             "upper": joint.upper,
         },
         "T_world_object": episode.T_world_object,
+        "keypoints": episode.keypoints,
         "cameras": {name: camera_dict(camera) for name, camera in episode.cameras.items()},
         "verdict": dict(episode.verdict),
         "simulation": dict(episode.simulation),
@@ -279,7 +282,7 @@ def camera_dict(camera: Camera) -> dict[str, Any]:
 
 def _episode(header: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> Episode:
     names = ("index", "seed", "instruction", "robot", "asset", "asset_usd", "fps", "T_world_object")
-    names += ("verdict", "simulation")
+    names += ("keypoints", "verdict", "simulation")
     plain: dict[str, Any] = {name: header[name] for name in names} | {name: arrays[name] for name in _ARRAYS}
     contacts: dict[str, Any] = {name: arrays[f"contact_{name}"] for name in _CONTACT_ARRAYS}
     return Episode(
@@ -292,4 +295,5 @@ def _episode(header: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> Episode
         camera_poses={
             name: arrays[key] for name in header["cameras"] if (key := f"Ts_world_cam_{name}") in arrays
         },
+        visible={name: arrays[f"visible_{name}"] for name in header["cameras"]},
     )

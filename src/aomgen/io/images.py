@@ -95,10 +95,10 @@ def read_labels(path: Path) -> NDArray[np.uint8]:
             raise MalformedFileError(path, f"cannot be decoded ({error})", "export it again") from error
 
 
-def encode_png(image: NDArray[np.uint8]) -> bytes:
-    """PNG bytes of an image (H, W, 3 or 4) or of one channel (H, W), uint8."""
+def encode_png(image: NDArray[np.uint8] | NDArray[np.uint16], level: int = 6) -> bytes:
+    """PNG bytes of an image (H, W, 3 or 4) uint8, or of one channel (H, W), uint8 or uint16; level 0 (fastest) to 9."""
     buffer = io.BytesIO()
-    Image.fromarray(image).save(buffer, "PNG")
+    Image.fromarray(image).save(buffer, "PNG", compress_level=level)
     return buffer.getvalue()
 
 

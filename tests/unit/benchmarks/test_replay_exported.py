@@ -1,6 +1,7 @@
 """Exported files alone are enough to open every kind of object again, in a scene that is not ours."""
 
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -93,6 +94,7 @@ def export(robot: RobotModel, category: str, out: Path) -> None:
         {"front": camera},
         np.zeros(6),
     )
+    episode = replace(episode, visible={"front": np.ones((len(episode), 5), bool)})
     grey = encode_video(np.full((len(episode), 64, 64, 3), 128, np.uint8), FPS)
     folder = commit_episode(out / "08_episodes", episode, {"front": grey})
     write_usd(fitted.asset, out / "asset.usda")

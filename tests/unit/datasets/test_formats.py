@@ -10,6 +10,7 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
+from aomgen.core.keypoints import move_keypoints
 from aomgen.core.transforms import matrix_from_rotvec, transform
 from aomgen.datasets.audit import audit_dataset
 from aomgen.datasets.formats import FORMATS, export_dataset
@@ -89,6 +90,21 @@ def test_without_pictures_policies_are_told_where_the_object_stands(folders, tmp
         poses = found.columns["annotation.object_pose"]
         assert np.abs(poses[:, :3] - episode.T_world_object[:3, 3]).max() < 1e-6
         assert (poses == poses[0]).all()
+
+
+@pytest.mark.parametrize("kind", LEROBOT)
+def test_without_images_policies_can_observe_the_keypoints(folders, tmp_path, kind):
+    export_dataset(folders, tmp_path / "told", kind, media="keypoints")
+    features = json.loads((tmp_path / "told" / "meta" / "info.json").read_text())["features"]
+    assert features["observation.environment_state"]["shape"] == [15]
+    assert not [name for name in features if "images" in name or name == "annotation.keypoints"]
+    for found in FORMATS[kind].read(tmp_path / "told").episodes:
+        episode = make_episode(found.source_index, LENGTHS[found.source_index])
+        points = move_keypoints(episode.keypoints, episode.joint, episode.thetas)
+        assert found.columns["annotation.keypoints"] == pytest.approx(
+            points.reshape(len(episode), 15), abs=1e-6
+        )
+    assert audit_dataset(tmp_path / "told", folders).faults == []
 
 
 @pytest.mark.parametrize("kind", FORMATS)

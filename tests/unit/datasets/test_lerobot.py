@@ -5,6 +5,7 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
+from aomgen.core.transforms import apply
 from aomgen.datasets.features import (
     column_statistics,
     ee_deltas,
@@ -126,6 +127,18 @@ def test_quaternions_do_not_jump_and_forces_stand_at_their_frame():
     quats = columns["annotation.ee_pose"][:, 3:]
     assert np.abs(np.diff(quats, axis=0)).max() < 0.1
     assert columns["annotation.finger_force"][3].tolist() == [0, 4]
+
+
+def test_keypoints_move_with_the_part_and_are_projected_into_every_camera():
+    episode = make_episode(0, 60)
+    columns = feature_columns(episode)
+    points = columns["annotation.keypoints"].reshape(60, 5, 3)
+    moved = apply(episode.joint.motion(episode.thetas[30]), episode.keypoints[:3])
+    np.testing.assert_allclose(points[30, :3], moved)
+    np.testing.assert_allclose(points[:, 3:], np.tile(episode.keypoints[3:], (60, 1, 1)))
+    shown = columns["annotation.keypoints_px.side"].reshape(60, 5, 3)
+    np.testing.assert_allclose(shown[30, :, :2], episode.cameras["side"].project(points[30])[0])
+    np.testing.assert_array_equal(shown[..., 2], episode.visible["side"])
 
 
 def test_files_roll_at_the_limit():

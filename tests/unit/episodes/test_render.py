@@ -6,6 +6,7 @@ import pytest
 
 from aomgen.core.camera import Camera, CameraPath, look_at
 from aomgen.core.demonstration import SceneTrajectory
+from aomgen.core.keypoints import find_keypoints, move_keypoints
 from aomgen.core.light import DirectionalLight
 from aomgen.core.plan import (
     EpisodePlan,
@@ -15,6 +16,7 @@ from aomgen.core.plan import (
     Variation,
     VerifiedEpisode,
 )
+from aomgen.core.transforms import apply
 from aomgen.core.verdict import Check, Hold, Setting, SettingOutcome, Verdict
 from aomgen.episodes.record import episode_of, store_episode
 from aomgen.episodes.render import ImageParams, render_episode, static_layers
@@ -114,7 +116,10 @@ def commit(
         episode = episode_of(made, index, usd, robot, "open the microwave", cameras, ZEROS_RAD, paths)
         shown = change_appearance(twin, made.plan.variation.light, made.plan.variation.material)
         layers = static_layers(shown, cameras)
-        drawn = render_episode(shown, robot, episode, layers, np.eye(4), paths=paths, params=images)
+        points = move_keypoints(episode.keypoints, episode.joint, episode.thetas)
+        drawn = render_episode(
+            shown, robot, episode, layers, np.eye(4), paths=paths, points_world=points, params=images
+        )
         folders.append(store_episode(folder, episode, drawn, images))
     return folders
 
@@ -145,6 +150,22 @@ def test_an_episode_comes_back_as_it_was(toy_scene, committed):
     assert item.episode.verdict["passed"]
     for path in item.videos.values():
         assert read_video(path).frames_srgb.shape == (FRAMES, 60, 80, 3)
+
+
+def test_keypoints_are_visible_where_nothing_hides_them(toy_scene, twin, cameras):
+    """A camera between arm and object sees the handle, one behind the object does not."""
+    path = verified(toy_scene, 0.1).plan
+    T, asset = path.T_world_object, toy_scene.asset
+    points = move_keypoints(apply(T, find_keypoints(asset)), asset.joint.move(T), np.zeros(FRAMES))
+    grasp, front = points[0, 0], -T[:3, 1]
+    views = {
+        name: cameras["front"].move(look_at(grasp + side * front + [0, 0, 0.1], grasp))
+        for name, side in (("before", 0.3), ("behind", -1.2))
+    }
+    closed = replace(path, thetas=np.zeros(FRAMES))
+    drawn = render_episode(twin, toy_scene.robot, closed, static_layers(twin, views), points_world=points)
+    assert drawn["before"].visible[:, :3].all()
+    assert not drawn["behind"].visible[:, :3].any()
 
 
 def test_the_video_shows_what_the_twin_draws(toy_scene, twin, cameras, committed):

@@ -25,12 +25,15 @@ from toy_run import ToyResults
 
 
 class Still:
-    """Stays where it is, and looks at every second frame."""
+    """Stays where it is, and looks at every second frame; then it locates keypoints 3 mm off."""
+
+    points_world: np.ndarray | None = None
 
     def __init__(self) -> None:
         self.looked: list[bool] = []
 
     def reset(self, rollout) -> None:
+        self.points_world = rollout.locate_keypoints() + [0, 0, 0.003]
         self._action = np.append(rollout.trial.joints, 0.0)
 
     def looks(self, frame: int) -> bool:
@@ -74,6 +77,8 @@ def test_pictures_are_drawn_when_the_policy_looks(world: World, monkeypatch: pyt
     assert record.frames == world.suite.max_frames
     assert policy.looked == [frame % 2 == 0 for frame in range(record.frames)]
     assert len(drawn) == sum(policy.looked)
+    # The object does not move, so the points stay where they were located.
+    assert record.finder_mm == pytest.approx(np.full((len(drawn), 5), 3.0), abs=0.1)
 
 
 def test_the_nearest_episode_is_replayed(world: World, toy: ToyResults) -> None:

@@ -1,6 +1,7 @@
 """Every example runs on a tiny scene and writes what it promises."""
 
 import ast
+import json
 import os
 import subprocess
 import sys
@@ -17,6 +18,7 @@ from aomgen.io.images import read_image, write_image
 from aomgen.splatting.rasterizer import render
 
 EXAMPLES = Path(__file__).parents[3] / "examples"
+TUTORIALS = EXAMPLES.parent / "docs" / "tutorials"
 
 
 def run(name: str, *arguments: object) -> str:
@@ -127,13 +129,38 @@ def test_make_asset(tmp_path: Path) -> None:
     assert "revolute about" in run("02_make_asset.py", tmp_path / "microwave.usda")
 
 
-@pytest.mark.parametrize("path", sorted(EXAMPLES.glob("*.py")), ids=lambda path: path.stem)
+def read_source(path: Path) -> str:
+    """The Python source of a script, or of a notebook's cells without their magic commands."""
+    text = path.read_text("utf-8")
+    if path.suffix == ".py":
+        return text
+    cells = [cell for cell in json.loads(text)["cells"] if cell["cell_type"] == "code"]
+    lines = [line for cell in cells for line in [*"".join(cell["source"]).splitlines(), ""]]
+    return "\n".join(line for line in lines if not line.startswith("%"))
+
+
+@pytest.mark.parametrize(
+    "path", [*sorted(EXAMPLES.glob("*.py")), *sorted(TUTORIALS.glob("*.ipynb"))], ids=lambda path: path.stem
+)
 def test_examples_use_public_names_only(path: Path) -> None:
-    for node in ast.walk(ast.parse(path.read_text("utf-8"))):
-        if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("aomgen"):
+    for node in ast.walk(ast.parse(read_source(path))):
+        if isinstance(node, ast.ImportFrom) and node.module == "aomgen":
+            assert {alias.name for alias in node.names} <= {"splatting"}
+        elif isinstance(node, ast.ImportFrom) and (node.module or "").startswith("aomgen"):
             assert node.module == "aomgen.splatting"
         elif isinstance(node, ast.Import):
             assert {alias.name for alias in node.names if alias.name.startswith("aomgen")} <= {"aomgen"}
+
+
+@pytest.mark.parametrize("path", sorted(TUTORIALS.glob("*.ipynb")), ids=lambda path: path.stem)
+def test_tutorials_are_short_and_executed(path: Path) -> None:
+    cells = json.loads(path.read_text("utf-8"))["cells"]
+    outputs = [output for cell in cells if cell["cell_type"] == "code" for output in cell["outputs"]]
+    assert len(cells) <= 25
+    assert all(cell["execution_count"] for cell in cells if cell["cell_type"] == "code")
+    assert 0 < len(json.dumps(outputs)) < 150_000
+    # Neither errors nor warnings, which name folders of the machine that executed the notebook.
+    assert not [output for output in outputs if output.get("name") == "stderr" or "ename" in output]
 
 
 def test_the_script_of_the_readme_is_short_and_the_example() -> None:

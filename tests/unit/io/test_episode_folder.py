@@ -31,7 +31,8 @@ def episode() -> Episode:
         thetas=row, phases=np.zeros(FRAMES, np.int64), contacts=no_contacts(),
         joint=Joint(type="revolute", axis=(0, 0, 1), origin=(0, 0, 0), lower=0, upper=1),
         T_world_object=np.eye(4), cameras={"front": camera, "wrist": camera}, verdict={}, simulation={},
-        camera_poses={"wrist": Ts},
+        keypoints=np.arange(15.0).reshape(5, 3), camera_poses={"wrist": Ts},
+        visible={name: np.arange(5 * FRAMES).reshape(FRAMES, 5) % 3 == k for k, name in enumerate(("front", "wrist"))},
     )  # fmt: skip
 
 
@@ -61,6 +62,9 @@ def test_images_poses_and_colors_come_back(episode, frames, tmp_path):
             assert f"{name}.{kind}.npz" in stored.sha256
     np.testing.assert_array_equal(stored.episode.camera_poses["wrist"], episode.camera_poses["wrist"])
     assert set(stored.episode.camera_poses) == {"wrist"}
+    np.testing.assert_array_equal(stored.episode.keypoints, episode.keypoints)
+    for name, shown in episode.visible.items():
+        np.testing.assert_array_equal(stored.episode.visible[name], shown)
     # Every second of 45 frames, as the video shows them.
     shown = read_video(stored.videos["front"]).frames_srgb[::2, ::4, ::4]
     np.testing.assert_array_equal(stored.color_counts["front"], color_counts(shown))

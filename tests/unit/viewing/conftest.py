@@ -14,11 +14,13 @@ from aomgen.core.camera import look_at
 from aomgen.core.demonstration import EpisodeScene, SupportPlane
 from aomgen.core.episode import ContactLog, Episode
 from aomgen.core.joint import Joint
+from aomgen.core.keypoints import find_keypoints
 from aomgen.core.motion import ContactPatch, MotionCurve, MotionEstimate
 from aomgen.core.parts import Parts, no_cut
 from aomgen.core.plan import FittedAsset, Variation
 from aomgen.core.project import Project
 from aomgen.core.structure import Structure
+from aomgen.core.transforms import apply
 from aomgen.episodes.render import render_episode, static_layers
 from aomgen.io.artifact import save_artifact
 from aomgen.io.episode_folder import commit_episode, read_episode
@@ -245,7 +247,9 @@ def write_episode(toy_scene, homes, cameras) -> None:
             forces=np.array([10.0]),
         ),
         joint=toy_scene.asset.joint.move(T),
+        keypoints=apply(T, find_keypoints(toy_scene.asset)),
         T_world_object=T,
+        visible={name: np.ones((FRAMES, 5), bool) for name in cameras},
         cameras=cameras,
         verdict={"passed": True, "bolted": True, "variation": asdict(variation)},
         simulation={},

@@ -1,0 +1,161 @@
+"""The policy with a finder: images to keypoints, keypoints to a chunk of end effector poses."""
+
+import json
+from collections.abc import Mapping
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import torch
+from lerobot.configs.types import FeatureType, PolicyFeature
+from lerobot.policies.pretrained import PreTrainedPolicy
+from lerobot.utils.constants import ACTION, OBS_ENV_STATE, OBS_IMAGES, OBS_STATE
+from torch import Tensor
+
+from aomgen.core.camera import Camera
+from aomgen.core.keypoints import KEYPOINTS
+from lerobot_policy_aomgen.action_network import (
+    ActionNetwork,
+    align_signs,
+    compare_poses,
+    decode_poses,
+    encode_poses,
+    join_inputs,
+)
+from lerobot_policy_aomgen.blending import ChunkBlender
+from lerobot_policy_aomgen.configuration_handle_act import HandleACTConfig
+from lerobot_policy_aomgen.finder import Finder, FinderSettings, load_finder
+from lerobot_policy_aomgen.finder_noise import TABLE_SHAPE, add_errors, tabulate_errors
+from lerobot_policy_aomgen.geometry import (
+    Geometry,
+    disturb_poses,
+    pose_end_effector,
+    pose_views,
+    read_geometry,
+)
+from lerobot_policy_aomgen.lifting import lift_points, project_points
+
+
+class HandleACTPolicy(PreTrainedPolicy):
+    """See `HandleACTConfig`.
+
+    Attributes:
+        points_world: Keypoints (P, 3) that were found last, [m]; None before the first look.
+    """
+
+    config_class = HandleACTConfig
+    name = "handle_act"
+
+    def __init__(self, config: HandleACTConfig, **_: Any) -> None:
+        super().__init__(config)
+        config.validate_features()
+        self.config = config
+        self.finder, errors = _continue(config) if config.geometry else _begin(config)
+        self.finder.requires_grad_(False)
+        self.register_buffer("errors", errors)
+        self._geometry: Geometry = json.loads(config.geometry)
+        self._cameras = list(self._geometry["K"])
+        self.network = ActionNetwork(config.chunk_size, config.hidden_dim, config.n_layers)
+        self.reset()
+
+    def get_optim_params(self) -> list[torch.nn.Parameter]:
+        return list(self.network.parameters())
+
+    def train(self, mode: bool = True) -> "HandleACTPolicy":
+        super().train(mode)
+        self.finder.eval()
+        return self
+
+    def place_cameras(self, cameras: Mapping[str, Camera]) -> None:
+        """Use these intrinsics, and the poses of cameras that the robot does not carry."""
+        for name in self._cameras:
+            self._geometry["K"][name] = cameras[name].K.tolist()
+            if name not in self._geometry["mounted"]:
+                self._geometry["T_frame_cam"][name] = cameras[name].T_world_cam.tolist()
+
+    def reset(self) -> None:
+        """Forget the last chunk and the points."""
+        self._blender = ChunkBlender(self.config.n_action_steps)
+        self._first: Tensor | None = None
+        self._last: Tensor | None = None
+        self.points_world: Tensor | None = None
+
+    def forward(self, batch: dict[str, Tensor]) -> tuple[Tensor, dict[str, float]]:
+        """Mean error of the chunk; poses beyond an episode's end do not count.
+
+        Nothing is computed in lower precision: in bfloat16 a position in the world is wrong by millimetres.
+        """
+        with torch.autocast(batch[ACTION].device.type, enabled=False):
+            loss = self._compute_loss(batch)
+        return loss, {"l1_loss": loss.item()}
+
+    def _compute_loss(self, batch: dict[str, Tensor]) -> Tensor:
+        joints, truth = batch[OBS_STATE][..., :-1], batch[OBS_ENV_STATE].unflatten(-1, (len(KEYPOINTS), 3))
+        (first, _), (points, sigmas) = (self._find_as_measured(joints[:, k], truth[:, k]) for k in (0, 1))
+        T_world_ee = pose_end_effector(self._geometry, joints[:, 1])
+        T_world_ee = disturb_poses(T_world_ee, self.config.pose_noise_m, self.config.pose_noise_rad)
+        inputs = join_inputs(T_world_ee, points, sigmas, first[:, 0], batch[OBS_STATE][:, 1, -1])
+        errors = compare_poses(self.network(inputs), encode_poses(T_world_ee, batch[ACTION]))
+        inside = ~batch["action_is_pad"]
+        return (errors * inside).sum() / inside.sum()
+
+    def _find_as_measured(self, joints: Tensor, truth: Tensor) -> tuple[Tensor, Tensor]:
+        """Points (B, P, 3) and standard deviations (B, P) as the finder would find true points (B, P, 3)."""
+        views = pose_views(self._geometry, self._cameras, pose_end_effector(self._geometry, joints))
+        pixels, depths = project_points(views, truth)
+        return lift_points(views, *add_errors(self.errors, views, pixels, depths))
+
+    @torch.no_grad()
+    def find_points(self, batch: dict[str, Tensor]) -> tuple[Tensor, Tensor]:
+        """Keypoints (B, P, 3) in the world frame, and their standard deviations (B, P), [m]."""
+        images = torch.stack([batch[f"{OBS_IMAGES}.{name}"] for name in self._cameras], 1)
+        pixels, spreads = self.finder.find(images.flatten(0, 1))
+        T_world_ee = pose_end_effector(self._geometry, batch[OBS_STATE][:, :-1])
+        views = pose_views(self._geometry, self._cameras, T_world_ee)
+        shape = images.shape[:2]
+        return lift_points(views, pixels.unflatten(0, shape), spreads.unflatten(0, shape))
+
+    @torch.no_grad()
+    def predict_action_chunk(self, batch: dict[str, Tensor], **_: Any) -> Tensor:
+        """Poses and gripper (B, chunk_size, 8) from now on, world frame."""
+        self.eval()
+        points, sigmas = self.find_points(batch)
+        self.points_world = points[0]
+        if self._first is None:
+            self._first = points[:, 0]
+        state = batch[OBS_STATE]
+        T_world_ee = pose_end_effector(self._geometry, state[:, :-1])
+        poses = self.network(join_inputs(T_world_ee, points, sigmas, self._first, state[:, -1]))
+        actions = align_signs(decode_poses(T_world_ee, poses), self._last)
+        self._last = actions[:, 0]
+        return actions
+
+    @torch.no_grad()
+    def select_action(self, batch: dict[str, Tensor], **_: Any) -> Tensor:
+        """The action (B, 8) of this step; the finder looks when the actions of the last chunk are used up."""
+        return self._blender.next_action(lambda: self.predict_action_chunk(batch))
+
+
+def _begin(config: HandleACTConfig) -> tuple[Finder, Tensor]:
+    """Finder and errors for a new training, whose settings get what they need of suite and finder.
+
+    The images of the suite's cameras become inputs of the policy, and the keypoints, which only demonstrations have, do not.
+    """
+    geometry = read_geometry(Path(config.suite), config.cameras)
+    finder, errors = load_finder(Path(config.finder))
+    config.geometry = json.dumps(geometry)
+    config.finder_settings = json.dumps(asdict(finder.settings))
+    width, height = geometry["size"]
+    image = PolicyFeature(FeatureType.VISUAL, (3, height, width))
+    config.input_features = {
+        OBS_STATE: config.input_features[OBS_STATE],
+        **{f"{OBS_IMAGES}.{name}": image for name in geometry["K"]},
+    }
+    return finder, tabulate_errors(errors, list(geometry["K"]))
+
+
+def _continue(config: HandleACTConfig) -> tuple[Finder, Tensor]:
+    """Finder and errors whose values a checkpoint contains."""
+    cameras = len(json.loads(config.geometry)["K"])
+    finder = Finder(FinderSettings(**json.loads(config.finder_settings)))
+    return finder, torch.zeros(cameras, *TABLE_SHAPE)

@@ -1,0 +1,229 @@
+"""Labelled images without physics, as a WebDataset: a shard holds the images of one object.
+
+`FOLDER/shard-000000.tar` holds for each image KEY.jpg, KEY.labels.png (part labels), KEY.depth.png (16 bit, [mm]) and
+KEY.json; `FOLDER/dataset.json` describes the set and appears last. `FOLDER/objects/` states what is done.
+"""
+
+import io
+import json
+import tarfile
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from functools import partial
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from aomgen.assets.choice import (
+    asset_file,
+    is_made,
+    list_styles,
+    make_asset,
+    open_asset,
+    require_usable,
+    style_of_seed,
+    suggest_category,
+)
+from aomgen.conventions import PART_LABELS
+from aomgen.core.asset import ArticulatedAsset
+from aomgen.core.keypoints import KEYPOINTS
+from aomgen.core.progress import Progress
+from aomgen.episodes.stage import open_executor
+from aomgen.errors import ConfigError, UnknownNameError
+from aomgen.exports.image_samples import ImageRoom, ImageSample
+from aomgen.io.atomic import write_bytes, write_json
+from aomgen.io.images import encode_jpeg, encode_png
+from aomgen.pipeline.stages import require_stage
+from aomgen.results import Results
+from aomgen.saved_units import REQUEST_FILE, SavedUnits
+
+# Raised when the files change.
+VERSION: Final = 1
+DATASET_FILE: Final = "dataset.json"
+SHARD: Final = "shard-{:06d}.tar"
+OBJECTS: Final = "objects"
+# As in RLDS: at least 36 dB.
+JPEG_QUALITY: Final = 95
+# Compression of PNG: a few milliseconds an image are saved for a tenth more bytes.
+PNG_LEVEL: Final = 1
+# Seeds of made objects of an export begin at this number times its seed plus one: seeds below are left to projects.
+SEEDS: Final = 10_000
+# Largest time for one shard, [s].
+TIMEOUT_S: Final = 3600.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ImageSetRequest:
+    """Request for labelled images.
+
+    Attributes:
+        images: Number of images.
+        size: Width and height, [px].
+        seed: Decides objects and scenes.
+        per_object: Number of images of each object, which are one shard.
+        categories: Categories of which every shard has another made object.
+        assets: Objects by name, as in a project; they and the categories take turns.
+        styles: Styles of made objects; empty for all.
+    """
+
+    images: int
+    size: tuple[int, int] = (256, 256)
+    seed: int = 0
+    per_object: int = 100
+    categories: tuple[str, ...] = ()
+    assets: tuple[str, ...] = ()
+    styles: tuple[str, ...] = ()
+
+    @property
+    def shards(self) -> int:
+        """Number of shards."""
+        return -(-self.images // self.per_object)
+
+    def count_images(self, shard: int) -> int:
+        """Number of images in a shard; the last one may be smaller."""
+        return min(self.per_object, self.images - shard * self.per_object)
+
+    def check(self) -> None:
+        """Refuse a request that cannot be fulfilled.
+
+        Raises:
+            ConfigError, UnknownNameError: A number is too small, or a category or a style is unknown.
+            AssetError, InputError: An asset cannot be used.
+        """
+        if not (self.categories or self.assets):
+            raise ConfigError("--category", "is missing", "name the category of the objects, or objects")
+        for name, value in (("--n", self.images), ("--per-object", self.per_object)):
+            if not value >= 1:
+                raise ConfigError(name, f"is {value}", "want 1 or more")
+        for category in self.categories:
+            if not is_made(category):
+                raise ConfigError("--category", f"'{category}' cannot be made", suggest_category(category))
+        known = [style for category in self.categories for style in list_styles(category)]
+        for style in self.styles:
+            if style not in known:
+                raise UnknownNameError("--style", style, known)
+        for category in self.categories if self.styles else ():
+            if not set(self.styles) & set(list_styles(category)):
+                raise ConfigError("--style", f"leaves no style of '{category}'", "name one of its styles")
+        for spec in self.assets:
+            open_asset(spec)
+
+    def open_object(self, shard: int) -> tuple[ArticulatedAsset, dict[str, Any]]:
+        """Open the object of a shard, and describe where it is from."""
+        sources = [*self.categories, *self.assets]
+        source = sources[shard % len(sources)]
+        if source not in self.categories:
+            asset = open_asset(source)
+            made = "" if asset_file(source) else source.rpartition(":")[2]
+            style = style_of_seed(asset.category, int(made)) if made else ""
+            return asset, {"source": source, "style": style}
+        styles = [style for style in list_styles(source) if not self.styles or style in self.styles]
+        seed = SEEDS * (1 + self.seed) + shard // len(sources)
+        style = styles[shard // len(sources) % len(styles)]
+        asset = require_usable(make_asset(source, seed, style))
+        return asset, {"source": f"{source}:{seed}", "style": style}
+
+
+def export_images(
+    results: Results, folder: Path, request: ImageSetRequest, progress: Progress
+) -> list[dict[str, Any]]:
+    """Render labelled images into a folder; an interrupted export continues.
+
+    Args:
+        results: Results of a run; its number of workers or its Ray cluster is used.
+        folder: Folder of the dataset.
+        request: Requested images; without categories and assets, the categories of the run's objects.
+        progress: Called after each shard.
+
+    Returns:
+        The objects by shard.
+
+    Raises:
+        ConfigError: The request is wrong, the folder holds something else, or an object has no room on the table.
+        MissingFileError: The run has no result of the stage "replacement".
+        AomgenError: Whatever the rendering refuses.
+    """
+    require_stage(results, "replacement")
+    if not (request.categories or request.assets):
+        own = dict.fromkeys(fitted.asset.category for fitted in results.fitted_assets)
+        request = replace(request, categories=tuple(filter(is_made, own)))
+    request.check()
+    if folder.exists() and any(folder.iterdir()) and not (folder / OBJECTS / REQUEST_FILE).is_file():
+        raise ConfigError(folder, "is there and holds no labelled images", "choose another folder")
+    stated = json.loads(json.dumps({"version": VERSION, "run": str(results.out), **asdict(request)}))
+    units = SavedUnits(folder / OBJECTS, stated, dict)
+    opener = partial(open_room, replace(results), folder, request)
+    objects = units.make(range(request.shards), open_executor(results, opener, TIMEOUT_S), progress)
+    write_json(folder / DATASET_FILE, _describe(results, request, objects))
+    return objects
+
+
+def open_room(results: Results, folder: Path, request: ImageSetRequest) -> Callable[[int], dict[str, Any]]:
+    """Open a worker function that renders a shard."""
+    room = ImageRoom(results, request.size, request.seed)
+    return lambda shard: write_shard(room, folder, request, shard)
+
+
+def write_shard(room: ImageRoom, folder: Path, request: ImageSetRequest, shard: int) -> dict[str, Any]:
+    """Render the images of a shard and write it; returns what it shows."""
+    asset, origin = request.open_object(shard)
+    facts = {"asset": asset.name, "category": asset.category, **origin, "seed": request.seed, "shard": shard}
+    rng = np.random.default_rng([request.seed, shard])
+    count = request.count_images(shard)
+    data = io.BytesIO()
+    with tarfile.open(fileobj=data, mode="w", format=tarfile.USTAR_FORMAT) as tar:
+        for number, sample in enumerate(room.render(asset, facts, count, rng)):
+            key = f"{shard * request.per_object + number:08d}"
+            for suffix, content in encode_sample(sample).items():
+                entry = tarfile.TarInfo(f"{key}.{suffix}")
+                entry.size = len(content)
+                tar.addfile(entry, io.BytesIO(content))
+    write_bytes(folder / SHARD.format(shard), data.getvalue())
+    return {**facts, "images": count, "joint_type": asset.joint.type}
+
+
+def encode_sample(sample: ImageSample) -> dict[str, bytes]:
+    """Files of an image by suffix."""
+    return {
+        "jpg": encode_jpeg(sample.image_srgb, JPEG_QUALITY, halve_colors=False),
+        "labels.png": encode_png(sample.labels, PNG_LEVEL),
+        "depth.png": encode_png(sample.depth_mm, PNG_LEVEL),
+        "json": json.dumps(sample.facts, allow_nan=False).encode(),
+    }
+
+
+def read_shard(path: Path) -> Iterator[tuple[str, Mapping[str, bytes]]]:
+    """Yield key and files by suffix of each image of a shard."""
+    files: dict[str, bytes] = {}
+    key = ""
+    with tarfile.open(path) as tar:
+        for entry in tar:
+            found, _, suffix = entry.name.partition(".")
+            if files and found != key:
+                yield key, files
+                files = {}
+            key, content = found, tar.extractfile(entry)
+            files[suffix] = content.read() if content else b""
+    if files:
+        yield key, files
+
+
+def _describe(
+    results: Results, request: ImageSetRequest, objects: Sequence[Mapping[str, Any]]
+) -> dict[str, Any]:
+    cameras = [*results.episode_scene.cameras, *results.robot.cameras]
+    return {
+        "version": VERSION,
+        "keypoints": list(KEYPOINTS),
+        "labels": PART_LABELS,
+        "cameras": cameras,
+        "images": request.images,
+        "images_per_shard": request.per_object,
+        "size": list(request.size),
+        "seed": request.seed,
+        "categories": list(request.categories),
+        "styles": list(request.styles),
+        "shards": request.shards,
+        "objects": list(objects),
+    }
