@@ -17,7 +17,12 @@ POINT_SLACK = 0.1
 
 
 def read_prompts(
-    sections: list[PromptSection], names: set[str], size: tuple[int, int], path: Path, *, complete: bool = True
+    sections: list[PromptSection],
+    names: set[str],
+    size: tuple[int, int],
+    path: Path,
+    *,
+    complete: bool = True,
 ) -> tuple[Prompt, ...]:
     """Check the prompts of a capture.
 
@@ -68,7 +73,9 @@ def list_proposals(sections: Sequence[PromptSection]) -> list[str]:
     if not least:
         return []
     named = ", ".join(f"{part} {confidence:.2f}" for part, confidence in least.items())
-    return [f"the prompts of capture.toml are proposals ({named}), confirm them with `aomgen prompts CAPTURE`"]
+    return [
+        f"the prompts of capture.toml are proposals ({named}), confirm them with `aomgen prompts CAPTURE`"
+    ]
 
 
 def list_boxed_images(prompts: Sequence[Prompt | PromptSection]) -> dict[str, set[str]]:

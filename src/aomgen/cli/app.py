@@ -149,14 +149,33 @@ def init(
         list[str] | None,
         typer.Option("--asset", help="category:seed, a USD file or original; repeat for several."),
     ] = None,
+    propose: Annotated[
+        bool,
+        typer.Option(
+            "--propose",
+            help="First add prompts of the parts that have none to capture.toml, from what moves in the video.",
+        ),
+    ] = False,
 ) -> None:
-    """Write a project file with every choice spelled out, after checking capture and assets."""
+    """Write a project file with every choice spelled out, after checking capture and assets.
+
+    With --propose, boxes around the robot, the moving part and the object's body are found within some minutes:
+    the robot is what leaves its position in the video, and then its model; the moving part is what the gripper has
+    carried away. They are marked `proposed = true` with a confidence. Confirm or correct them with `aomgen prompts`.
+    """
     from aomgen.capture.read import read_capture
     from aomgen.pipeline.preflight import check_project, machine_warnings, new_project
     from aomgen.pipeline.project_file import write_project
 
     if project.exists():
         raise ConfigError(project, "exists already", "choose another name with --project")
+    if propose:
+        from aomgen.prompting.proposals import write_proposals
+
+        for prompt in write_proposals(
+            capture, lambda share, text: print(f"  {share:4.0%} {text}", flush=True)
+        ):
+            print(f"proposed {prompt.part} on {prompt.image}, confidence {prompt.confidence:.2f}")
     recorded = read_capture(capture)
     choices = new_project(recorded, out, assets or [])
     warnings = check_project(choices, recorded) + machine_warnings(choices.segmenter, recorded)

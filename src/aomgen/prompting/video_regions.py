@@ -1,4 +1,4 @@
-"""Regions of a demonstration video that change: the robot in the first frame, and what the gripper moves."""
+"""Regions of a demonstration video that change: the robot in the first frame, and what the gripper has moved."""
 
 from dataclasses import dataclass
 from typing import Annotated, Final
@@ -22,46 +22,33 @@ LEFT_SHARE: Final = 0.6
 # Least size of the robot, as a share of the image.
 MIN_ROBOT: Final = 0.005
 # Frames that make each of the two images before and after the motion.
-PLATE_FRAMES: Final = 24
-# Probability that a pixel of a moving, or of a resting part shows something else at the end: inner faces resemble
-# outer ones, and shadows move.
-MOVED, RESTED = 0.4, 0.05
-# Distance between the points that are segmented, and their reach around the contact, as shares of the image's width.
+STATE_FRAMES: Final = 24
+# Margin around the robot's masks, [px]: the model's outline is accurate to a pixel or two before the refinement.
+ROBOT_MARGIN_PX: Final = 3
+# Probability that a pixel shows something else where a part has come to, and where none has: shadows move as well.
+CAME, STAYED = 0.9, 0.1
+# Distance between the points that are segmented, and their reach around the gripper, as shares of the image's width.
 STEP, REACH = 1 / 40, 1 / 8
-# Smaller regions are pieces of a part, and larger ones rooms, as shares of the image.
+# Smaller segments are pieces of a part, and larger ones are rooms, as shares of the image.
 SIZES: Final = (0.002, 0.4)
-# A part touches the gripper within this share of the image's width.
+# A part is this near to the gripper that holds it, as a share of the image's width: half a handle's length.
 NEAR: Final = 1 / 20
+REMEDY: Final = "mark the parts with `aomgen prompts`"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class VideoChange:
-    """The scene of a video without the robot, before the motion, and what has changed after it.
+    """The scene of a video after the motion, without the robot where frames show it, and what has changed.
 
     Attributes:
-        before_srgb: (H, W, 3) uint8.
-        changed: (H, W) pixels that show something else after the motion.
-        seen: (H, W) pixels at which no robot hides either state.
+        after_srgb: (H, W, 3) uint8.
+        changed: (H, W) pixels that show something else than before the motion.
+        seen: (H, W) pixels at which the robot hides neither state.
     """
 
-    before_srgb: Annotated[NDArray[np.uint8], "H W 3"]
+    after_srgb: Annotated[NDArray[np.uint8], "H W 3"]
     changed: Annotated[NDArray[np.bool_], "H W"]
     seen: Annotated[NDArray[np.bool_], "H W"]
-
-    __post_init__ = freeze_arrays
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class MovingRegion:
-    """What the gripper moves, in the image before the motion.
-
-    Attributes:
-        mask: (H, W).
-        confidence: Share of the changed pixels around the contact that it explains, 0..1.
-    """
-
-    mask: Annotated[NDArray[np.bool_], "H W"]
-    confidence: float
 
     __post_init__ = freeze_arrays
 
@@ -69,98 +56,100 @@ class MovingRegion:
 def find_robot_box(frames_srgb: NDArray[np.uint8]) -> Array:
     """Find the box x0, y0, x1, y1 (4,), [px], of the robot in the first of the frames (T, H, W, 3).
 
-    The base, which does not move, is outside it.
+    The base, which does not move, may be outside it.
 
     Raises:
         NoMotionError: Nothing leaves its first position.
 
-    Not checked: that the robot moves first, and that it leaves the region it covers.
+    Not checked: that the robot moves first, and that it leaves the region that it covers.
     """
     first = frames_srgb[0].astype(np.float32)
     left = np.mean([_differ(frame.astype(np.float32), first) for frame in frames_srgb], axis=0) > LEFT_SHARE
-    pieces, count = ndimage.label(left)
-    sizes = np.bincount(np.asarray(pieces).ravel(), minlength=2)[1:]
-    if not (count and sizes.max() >= MIN_ROBOT * left.size):
+    pieces = np.zeros(left.shape, np.int32)
+    ndimage.label(left, output=pieces)
+    sizes = np.bincount(pieces.ravel(), minlength=2)
+    sizes[0] = 0
+    if not sizes.max() >= MIN_ROBOT * left.size:
         raise NoMotionError(
             "demonstration video",
-            f"no robot is seen to move away from where it is in the first frame ({sizes.max() / left.size:.1%} of the "
-            f"image, want {MIN_ROBOT:.1%})",
-            "mark the parts with `aomgen prompts`",
+            f"nothing is seen to leave its position in the first frame ({sizes.max() / left.size:.1%} of the image, "
+            f"want {MIN_ROBOT:.1%})",
+            REMEDY,
         )
-    rows, columns = np.nonzero(np.asarray(pieces) == 1 + int(np.argmax(sizes)))
+    rows, columns = np.nonzero(pieces == int(np.argmax(sizes)))
     return np.array([columns.min(), rows.min(), columns.max() + 1, rows.max() + 1], np.float64)
 
 
 def compare_states(
     frames_srgb: NDArray[np.uint8], robot: NDArray[np.bool_], first: int, last: int
 ) -> VideoChange:
-    """Compare the scene before a frame with that after another one, without the robot.
+    """Compare the scene after a frame with that before another one, without the robot.
 
     Args:
         frames_srgb, robot: Frames (T, H, W, 3) and the robot's masks (T, H, W) in them.
         first, last: Frames between which the part moves.
     """
-    margin = ndimage.generate_binary_structure(2, 1)[None]
+    cross = ndimage.generate_binary_structure(2, 1)[None]
     (before, before_seen), (after, after_seen) = (
         compute_masked_median(
-            frames_srgb[chosen], ~ndimage.binary_dilation(robot[chosen], margin, iterations=3)
+            frames_srgb[chosen], ~ndimage.binary_dilation(robot[chosen], cross, iterations=ROBOT_MARGIN_PX)
         )
         for chosen in (_spread(0, first + 1), _spread(last, len(frames_srgb)))
     )
+    seen = before_seen & after_seen
     return VideoChange(
-        before_srgb=np.where(before_seen[..., None], before, frames_srgb[0]).astype(np.uint8),
-        changed=_differ(before, after) & before_seen & after_seen,
-        seen=before_seen & after_seen,
+        after_srgb=np.where(after_seen[..., None], after, frames_srgb[-1]).astype(np.uint8),
+        changed=_differ(before, after) & seen,
+        seen=seen,
     )
 
 
 def _spread(first: int, end: int) -> NDArray[np.int64]:
-    return np.unique(np.linspace(first, end - 1, PLATE_FRAMES).astype(np.int64))
+    """At most `STATE_FRAMES` indices from first to end - 1."""
+    return np.unique(np.linspace(first, end - 1, STATE_FRAMES).astype(np.int64))
 
 
 def _differ(a: NDArray[np.float32], b: NDArray[np.float32]) -> Mask:
     return np.asarray(ndimage.uniform_filter(np.abs(a - b).max(2), WINDOW) > CHANGED, bool)
 
 
-def find_moving_region(image: PreparedImage, change: VideoChange, contact_px: Array) -> MovingRegion:
-    """Choose the segment at the contact that the change of the video makes likeliest.
+def find_moved_region(image: PreparedImage, change: VideoChange, gripper_px: Array) -> Mask:
+    """Choose the segment (H, W) at the gripper that the change of the video makes likeliest.
+
+    The part is sought where it has come to: there it covers something else, while a door that opens may reveal an
+    inside as dark as itself.
 
     Args:
-        image: `change.before_srgb`, encoded.
-        contact_px: Pixel (2,) at which the gripper touches the part.
+        image: `change.after_srgb`, encoded.
+        gripper_px: Pixel (2,) of the end effector after the motion.
 
     Raises:
-        NoMotionError: No segment at the contact changes.
+        NoMotionError: No segment at the gripper has changed.
     """
     height, width = change.seen.shape
-    reach, step = REACH * width, max(4, round(STEP * width))
-    offsets = np.arange(-reach, reach + 1, step)
-    points = contact_px + np.stack(np.meshgrid(offsets, offsets), -1).reshape(-1, 2)
+    offsets = np.arange(-REACH * width, REACH * width + 1, STEP * width)
+    points = gripper_px + np.stack(np.meshgrid(offsets, offsets), -1).reshape(-1, 2)
     points = points[np.all((points >= 0) & (points < [width, height]), axis=1)]
-    found = [mask for mask in image.at_points(points).masks if _fits(mask, contact_px)]
+    found = [mask for mask in image.at_points(points).masks if _fits(mask, gripper_px)]
     gains = [_log_likelihood_ratio(mask, change) for mask in found]
     if not (gains and max(gains) > 0):
         raise NoMotionError(
-            "demonstration video",
-            "nothing at the gripper looks different after it has moved",
-            "mark the parts with `aomgen prompts`",
+            "demonstration video", "nothing at the gripper looks different after it has moved", REMEDY
         )
-    best = found[int(np.argmax(gains))]
-    share = float(change.changed[best].sum() / max(1, change.seen[best].sum()))
-    return MovingRegion(mask=best, confidence=min(1.0, share / MOVED))
+    return found[int(np.argmax(gains))]
 
 
-def _fits(mask: Mask, contact_px: Array) -> bool:
-    """Whether a segment has the size of a part, and is at the contact."""
+def _fits(mask: Mask, gripper_px: Array) -> bool:
+    """Whether a segment has the size of a part and is near the gripper."""
     if not SIZES[0] * mask.size <= mask.sum() <= SIZES[1] * mask.size:
         return False
     rows, columns = np.nonzero(mask)
-    nearest = np.hypot(columns + 0.5 - contact_px[0], rows + 0.5 - contact_px[1]).min()
+    nearest = np.hypot(columns + 0.5 - gripper_px[0], rows + 0.5 - gripper_px[1]).min()
     return bool(nearest <= NEAR * mask.shape[1])
 
 
 def _log_likelihood_ratio(mask: Mask, change: VideoChange) -> float:
-    """Logarithm of the likelihood ratio of a segment that has moved over one that has rested."""
+    """Logarithm of the likelihood ratio of a part that has come to a segment over one that was there before."""
     changed = int((mask & change.changed).sum())
-    kept = int((mask & change.seen).sum()) - changed
-    return changed * np.log(MOVED / RESTED) + kept * np.log((1 - MOVED) / (1 - RESTED))
+    same = int((mask & change.seen).sum()) - changed
+    return float(changed * np.log(CAME / STAYED) + same * np.log((1 - CAME) / (1 - STAYED)))

@@ -25,7 +25,7 @@ def test_a_capture_with_proposals_warns_until_they_are_confirmed(capture_copy):
 )
 def test_a_proposal_without_its_confidence_is_refused(capture_copy, lines):
     mark(capture_copy, lines)
-    with pytest.raises(InputError, match="confidence|proposed"):
+    with pytest.raises(InputError, match=r"confidence|proposed"):
         read_capture(capture_copy)
 
 
