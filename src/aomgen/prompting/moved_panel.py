@@ -34,7 +34,7 @@ PRIOR_WEIGHT: Final = 0.005
 # Loss of agreement for a grasp that is 1 m beside its rectangle.
 OUTSIDE_WEIGHT: Final = 2.0
 # Rectangles that are drawn at random first, their largest reach from the grasp [m], and those that are improved.
-DRAWS, REACH_M, STARTS = 2000, 0.6, 5
+DRAWS, REACH_M, STARTS = 3000, 0.6, 8
 # First steps of the improvement: four sides and depth [m], yaw and slip [rad].
 STEPS: Final = (0.08, 0.08, 0.08, 0.08, 0.02, 0.1, 0.1)
 # A normal that is steeper than this cosine belongs to a lid.

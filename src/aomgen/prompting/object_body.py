@@ -36,7 +36,9 @@ STRAYS: Final = 0.02
 # Depths of a body, [m], a tenth apart.
 DEPTHS_M: Final = np.geomspace(0.08, 0.8, 25)
 # Views that decide on the depth, and the angle between them, [deg].
-VIEWS, APART_DEG = 3, 20.0
+VIEWS, APART_DEG = 3, 30.0
+# Views nearer to one another than this show the same, [deg].
+LEAST_APART_DEG: Final = 3.0
 # Views from the front show more of the moving part than of the body.
 MAX_FACING: Final = 0.6
 # The robot may hide this share of a body, which leaves so much room in the image, as a share of its width.
@@ -161,8 +163,8 @@ def find_body(
 
 
 def choose_side_views(views: Sequence[ScanView], panel: Panel, corners: Array) -> list[ScanView]:
-    """Choose views that show a body (8, 3) whole, unhidden, not from the front, from different sides; largest first."""
-    shown: list[tuple[int, ScanView]] = []
+    """Choose views that show a body (8, 3) whole, unhidden, not from the front, from different sides; best first."""
+    shown: list[tuple[float, ScanView]] = []
     for view in views:
         camera = view.camera
         pixels, depths = camera.project(corners)
@@ -174,13 +176,25 @@ def choose_side_views(views: Sequence[ScanView], panel: Panel, corners: Array) -
             continue
         region = fill_hull(pixels, camera.width, camera.height)
         if (region & view.robot).sum() <= MAX_HIDDEN * region.sum():
-            shown.append((int(region.sum()), view))
+            # The more a view faces the front, the less it shows of the body.
+            shown.append((float(region.sum()) * (1.0 - facing), view))
     ordered = [view for _, view in sorted(shown, key=lambda item: -item[0])]
     return choose_apart(ordered, corners.mean(0), VIEWS, APART_DEG)
 
 
 def choose_apart(views: Sequence[ScanView], target: Array, count: int, apart_deg: float) -> list[ScanView]:
-    """The first views, at most `count`, whose directions to a target (3,) differ by an angle; first ones first."""
+    """Choose the first views, at most `count`, whose directions to a target (3,) differ by an angle, [deg].
+
+    The angle is halved until there are enough; the first ones come first.
+    """
+    while True:
+        chosen = _keep_apart(views, target, count, apart_deg)
+        if len(chosen) == min(count, len(views)) or apart_deg < LEAST_APART_DEG:
+            return chosen
+        apart_deg /= 2
+
+
+def _keep_apart(views: Sequence[ScanView], target: Array, count: int, apart_deg: float) -> list[ScanView]:
     chosen: list[ScanView] = []
     directions: list[Array] = []
     for view in views:

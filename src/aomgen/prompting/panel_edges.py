@@ -1,7 +1,6 @@
 """Refinement of the moving part's rectangle on its edges in scan images that show it from the front."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
@@ -34,17 +33,48 @@ BLUR_PX, CLEAR_EDGE = 1.2, 6 / 255
 # Edges against the region: both are at most 1, and an edge of another object is as clear as the right one.
 EDGE_WEIGHT: Final = 0.7
 # Rectangles drawn around the first one, and their standard deviations: sides and depth [m], yaw and slip [rad].
-DRAWS, SPREAD = 1000, (0.03, 0.03, 0.02, 0.02, 0.02, 0.05, 0.05)
+DRAWS, SPREAD = 6000, (0.04, 0.04, 0.03, 0.03, 0.02, 0.05, 0.05)
 STEPS: Final = (0.02, 0.02, 0.02, 0.02, 0.01, 0.03, 0.03)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ViewGradients:
-    """A scan image and its gray gradients along x and y (H, W), 0 on the robot."""
+class EdgeClearness:
+    """How clear edges in scan images are at the sides of rectangles."""
 
-    view: ScanView
-    along_x: Array
-    along_y: Array
+    def __init__(self, views: Sequence[ScanView], grip: Grip) -> None:
+        """Blur the views, which have one size, and take their luma gradients; there are none on the robot."""
+        self._grip = grip
+        cameras = [view.camera for view in views]
+        self._size = np.array([cameras[0].width, cameras[0].height])
+        self._Ps = np.stack([camera.K @ camera.T_cam_world[:3] for camera in cameras])
+        slopes = [_measure_gradients(view) for view in views]
+        self._slopes = np.stack(slopes)
+
+    def measure(self, x: Array) -> float:
+        """Mean clearness of the edges at the sides of a rectangle (7,), 0..1.
+
+        Gradients are averaged along a side with their sign, so that texture cancels out.
+        """
+        corners = place_corners(self._grip, x)
+        ends = np.roll(corners, -1, axis=0)
+        points = (corners[:, None] + SAMPLES[:, None] * (ends - corners)[:, None]).reshape(-1, 3)
+        cams = points @ np.swapaxes(self._Ps[:, :, :3], 1, 2) + self._Ps[:, None, :, 3]
+        pixels = cams[..., :2] / np.maximum(cams[..., 2:], 1e-6)
+        columns, rows = np.moveaxis(np.clip(pixels, 0, self._size - 1).astype(np.int64), -1, 0)
+        at = np.arange(len(pixels))[:, None]
+        slopes = self._slopes[at, rows, columns].reshape(len(pixels), 4, -1, 2)
+        pixels = pixels.reshape(len(pixels), 4, -1, 2)
+        along = pixels[:, :, -1] - pixels[:, :, 0]
+        normals = np.stack([-along[..., 1], along[..., 0]], -1)
+        normals /= np.maximum(np.linalg.norm(normals, axis=-1, keepdims=True), 1e-6)
+        across = np.einsum("vsnk,vsk->vsn", slopes, normals)
+        return float(np.abs(np.clip(across, -CLEAR_EDGE, CLEAR_EDGE).mean(-1)).mean() / CLEAR_EDGE)
+
+
+def _measure_gradients(view: ScanView) -> Array:
+    """Luma gradients (H, W, 2) along x and y, 0 on the robot."""
+    luma = ndimage.gaussian_filter(luma_from_srgb(view.image_srgb), BLUR_PX)
+    along_y, along_x = np.gradient(luma)
+    return np.where(view.robot[..., None], 0.0, np.stack([along_x, along_y], -1))
 
 
 def choose_front_views(views: Sequence[ScanView], panel: Panel) -> list[ScanView]:
@@ -87,45 +117,12 @@ def refine_panel(
             "no scan image shows the moving part from the front without the robot before it",
             "mark the parts with `aomgen prompts`",
         )
-    gradients = [_measure_gradients(view) for view in chosen]
+    edges = EdgeClearness(chosen, grip)
 
     def score(candidate: Array) -> float:
-        return agreement.score(candidate, model) + EDGE_WEIGHT * measure_edges(grip, candidate, gradients)
+        return agreement.score(candidate, model) + EDGE_WEIGHT * edges.measure(candidate)
 
     draws = np.vstack([x, x + rng.normal(size=(DRAWS, len(x))) * SPREAD])
     _, best = improve(score, draws, STEPS)
-    confidence = agreement.measure(best, model) * measure_edges(grip, best, gradients)
+    confidence = agreement.measure(best, model) * edges.measure(best)
     return Panel(corners_world=place_corners(grip, best), confidence=confidence)
-
-
-def measure_edges(grip: Grip, x: Array, gradients: Sequence[ViewGradients]) -> float:
-    """Mean clearness of the edges at the sides of a rectangle (7,), 0..1.
-
-    Gradients are averaged along a side with their sign, so that texture cancels out.
-    """
-    corners = place_corners(grip, x)
-    ends = np.roll(corners, -1, axis=0)
-    points = corners[:, None] + SAMPLES[:, None] * (ends - corners)[:, None]
-    found = []
-    for item in gradients:
-        pixels = item.view.camera.project(points.reshape(-1, 3))[0].reshape(4, -1, 2)
-        along = pixels[:, -1] - pixels[:, 0]
-        normals = (
-            np.stack([-along[:, 1], along[:, 0]], 1)
-            / np.maximum(np.linalg.norm(along, axis=1), 1e-6)[:, None]
-        )
-        at = np.moveaxis(pixels[..., ::-1] - 0.5, -1, 0)
-        slopes = [ndimage.map_coordinates(values, at, order=1) for values in (item.along_x, item.along_y)]
-        across = normals[:, :1] * slopes[0] + normals[:, 1:] * slopes[1]
-        found.append(np.abs(np.clip(across, -CLEAR_EDGE, CLEAR_EDGE).mean(1)) / CLEAR_EDGE)
-    return float(np.mean(found))
-
-
-def _measure_gradients(view: ScanView) -> ViewGradients:
-    gray = ndimage.gaussian_filter(luma_from_srgb(view.image_srgb.astype(np.float32)), BLUR_PX)
-    along_y, along_x = np.gradient(gray)
-    return ViewGradients(
-        view=view,
-        along_x=np.where(view.robot, 0.0, along_x),
-        along_y=np.where(view.robot, 0.0, along_y),
-    )

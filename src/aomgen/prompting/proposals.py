@@ -16,7 +16,7 @@ import numpy as np
 from aomgen.alignment.bundle_terms import BundleParams
 from aomgen.alignment.stage import align_scan, calibrate_cameras
 from aomgen.alignment.starting_poses import RobotBox
-from aomgen.capture.capture_schema import PromptSection
+from aomgen.capture.capture_schema import PromptSection, read_manifest
 from aomgen.capture.demo_videos import check_demo_video
 from aomgen.capture.prompts import PARTS, list_boxed_images
 from aomgen.capture.read import read_capture
@@ -49,7 +49,7 @@ SMALL_PX: Final = 480
 # Sparse points within this distance of the robot's surface are the robot's, [m].
 ROBOT_M: Final = 0.03
 # Angle between the two images on which the robot and the moving part are proposed, [deg].
-ROBOT_APART_DEG, MOVING_APART_DEG = 40.0, 10.0
+ROBOT_APART_DEG, MOVING_APART_DEG = 40.0, 20.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -80,8 +80,6 @@ def write_proposals(capture: Path, progress: Progress) -> list[PromptSection]:
         ConfigError: The capture has prompts of all parts.
         InputError, BackendError, EstimationError: The capture, the machine, or what the video shows does not allow it.
     """
-    from aomgen.capture.capture_schema import read_manifest
-
     path = capture / "capture.toml"
     recorded = read_capture(capture, complete=False)
     present = read_manifest(path).prompts
@@ -222,7 +220,7 @@ def _count_cut_sides(view: ScanView) -> int:
 
 def _propose_moving(panel: Panel, views: Sequence[ScanView]) -> list[Proposal]:
     shown = choose_front_views(views, panel)
-    chosen = choose_apart(shown, panel.center, WANTED_IMAGES, MOVING_APART_DEG) or shown[:1]
+    chosen = choose_apart(shown, panel.center, WANTED_IMAGES, MOVING_APART_DEG)
     proposals = []
     for view in chosen:
         pixels = view.camera.project(panel.corners_world)[0]
