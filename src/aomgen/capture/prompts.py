@@ -60,7 +60,7 @@ def prompt_warnings(prompts: tuple[Prompt, ...]) -> list[str]:
 
 
 def list_proposals(sections: Sequence[PromptSection]) -> list[str]:
-    """A warning about prompts that a program proposed and nobody has confirmed; empty without any.
+    """A warning about proposed prompts that no person has confirmed; empty without any.
 
     Example:
         >>> list_proposals([PromptSection(part="robot", image="0.jpg", box=[0, 0, 9, 9], proposed=True, confidence=0.6)])

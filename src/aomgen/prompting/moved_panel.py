@@ -18,7 +18,9 @@ from scipy.spatial import ConvexHull, QhullError
 from aomgen.core.camera import Camera
 from aomgen.core.transforms import apply, invert, matrix_from_rotvec
 from aomgen.core.values import Array, Matrix4, Vector3, freeze_arrays
+from aomgen.errors import NoMotionError
 from aomgen.parts.panel_terms import iou
+from aomgen.prompting.video_regions import REMEDY
 from aomgen.segmentation.interface import Mask
 
 # Regions are compared in images of this width, [px]: a pixel is some 4 mm at a table's distance.
@@ -37,6 +39,8 @@ OUTSIDE_WEIGHT: Final = 2.0
 DRAWS, REACH_M, STARTS = 3000, 0.6, 8
 # First steps of the improvement: four sides and depth [m], yaw and slip [rad].
 STEPS: Final = (0.08, 0.08, 0.08, 0.08, 0.02, 0.1, 0.1)
+# Least overlap of a rectangle and the region; doors and drawers reach 95 %.
+MIN_AGREEMENT: Final = 0.6
 # A normal that is steeper than this cosine belongs to a lid.
 LYING: Final = 0.7
 
@@ -173,7 +177,11 @@ class RegionAgreement:
 
 
 def fit_region(agreement: RegionAgreement, rng: np.random.Generator) -> tuple[Array, Model]:
-    """Find the rectangle (7,), see `place_corners`, that explains the region best, and how it explains it."""
+    """Find the rectangle (7,), see `place_corners`, that explains the region best, and how it explains it.
+
+    Raises:
+        NoMotionError: None explains most of the region.
+    """
     models: tuple[Model, ...] = ("carried", "swept")
     draws = np.column_stack([
         rng.uniform(0, REACH_M, (DRAWS, 4)),
@@ -181,10 +189,19 @@ def fit_region(agreement: RegionAgreement, rng: np.random.Generator) -> tuple[Ar
         rng.normal(0, YAW_SD, DRAWS),
         rng.normal(0, SLIP_SD, DRAWS),
     ])  # fmt: skip
-    found = [
-        (*improve(lambda x, model=model: agreement.score(x, model), draws, STEPS), model) for model in models
-    ]
-    _, best, model = max(found, key=lambda item: item[0])
+    found = {
+        model: improve(lambda x, model=model: agreement.score(x, model), draws, STEPS) for model in models
+    }
+    model = max(models, key=lambda name: found[name][0])
+    best = found[model][1]
+    agreement_share = agreement.measure(best, model)
+    if not agreement_share >= MIN_AGREEMENT:
+        raise NoMotionError(
+            "demonstration video",
+            f"no flat front that the gripper carries explains what has moved (overlap {agreement_share:.0%}, want "
+            f"{MIN_AGREEMENT:.0%})",
+            REMEDY,
+        )
     return best, model
 
 

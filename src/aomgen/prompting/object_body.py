@@ -17,6 +17,7 @@ from aomgen.errors import ReconstructionError
 from aomgen.parts.panel_terms import iou
 from aomgen.parts.scan_views import ScanView
 from aomgen.prompting.moved_panel import Panel, fill_hull
+from aomgen.prompting.video_regions import REMEDY
 from aomgen.segmentation.interface import Mask, Segmenter
 
 # Sparse points within this distance of the front may belong to the object, [m].
@@ -80,7 +81,7 @@ def find_object_points(points_world: Array, panel: Panel, rng: np.random.Generat
         raise ReconstructionError(
             "proposals",
             f"{len(below)} points of the scan are below the moving part, want {MIN_SUPPORT} on a level support",
-            "mark the parts with `aomgen prompts`",
+            REMEDY,
         )
     normal, anchor = plane
     normal = normal * np.sign(normal[2])
@@ -138,7 +139,7 @@ def find_body(
         raise ReconstructionError(
             "proposals",
             "no scan image shows the whole object from a side without the robot before it",
-            "mark the parts with `aomgen prompts`",
+            REMEDY,
         )
     prepared = [segmenter.prepare(view.name, view.image_srgb) for view in chosen]
     best: list[tuple[float, Mask]] = []

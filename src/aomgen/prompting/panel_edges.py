@@ -19,6 +19,7 @@ from aomgen.prompting.moved_panel import (
     improve,
     place_corners,
 )
+from aomgen.prompting.video_regions import REMEDY
 
 # Views that are used: the largest of those that see the front at a smaller angle than 60 degrees.
 VIEWS, MIN_COSINE = 8, 0.5
@@ -38,7 +39,7 @@ STEPS: Final = (0.02, 0.02, 0.02, 0.02, 0.01, 0.03, 0.03)
 
 
 class EdgeClearness:
-    """How clear edges in scan images are at the sides of rectangles."""
+    """Clearness of the edges that scan images show at the sides of rectangles."""
 
     def __init__(self, views: Sequence[ScanView], grip: Grip) -> None:
         """Blur the views, which have one size, and take their luma gradients; there are none on the robot."""
@@ -115,7 +116,7 @@ def refine_panel(
         raise ReconstructionError(
             "proposals",
             "no scan image shows the moving part from the front without the robot before it",
-            "mark the parts with `aomgen prompts`",
+            REMEDY,
         )
     edges = EdgeClearness(chosen, grip)
 

@@ -25,7 +25,7 @@ from aomgen.core.project import Project
 from aomgen.core.recording import Recording
 from aomgen.core.transforms import apply
 from aomgen.core.values import Array
-from aomgen.errors import ConfigError
+from aomgen.errors import ConfigError, NoMotionError
 from aomgen.motion.inputs import GripperSignals, find_touch
 from aomgen.parts.scan_views import ScanView, nearest_links
 from aomgen.parts.stage import load_scan_views
@@ -34,7 +34,7 @@ from aomgen.prompting.object_body import choose_apart, find_body, find_object_po
 from aomgen.prompting.panel_edges import choose_front_views, refine_panel
 from aomgen.prompting.prompts_file import save_prompts
 from aomgen.prompting.session import WANTED_IMAGES, box_of_mask
-from aomgen.prompting.video_regions import compare_states, find_moved_region, find_robot_box
+from aomgen.prompting.video_regions import REMEDY, compare_states, find_moved_region, find_robot_box
 from aomgen.results import Results
 from aomgen.robots.silhouette import robot_masks
 from aomgen.segmentation.interface import Segmenter
@@ -182,10 +182,16 @@ def find_panel(
             Ts_world_ee=Ts_world_ee,
             speeds_m_s=np.zeros(len(times)),
             gripper=gripper,
-            # What it grasps is not known yet: the first grasp counts.
+            # The distance to the part is not known yet, so the first grasp counts.
             distances_m=np.zeros(len(times)),
         )
     )
+    if not touch.gripped:
+        raise NoMotionError(
+            results.recorded.joint_log_file,
+            "shows no grasp, so it is not known when the gripper touches the part",
+            REMEDY,
+        )
     with robot_masks(results.robot, camera, log) as masks_at:
         robot = masks_at(times, camera.width, camera.height)
     change = compare_states(video.frames_srgb, robot, touch.first, touch.last)
@@ -193,7 +199,7 @@ def find_panel(
     gripper_px = camera.project(grip.T_world_last[None, :3, 3])[0][0]
     image = segmenter.prepare("after the motion", change.after_srgb)
     region = find_moved_region(image, change, gripper_px)
-    agreement = RegionAgreement(region, robot[touch.last :].all(0), camera, grip)
+    agreement = RegionAgreement(region, np.asarray(robot[touch.last :].all(0)), camera, grip)
     x, model = fit_region(agreement, rng)
     return refine_panel(x, model, agreement, views, rng)
 
@@ -204,7 +210,7 @@ def _propose_robot(results: Results, views: Sequence[ScanView]) -> list[Proposal
     sizes = [view.robot.sum() / (1 + _count_cut_sides(view)) for view in views]
     ordered = [views[k] for k in np.argsort(sizes)[::-1] if sizes[k] > 0]
     alignment = results.alignment
-    # What the images confirm of the outline beyond chance and beyond the best other pose.
+    # Support of the outline beyond chance and beyond the best other pose.
     confidence = alignment.support - max(alignment.chance, alignment.runner_up_support)
     return [
         Proposal(part="robot", view=view, box=np.array(box_of_mask(view.robot)), confidence=confidence)

@@ -17,7 +17,7 @@ CHANGED: Final = 25.0
 # Side of the window over which differences are averaged, [px]: compression blocks are 8 px.
 WINDOW: Final = 5
 # An arm that leaves its first position early differs from the first frame in at least this share of the video.
-# What it opens later differs for less than that.
+# A part that it opens later differs for less than that.
 LEFT_SHARE: Final = 0.6
 # Least size of the robot, as a share of the image.
 MIN_ROBOT: Final = 0.005
@@ -140,7 +140,7 @@ def find_moved_region(image: PreparedImage, change: VideoChange, gripper_px: Arr
 
 
 def _fits(mask: Mask, gripper_px: Array) -> bool:
-    """Whether a segment has the size of a part and is near the gripper."""
+    """Return whether a segment has the size of a part and is near the gripper."""
     if not SIZES[0] * mask.size <= mask.sum() <= SIZES[1] * mask.size:
         return False
     rows, columns = np.nonzero(mask)

@@ -3,7 +3,7 @@ import pytest
 
 from aomgen.core.camera import Camera, look_at
 from aomgen.core.transforms import apply, matrix_from_rotvec
-from aomgen.errors import ReconstructionError
+from aomgen.errors import NoMotionError, ReconstructionError
 from aomgen.parts.scan_views import ScanView
 from aomgen.prompting import moved_panel, panel_edges
 from aomgen.prompting.moved_panel import (
@@ -170,3 +170,13 @@ def test_views_from_different_sides_are_chosen_as_far_as_there_are_any():
     assert [item.name for item in choose_apart([*near, far], target, 2, 30.0)] == ["0.jpg", "far.jpg"]
     assert len(choose_apart(near, target, 2, 30.0)) == 2
     assert choose_apart([], target, 2, 30.0) == []
+
+
+def test_a_region_that_no_front_explains_is_refused(monkeypatch):
+    monkeypatch.setattr(moved_panel, "DRAWS", 40)
+    monkeypatch.setattr(moved_panel, "STARTS", 1)
+    side, region = camera((0.0, -0.9, 0.9)), np.zeros((480, 640), bool)
+    region[40:60, 20:600] = True
+    agreement = RegionAgreement(region, np.zeros_like(region), side, pulled(0.2))
+    with pytest.raises(NoMotionError, match="no flat front"):
+        moved_panel.fit_region(agreement, np.random.default_rng(0))
