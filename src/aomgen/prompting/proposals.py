@@ -20,12 +20,13 @@ from aomgen.capture.capture_schema import PromptSection, read_manifest
 from aomgen.capture.demo_videos import check_demo_video
 from aomgen.capture.prompts import PARTS, list_boxed_images
 from aomgen.capture.read import read_capture
+from aomgen.core.alignment import Alignment
 from aomgen.core.progress import Progress, part
 from aomgen.core.project import Project
 from aomgen.core.recording import Recording
 from aomgen.core.transforms import apply
 from aomgen.core.values import Array
-from aomgen.errors import ConfigError, NoMotionError
+from aomgen.errors import AlignmentError, ConfigError, NoMotionError
 from aomgen.motion.inputs import GripperSignals, find_touch
 from aomgen.parts.scan_views import ScanView, nearest_links
 from aomgen.parts.stage import load_scan_views
@@ -33,8 +34,8 @@ from aomgen.prompting.moved_panel import Grip, Panel, RegionAgreement, fit_regio
 from aomgen.prompting.object_body import choose_apart, find_body, find_object_points
 from aomgen.prompting.panel_edges import choose_front_views, refine_panel
 from aomgen.prompting.prompts_file import save_prompts
-from aomgen.prompting.session import WANTED_IMAGES, box_of_mask
-from aomgen.prompting.video_regions import REMEDY, compare_states, find_moved_region, find_robot_box
+from aomgen.prompting.session import MARGIN_PX, WANTED_IMAGES, box_of_mask
+from aomgen.prompting.video_regions import REMEDY, compare_states, find_moved_region, find_robot_boxes
 from aomgen.results import Results
 from aomgen.robots.silhouette import robot_masks
 from aomgen.segmentation.interface import Segmenter
@@ -49,7 +50,7 @@ SMALL_PX: Final = 480
 # Sparse points within this distance of the robot's surface are the robot's, [m].
 ROBOT_M: Final = 0.03
 # Angle between the two images on which the robot and the moving part are proposed, [deg].
-ROBOT_APART_DEG, MOVING_APART_DEG = 40.0, 20.0
+ROBOT_APART_DEG, MOVING_APART_DEG = 40.0, 35.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -115,19 +116,33 @@ def locate_robot(results: Results, progress: Progress) -> None:
     for camera in results.recorded.cameras:
         check_demo_video(results.recorded_videos[camera.name], camera.video)
     structure_stage.run(results, results.folders["structure"], part(progress, 0.0, 0.6))
-    structure, name = results.structure, results.demo_camera
-    boxes = [
-        RobotBox(
-            camera_recon=structure.demo_cameras_recon[name],
-            box_px=find_robot_box(results.videos[name].frames_srgb),
-        )
-    ]
-    prompted = any(prompt.part == "robot" for prompt in results.recorded.prompts)
-    found = align_scan(results, part(progress, 0.6, 0.9), () if prompted else boxes)
+    found = _align(results, part(progress, 0.6, 0.9))
     # The poses by the scan suffice for boxes; without frames only the clock is estimated.
     calibrate_cameras(
         results, found, results.folders["alignment"], part(progress, 0.9, 1.0), BundleParams(frames=0)
     )
+
+
+def _align(results: Results, progress: Progress) -> Alignment:
+    """Align the robot by its prompts, or by the first box of the video that the images confirm.
+
+    Raises:
+        AlignmentError: They confirm none; the error is that of the likeliest box.
+    """
+    if any(prompt.part == "robot" for prompt in results.recorded.prompts):
+        return align_scan(results, progress)
+    camera, video = (
+        results.structure.demo_cameras_recon[results.demo_camera],
+        results.videos[results.demo_camera],
+    )
+    refused: list[AlignmentError] = []
+    for box in find_robot_boxes(video.frames_srgb):
+        try:
+            return align_scan(results, progress, [RobotBox(camera_recon=camera, box_px=box)])
+        except AlignmentError as error:
+            refused.append(error)
+    first = refused[0]
+    raise AlignmentError("robot in the demonstration video", first.problem, REMEDY) from first
 
 
 def propose_prompts(
@@ -230,7 +245,7 @@ def _propose_moving(panel: Panel, views: Sequence[ScanView]) -> list[Proposal]:
     proposals = []
     for view in chosen:
         pixels = view.camera.project(panel.corners_world)[0]
-        box = np.concatenate([pixels.min(0), pixels.max(0)])
+        box = np.concatenate([pixels.min(0) - MARGIN_PX, pixels.max(0) + MARGIN_PX])
         proposals.append(Proposal(part="moving", view=view, box=box, confidence=panel.confidence))
     return proposals
 

@@ -53,10 +53,12 @@ class VideoChange:
     __post_init__ = freeze_arrays
 
 
-def find_robot_box(frames_srgb: NDArray[np.uint8]) -> Array:
-    """Find the box x0, y0, x1, y1 (4,), [px], of the robot in the first of the frames (T, H, W, 3).
+def find_robot_boxes(frames_srgb: NDArray[np.uint8]) -> list[Array]:
+    """Find boxes x0, y0, x1, y1 (4,), [px], that may hold the robot in the first of the frames (T, H, W, 3).
 
-    The base, which does not move, may be outside it.
+    The image border, or an object before it, may divide the robot; shadows leave their positions as well. So the
+    likeliest box holds the largest region that differs from the first frame, and others hold the next ones, too. The
+    base, which does not move, may be outside.
 
     Raises:
         NoMotionError: Nothing leaves its first position.
@@ -76,7 +78,13 @@ def find_robot_box(frames_srgb: NDArray[np.uint8]) -> Array:
             f"want {MIN_ROBOT:.1%})",
             REMEDY,
         )
-    rows, columns = np.nonzero(pieces == int(np.argmax(sizes)))
+    order = np.argsort(-sizes)
+    large = order[sizes[order] >= MIN_ROBOT * left.size]
+    return [_bound(np.isin(pieces, large[:count])) for count in sorted({1, min(2, len(large)), len(large)})]
+
+
+def _bound(mask: Mask) -> Array:
+    rows, columns = np.nonzero(mask)
     return np.array([columns.min(), rows.min(), columns.max() + 1, rows.max() + 1], np.float64)
 
 

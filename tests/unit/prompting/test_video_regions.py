@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from aomgen.errors import NoMotionError
-from aomgen.prompting.video_regions import compare_states, find_moved_region, find_robot_box
+from aomgen.prompting.video_regions import compare_states, find_moved_region, find_robot_boxes
 from aomgen.segmentation.interface import wrap_masks
 
 SIZE = (96, 128)
@@ -42,7 +42,7 @@ class Segments:
 
 def test_the_robot_is_what_leaves_its_first_position_early():
     frames, _ = film()
-    x0, y0, x1, y1 = find_robot_box(frames)
+    x0, y0, x1, y1 = find_robot_boxes(frames)[0]
     assert y0 == pytest.approx(ARM[0].start, abs=3)
     assert y1 == pytest.approx(ARM[0].stop, abs=3)
     # The door opens too late to count, and what the arm passes is covered for a moment only.
@@ -50,9 +50,18 @@ def test_the_robot_is_what_leaves_its_first_position_early():
     assert x1 == pytest.approx(ARM[1].stop, abs=3)
 
 
+def test_a_robot_that_the_border_divides_has_a_larger_box_as_well():
+    frames, _ = film()
+    frames[:5, 80:92, 10:24] = 220
+    small, large = find_robot_boxes(frames)
+    assert small[0] > 80
+    assert large[0] == pytest.approx(10, abs=3)
+    assert large[2] == small[2]
+
+
 def test_a_video_in_which_nothing_leaves_is_refused_in_one_sentence():
     with pytest.raises(NoMotionError, match="nothing is seen to leave its position") as caught:
-        find_robot_box(np.full((30, *SIZE, 3), 90, np.uint8))
+        find_robot_boxes(np.full((30, *SIZE, 3), 90, np.uint8))
     assert "aomgen prompts" in caught.value.remedy
 
 
