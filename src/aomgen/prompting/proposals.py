@@ -21,6 +21,7 @@ from aomgen.capture.demo_videos import check_demo_video
 from aomgen.capture.prompts import PARTS, list_boxed_images
 from aomgen.capture.read import read_capture
 from aomgen.core.alignment import Alignment
+from aomgen.core.lens import Lens
 from aomgen.core.progress import Progress, part
 from aomgen.core.project import Project
 from aomgen.core.recording import Recording
@@ -102,7 +103,7 @@ def write_proposals(capture: Path, progress: Progress) -> list[PromptSection]:
         results = _Unprompted(project=project, out=Path(scratch), folders=folders)
         locate_robot(results, part(progress, 0.0, 0.7))
         found = propose_prompts(results, segmenter, missing, part(progress, 0.7, 1.0))
-        sections = [_as_section(item, results) for item in found]
+        sections = [as_section(item, results.structure.scan_lens, recorded.scan_size) for item in found]
     save_prompts(path, [*present, *sections], {})
     return sections
 
@@ -250,9 +251,9 @@ def _propose_moving(panel: Panel, views: Sequence[ScanView]) -> list[Proposal]:
     return proposals
 
 
-def _as_section(proposal: Proposal, results: Results) -> PromptSection:
-    """A proposal in pixels of the image as recorded."""
-    box, camera, lens = proposal.box, proposal.view.camera, results.structure.scan_lens
+def as_section(proposal: Proposal, lens: Lens | None, size: tuple[int, int]) -> PromptSection:
+    """A proposal in pixels of the image as recorded, of a lens and a size (width, height), [px]."""
+    box, camera = proposal.box, proposal.view.camera
     if lens is not None:
         share = np.linspace(0, 1, 16)
         x, y = box[0] + share * (box[2] - box[0]), box[1] + share * (box[3] - box[1])
@@ -260,7 +261,7 @@ def _as_section(proposal: Proposal, results: Results) -> PromptSection:
         outline = np.concatenate([np.stack(np.broadcast_arrays(u, v), 1) for u, v in sides])
         bent = lens.pixels((outline - [camera.cx, camera.cy]) / [camera.fx, camera.fy])
         box = np.concatenate([bent.min(0), bent.max(0)])
-    box = np.clip(box, 0, 2 * results.recorded.scan_size)
+    box = np.clip(box, 0, 2 * size)
     return PromptSection(
         part=proposal.part,  # pyright: ignore[reportArgumentType]
         image=proposal.view.name,

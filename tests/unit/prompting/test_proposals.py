@@ -4,10 +4,11 @@ import pytest
 from aomgen.capture.read import read_capture
 from aomgen.cli.app import main
 from aomgen.core.camera import Camera
+from aomgen.core.lens import Lens
 from aomgen.errors import BackendError, ConfigError, NoMotionError
 from aomgen.parts.scan_views import ScanView
 from aomgen.prompting import proposals
-from aomgen.prompting.proposals import Proposal, write_proposals
+from aomgen.prompting.proposals import Proposal, as_section, write_proposals
 
 
 def strip_prompts(capture, *parts: str) -> str:
@@ -117,3 +118,19 @@ def test_init_proposes_before_it_checks(capture_copy, seen, tmp_path, monkeypatc
         main()
     assert caught.value.code == ConfigError.exit_code
     assert len(seen) == 1
+
+
+def test_boxes_are_written_in_pixels_of_the_distorted_image():
+    lens = Lens(fx=600, fy=600, cx=320, cy=240, width=640, height=480, k1=-0.2, k2=0.0, p1=0.0, p2=0.0)
+    camera = Camera(fx=600, fy=600, cx=320, cy=240, width=640, height=480, T_world_cam=np.eye(4))
+    blank = np.zeros((480, 640), bool)
+    view = ScanView(name="0.jpg", camera=camera, image_srgb=np.zeros((480, 640, 3), np.uint8), robot=blank)
+    box = np.array([40.0, 60.0, 300.0, 200.0])
+    section = as_section(Proposal(part="static", view=view, box=box, confidence=1.3), lens, (640, 480))
+    back = lens.undistort(np.array(section.box).reshape(2, 2))
+    assert section.box is not None
+    assert section.box[0] > box[0] + 5  # a barrel lens draws corners to the middle
+    assert np.all(back.ravel()[:2] < box[:2] + 15)
+    assert section.confidence == 1.0
+    plain = as_section(Proposal(part="static", view=view, box=box, confidence=0.5), None, (640, 480))
+    assert plain.box == box.tolist()
