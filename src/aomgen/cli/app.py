@@ -169,6 +169,9 @@ def init(
 
     if project.exists():
         raise ConfigError(project, "exists already", "choose another name with --project")
+    recorded = read_capture(capture, complete=not propose)
+    choices = new_project(recorded, out, assets or [])
+    warnings = check_project(choices, recorded)
     if propose:
         from aomgen.prompting.proposals import write_proposals
 
@@ -176,9 +179,9 @@ def init(
             capture, lambda share, text: print(f"  {share:4.0%} {text}", flush=True)
         ):
             print(f"proposed {prompt.part} on {prompt.image}, confidence {prompt.confidence:.2f}")
-    recorded = read_capture(capture)
-    choices = new_project(recorded, out, assets or [])
-    warnings = check_project(choices, recorded) + machine_warnings(choices.segmenter, recorded)
+        recorded = read_capture(capture)
+        warnings = check_project(choices, recorded)
+    warnings += machine_warnings(choices.segmenter, recorded)
     write_project(project, choices)
     for sentence in warnings:
         print(f"warning: {sentence}")

@@ -102,10 +102,24 @@ def test_missing_weights_are_named_before_any_work(capture_copy, monkeypatch, tm
     assert (capture_copy / "capture.toml").read_text("utf-8") == text
 
 
-def test_init_proposes_before_it_checks(capture_copy, seen, tmp_path, monkeypatch, capsys):
-    strip_prompts(capture_copy, "moving")
+def test_init_proposes_only_what_it_can_use(capture_copy, seen, tmp_path, monkeypatch, capsys):
+    def check(choices, recorded):
+        """The checks without those that decode the videos."""
+        if "microwave:none" in choices.assets:
+            raise ConfigError("microwave:none", "is no asset")
+        return recorded.notes
+
+    monkeypatch.setattr("aomgen.pipeline.preflight.check_project", check)
+    monkeypatch.setattr("aomgen.pipeline.preflight.machine_warnings", lambda *_: ())
+    text = strip_prompts(capture_copy, "moving")
     project = tmp_path / "project.toml"
     command = ["aomgen", "init", str(capture_copy), "--propose", "--project", str(project)]
+    monkeypatch.setattr("sys.argv", [*command, "--asset", "microwave:none"])
+    with pytest.raises(SystemExit) as caught:
+        main()
+    assert caught.value.code == ConfigError.exit_code
+    assert (capture_copy / "capture.toml").read_text("utf-8") == text
+    capsys.readouterr()
     monkeypatch.setattr("sys.argv", command)
     with pytest.raises(SystemExit) as caught:
         main()
