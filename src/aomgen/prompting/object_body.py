@@ -142,27 +142,24 @@ def find_body(
             REMEDY,
         )
     prepared = [segmenter.prepare(view.name, view.image_srgb) for view in chosen]
-    tried: list[tuple[list[float], list[Mask]]] = []
+    best: list[tuple[float, Mask]] = []
     for depth in DEPTHS_M:
         corners = make_body(points_world, support_z, panel, float(depth))
-        shares, masks = [], []
+        found: list[tuple[float, Mask]] = []
         for view, image in zip(chosen, prepared, strict=True):
             pixels, _ = view.camera.project(corners)
             outline = fill_hull(pixels, view.camera.width, view.camera.height)
             box = np.concatenate([pixels.min(0), pixels.max(0)])
-            size = 2 * [view.camera.width, view.camera.height]
-            masks.append(image.mask("object", np.clip(box, 0, size), np.zeros((0, 3))))
-            shares.append(iou(masks[-1], outline))
-        tried.append((shares, masks))
-    best = int(np.argmax([np.mean(shares) for shares, _ in tried]))
-    # A box that is slightly too large may add an object behind the body: neighboring depths outvote it.
-    votes = [masks for _, masks in tried[max(0, best - 1) : best + 2]]
+            mask = image.mask(
+                "object", np.clip(box, 0, 2 * [view.camera.width, view.camera.height]), np.zeros((0, 3))
+            )
+            found.append((iou(mask, outline), mask))
+        if not best or np.mean([share for share, _ in found]) > np.mean([share for share, _ in best]):
+            best = found
     result = []
-    for k, view in enumerate(chosen):
-        mask = np.mean([masks[k] for masks in votes], axis=0) > 0.5
+    for view, (share, mask) in zip(chosen, best, strict=True):
         front = fill_hull(view.camera.project(panel.front)[0], view.camera.width, view.camera.height)
-        shown = BodyView(view=view, mask=mask & ~front & ~view.robot, agreement=tried[best][0][k])
-        result.append(shown)
+        result.append(BodyView(view=view, mask=mask & ~front & ~view.robot, agreement=share))
     return sorted(result, key=lambda item: -item.agreement)
 
 
