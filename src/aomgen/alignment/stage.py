@@ -1,6 +1,6 @@
 """The similarity that brings scan and robot together; poses and clocks of the fixed cameras. [paper 4.1]"""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -32,13 +32,17 @@ def run(results: Results, folder: Path, progress: Progress) -> dict[str, Any]:
     return calibrate_cameras(results, found, folder, part(progress, 0.6, 1.0))
 
 
-def align_scan(results: Results, progress: Progress) -> Alignment:
-    """Estimate the similarity from the robot's contours; held-out images are not used."""
+def align_scan(results: Results, progress: Progress, boxes: Sequence[RobotBox] = ()) -> Alignment:
+    """Estimate the similarity from the robot's contours; held-out images are not used.
+
+    Args:
+        boxes: Around the robot, besides those of the prompts.
+    """
     capture, structure = results.pinhole_capture, results.structure
     first_srgb = {name: video.frames_srgb[0] for name, video in results.videos.items()}
     scan = Scan(
         views=views_of(structure, results.scan_images, first_srgb),
-        boxes=boxes_of(structure, capture.prompts, ("robot",)),
+        boxes=[*boxes, *boxes_of(structure, capture.prompts, ("robot",))],
         points_recon=structure.points_recon,
         errors=camera_errors_of(structure),
     )

@@ -53,6 +53,8 @@ class PromptSection(_Section):
     image: str
     points: list[Annotated[list[FiniteFloat], Field(min_length=3, max_length=3)]] = []
     box: Four | None = None
+    proposed: bool = False
+    confidence: FiniteFloat | None = Field(default=None, ge=0, le=1)
 
 
 class CaptureManifest(_Section):

@@ -17,13 +17,19 @@ POINT_SLACK = 0.1
 
 
 def read_prompts(
-    sections: list[PromptSection], names: set[str], size: tuple[int, int], path: Path
+    sections: list[PromptSection],
+    names: set[str],
+    size: tuple[int, int],
+    path: Path,
+    *,
+    complete: bool = True,
 ) -> tuple[Prompt, ...]:
     """Check the prompts of a capture.
 
     Args:
         names: Names of the scan images.
         size: Width and height of the scan images, [px].
+        complete: Whether every part must have a box.
 
     Raises:
         MissingFileError: A prompt names no scan image.
@@ -33,11 +39,12 @@ def read_prompts(
     """
     prompts = tuple(check_prompt(section, names, size, path) for section in sections)
     missing = [part for part, images in list_boxed_images(prompts).items() if not images]
-    if missing:
+    if complete and missing:
         raise InputError(
             path,
             f"has no prompt with a box for {' and '.join(missing)}",
-            "mark it on two scan images with `aomgen prompts`, or add [[prompts]] entries with a box to capture.toml",
+            "mark it on two scan images with `aomgen prompts`, let `aomgen init --propose` find it, "
+            "or add [[prompts]] entries with a box to capture.toml",
         )
     return prompts
 
@@ -49,6 +56,25 @@ def prompt_warnings(prompts: tuple[Prompt, ...]) -> list[str]:
         "draw a box on a second image"
         for part, found in list_boxed_images(prompts).items()
         if len(found) == 1
+    ]
+
+
+def list_proposals(sections: Sequence[PromptSection]) -> list[str]:
+    """A warning about proposed prompts that no person has confirmed; empty without any.
+
+    Example:
+        >>> list_proposals([PromptSection(part="robot", image="0.jpg", box=[0, 0, 9, 9], proposed=True, confidence=0.6)])
+        ['the prompts of capture.toml are proposals (robot 0.60), confirm them with `aomgen prompts CAPTURE`']
+    """
+    least: dict[str, float] = {}
+    for section in sections:
+        if section.proposed:
+            least[section.part] = min(least.get(section.part, 1.0), section.confidence or 0.0)
+    if not least:
+        return []
+    named = ", ".join(f"{part} {confidence:.2f}" for part, confidence in least.items())
+    return [
+        f"the prompts of capture.toml are proposals ({named}), confirm them with `aomgen prompts CAPTURE`"
     ]
 
 
@@ -71,6 +97,12 @@ def check_prompt(section: PromptSection, names: set[str], size: tuple[int, int],
         )
     if not section.points and section.box is None:
         raise InputError(where, "has neither points nor a box", "draw a box around the part")
+    if section.proposed == (section.confidence is None):
+        raise InputError(
+            where,
+            "has only one of proposed and confidence",
+            "proposals have both; delete both from a prompt that you have checked",
+        )
     points = np.array(section.points, np.float64).reshape(-1, 3)
     box = np.array([] if section.box is None else section.box)
     corners = np.concatenate([points[:, :2], box.reshape(-1, 2)])

@@ -12,7 +12,7 @@ from aomgen.capture.capture_schema import (
     read_manifest,
 )
 from aomgen.capture.joint_log import REST_S, read_joint_log
-from aomgen.capture.prompts import read_prompts
+from aomgen.capture.prompts import list_proposals, read_prompts
 from aomgen.capture.scan_images import common_size, find_images
 from aomgen.capture.scan_poses import SCAN_POSES_FILE, read_scan_poses
 from aomgen.core.recording import DemoCamera, Intrinsics, JointLog, Recording, RobotChoice, frame_name
@@ -38,8 +38,11 @@ MAX_PRINCIPAL_SHIFT = 0.2
 MIN_TURNED_SHARE = 0.3
 
 
-def read_capture(folder: Path) -> Recording:
+def read_capture(folder: Path, *, complete: bool = True) -> Recording:
     """Read and check one capture folder; what has to be decoded is left to `capture_check.check_capture`.
+
+    Args:
+        complete: Whether every part must have a prompt.
 
     Raises:
         InputError: A subclass that names the file, the location and the remedy.
@@ -76,9 +79,9 @@ def read_capture(folder: Path) -> Recording:
         joint_log=log,
         joint_log_file=log_file,
         clock_offset_s=manifest.demo.clock_offset_s,
-        prompts=read_prompts(manifest.prompts, names, size, path),
+        prompts=read_prompts(manifest.prompts, names, size, path, complete=complete),
         mask_folders=mask_folders,
-        notes=notes,
+        notes=(*notes, *list_proposals(manifest.prompts)),
         scan_poses=read_scan_poses(poses_file) if video is None and poses_file.is_file() else None,
     )
 

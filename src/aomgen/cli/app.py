@@ -158,10 +158,20 @@ def init(
             "--asset", help="Asset: category:seed, a USD file, or 'original'; repeat the option for several."
         ),
     ] = None,
+    propose: Annotated[
+        bool,
+        typer.Option(
+            "--propose",
+            help="First add prompts of the parts that have none to capture.toml, from what moves in the video.",
+        ),
+    ] = False,
 ) -> None:
-    """Check a capture and write a project file with all settings.
+    """Check a capture and its assets, and write a project file with all settings.
 
-    The file contains the default of every setting, with a comment. The assets are checked as well.
+    The file contains the default of every setting, with a comment. With --propose, the prompts that are missing are
+    added to capture.toml first, which takes some minutes: boxes around the robot, the moving part and the static part,
+    found from the motion in the demonstration video. They are marked `proposed = true` with a confidence. Confirm or
+    correct them with `aomgen prompts`.
     """
     from aomgen.capture.read import read_capture
     from aomgen.pipeline.preflight import check_project, machine_warnings, new_project
@@ -169,9 +179,19 @@ def init(
 
     if project.exists():
         raise ConfigError(project, "exists already", "choose another name with --project")
-    recorded = read_capture(capture)
+    recorded = read_capture(capture, complete=not propose)
     choices = new_project(recorded, out, assets or [])
-    warnings = check_project(choices, recorded) + machine_warnings(choices.segmenter, recorded)
+    warnings = check_project(choices, recorded)
+    if propose:
+        from aomgen.prompting.proposals import write_proposals
+
+        for prompt in write_proposals(
+            capture, lambda share, text: print(f"  {share:4.0%} {text}", flush=True)
+        ):
+            print(f"proposed {prompt.part} on {prompt.image}, confidence {prompt.confidence:.2f}")
+        recorded = read_capture(capture)
+        warnings = check_project(choices, recorded)
+    warnings += machine_warnings(choices.segmenter, recorded)
     write_project(project, choices)
     for sentence in warnings:
         print(f"warning: {sentence}")

@@ -76,6 +76,8 @@ def _format(prompts: Sequence[PromptSection]) -> list[str]:
             lines.append(f"points = [{rows}]")
         if prompt.box is not None:
             lines.append(f"box = [{', '.join(map(_number, prompt.box))}]")
+        if prompt.proposed and prompt.confidence is not None:
+            lines += ["proposed = true", f"confidence = {prompt.confidence:.2f}"]
     return lines
 
 

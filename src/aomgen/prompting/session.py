@@ -114,9 +114,12 @@ class PromptSession:
     def save(self, prompts: Sequence[PromptSection], stated: Mapping[str, str]) -> None:
         """Check all prompts, and write them and the stated values to capture.toml; incomplete ones are saved as well.
 
+        Saved prompts are a person's: proposals among them are confirmed.
+
         Raises:
             InputError: One is invalid; nothing is written.
         """
+        prompts = [prompt.model_copy(update={"proposed": False, "confidence": None}) for prompt in prompts]
         for prompt in prompts:
             check_prompt(prompt, self._names, self.size, self._file)
         known = {key: value.strip() or PLACEHOLDER for key, value in stated.items()}

@@ -130,3 +130,15 @@ def test_without_weights_there_are_no_masks(capture_copy, monkeypatch):
 def test_missing_capture_is_named(tmp_path):
     with pytest.raises(InputError, match=r"capture\.toml"):
         PromptSession(tmp_path)
+
+
+def test_proposals_are_shown_as_such_and_confirmed_by_saving(capture_copy, monkeypatch):
+    path = capture_copy / "capture.toml"
+    path.write_text(path.read_text("utf-8").rstrip() + "\nproposed = true\nconfidence = 0.61\n", "utf-8")
+    monkeypatch.setattr(sessions, "choose_segmenter", lambda folders, name: BrightPixels())
+    session = PromptSession(capture_copy)
+    last = session.describe()["prompts"][-1]
+    assert (last["proposed"], last["confidence"]) == (True, 0.61)
+    session.save(session.prompts, STATED)
+    assert "proposed" not in path.read_text("utf-8")
+    assert not any("proposals" in note for note in read_capture(capture_copy).notes)

@@ -17,9 +17,9 @@ from aomgen.structure.overlap import measure_overlap
 
 @pytest.fixture(scope="module")
 def changed_scan(sample: Path, tmp_path_factory) -> list[Path]:
-    """Every third image of the scan, one of them darker, one twice, and one of another scene."""
+    """Every second image of the scan, one of them darker, one twice, and one of another scene."""
     folder = tmp_path_factory.mktemp("scan")
-    images = [Path(shutil.copy(path, folder)) for path in sorted((sample / "scan").iterdir())[::3]]
+    images = [Path(shutil.copy(path, folder)) for path in sorted((sample / "scan").iterdir())[::2]]
     dark = np.asarray(Image.open(images[4])).astype(float) / 255
     Image.fromarray((255 * (dark**2.2 / 2.5) ** (1 / 2.2)).astype(np.uint8)).save(images[4], quality=95)
     images.append(Path(shutil.copy(images[7], folder / "again.jpg")))
@@ -39,7 +39,7 @@ def test_changed_images_are_told_apart(changed_scan):
     others = np.delete(found.exposures_ev, 4)
     assert np.abs(others).max() < 0.3
     # The stranger is in no reconstruction, and a wall leaves a gap on one side of the bundled scene.
-    assert len(found.Ts_recon_cam) >= 15
+    assert len(found.Ts_recon_cam) >= 25
     assert "strange.jpg" not in found.Ts_recon_cam
     gap_deg = float(re.findall(r"is (\d+) degrees", found.describe_walk())[0])
     assert 90 < gap_deg < 200

@@ -1,0 +1,207 @@
+"""The body of an object behind its moving front: a box in space whose depth the segmenter confirms in scan images."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import product
+from typing import Annotated, Final
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
+
+from aomgen.core.boxes import fit_plane
+from aomgen.core.values import Array, freeze_arrays
+from aomgen.errors import ReconstructionError
+from aomgen.parts.panel_terms import iou
+from aomgen.parts.scan_views import ScanView
+from aomgen.prompting.moved_panel import Panel, fill_hull
+from aomgen.prompting.video_regions import REMEDY
+from aomgen.segmentation.interface import Mask, Segmenter
+
+# Sparse points within this distance of the front may belong to the object, [m].
+NEIGHBORHOOD_M: Final = 1.0
+# Points of an object are at most this far apart: they lie on the edges of plain faces, [m].
+LINK_M: Final = 0.06
+# Error of sparse points, and height above the support from which on points belong to the object, [m].
+SUPPORT_M, ABOVE_M = 0.01, 0.02
+# Steepest support, [deg]: the base of the robot is mounted to about a degree.
+MAX_TILT_DEG: Final = 5.0
+# Triples of points that are tried; the support holds a tenth of them or more.
+TRIALS: Final = 500
+# Least number of points on a support.
+MIN_SUPPORT: Final = 30
+# Outermost points that may be wrong, as a share.
+STRAYS: Final = 0.02
+# Depths of a body, [m], a tenth apart.
+DEPTHS_M: Final = np.geomspace(0.08, 0.8, 25)
+# Views that decide on the depth, and the angle between them, [deg].
+VIEWS, APART_DEG = 3, 30.0
+# Views nearer to one another than this show the same, [deg].
+LEAST_APART_DEG: Final = 3.0
+# Views from the front show more of the moving part than of the body.
+MAX_FACING: Final = 0.6
+# The robot may hide this share of a body, which leaves so much room in the image, as a share of its width.
+MAX_HIDDEN, BORDER = 0.02, 1 / 30
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BodyView:
+    """The static part in one scan image.
+
+    Attributes:
+        mask: (H, W), without the moving part where the view shows it.
+        agreement: IoU of the segment and the box in space, 0..1.
+    """
+
+    view: ScanView
+    mask: Annotated[NDArray[np.bool_], "H W"]
+    agreement: float
+
+    __post_init__ = freeze_arrays
+
+
+def find_object_points(points_world: Array, panel: Panel, rng: np.random.Generator) -> tuple[Array, float]:
+    """Find the sparse points (M, 3) of the object, and the height of what it stands on, [m].
+
+    Args:
+        points_world: Sparse points (P, 3) without those of the robot.
+
+    Raises:
+        ReconstructionError: There are too few points on anything below the moving part.
+    """
+    near = points_world[np.linalg.norm(points_world - panel.center, axis=1) < NEIGHBORHOOD_M]
+    below = near[near[:, 2] < panel.corners_world[:, 2].min() + ABOVE_M]
+    up = np.array([0.0, 0.0, 1.0])
+    plane = None
+    if len(below) >= MIN_SUPPORT:
+        plane = fit_plane(below, SUPPORT_M, rng, TRIALS, axis=up, max_tilt_deg=MAX_TILT_DEG)
+    if plane is None:
+        raise ReconstructionError(
+            "proposals",
+            f"{len(below)} points of the scan are below the moving part, want {MIN_SUPPORT} on a level support",
+            REMEDY,
+        )
+    normal, anchor = plane
+    normal = normal * np.sign(normal[2])
+    above = near[(near - anchor) @ normal > ABOVE_M]
+    steps = np.linspace(0, 1, 1 + int(np.ceil(NEIGHBORHOOD_M / LINK_M)))
+    low, along, up_side = (
+        panel.corners_world[0],
+        *(panel.corners_world[k] - panel.corners_world[0] for k in (1, 3)),
+    )
+    seeds = (low + steps[:, None, None] * along + steps[None, :, None] * up_side).reshape(-1, 3)
+    together = np.concatenate([seeds, above])
+    pairs = cKDTree(together).query_pairs(LINK_M, output_type="ndarray")
+    links = coo_matrix((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(len(together),) * 2)
+    _, groups = connected_components(links, directed=False)
+    own = np.isin(groups, np.unique(groups[: len(seeds)]))
+    middle = panel.center
+    height = float(anchor[2] - (normal[:2] @ (middle[:2] - anchor[:2])) / normal[2])
+    return together[own], height
+
+
+def make_body(points_world: Array, support_z: float, panel: Panel, depth_m: float) -> Array:
+    """Corners (8, 3) of a body of some depth behind a panel, as wide and high as its points (M, 3), on its support."""
+    local = (points_world - panel.center) @ panel.axes.T
+    sides = (panel.corners_world - panel.center) @ panel.axes.T
+    low, high = np.quantile(local, [STRAYS, 1 - STRAYS], axis=0)
+    low, high = np.minimum(low, sides.min(0)), np.maximum(high, sides.max(0))
+    up_z = panel.axes[1, 2]
+    if up_z > 0.5:  # an upright front: the body begins on the support
+        low[1] = min(low[1], (support_z - panel.center[2]) / up_z)
+    corners = np.array(list(product((low[0], high[0]), (low[1], high[1]), (0.0, depth_m))))
+    return panel.center + corners @ panel.axes
+
+
+def find_body(
+    points_world: Array,
+    support_z: float,
+    panel: Panel,
+    views: Sequence[ScanView],
+    segmenter: Segmenter,
+) -> list[BodyView]:
+    """Segment the body in views that show it, and choose its depth by the segments that fill its outline best.
+
+    Args:
+        points_world, support_z: See `find_object_points`.
+
+    Returns:
+        Views from different sides, best first.
+
+    Raises:
+        ReconstructionError: No view shows the whole body.
+    """
+    typical = float(np.median(DEPTHS_M))
+    chosen = choose_side_views(views, panel, make_body(points_world, support_z, panel, typical))
+    if not chosen:
+        raise ReconstructionError(
+            "proposals",
+            "no scan image shows the whole object from a side without the robot before it",
+            REMEDY,
+        )
+    prepared = [segmenter.prepare(view.name, view.image_srgb) for view in chosen]
+    best: list[tuple[float, Mask]] = []
+    for depth in DEPTHS_M:
+        corners = make_body(points_world, support_z, panel, float(depth))
+        found: list[tuple[float, Mask]] = []
+        for view, image in zip(chosen, prepared, strict=True):
+            pixels, _ = view.camera.project(corners)
+            outline = fill_hull(pixels, view.camera.width, view.camera.height)
+            box = np.concatenate([pixels.min(0), pixels.max(0)])
+            mask = image.mask(
+                "object", np.clip(box, 0, 2 * [view.camera.width, view.camera.height]), np.zeros((0, 3))
+            )
+            found.append((iou(mask, outline), mask))
+        if not best or np.mean([share for share, _ in found]) > np.mean([share for share, _ in best]):
+            best = found
+    result = []
+    for view, (share, mask) in zip(chosen, best, strict=True):
+        front = fill_hull(view.camera.project(panel.front)[0], view.camera.width, view.camera.height)
+        result.append(BodyView(view=view, mask=mask & ~front & ~view.robot, agreement=share))
+    return sorted(result, key=lambda item: -item.agreement)
+
+
+def choose_side_views(views: Sequence[ScanView], panel: Panel, corners: Array) -> list[ScanView]:
+    """Choose views that show a body (8, 3) whole, unhidden, not from the front, from different sides; best first."""
+    shown: list[tuple[float, ScanView]] = []
+    for view in views:
+        camera = view.camera
+        pixels, depths = camera.project(corners)
+        border = BORDER * camera.width
+        away = camera.center - corners.mean(0)
+        facing = -(away / np.linalg.norm(away)) @ panel.axes[2]
+        inside = np.all((pixels >= border) & (pixels <= np.array([camera.width, camera.height]) - border))
+        if not (np.all(depths > 0) and inside and facing <= MAX_FACING):
+            continue
+        region = fill_hull(pixels, camera.width, camera.height)
+        if (region & view.robot).sum() <= MAX_HIDDEN * region.sum():
+            # The more a view faces the front, the less it shows of the body.
+            shown.append((float(region.sum()) * (1.0 - facing), view))
+    ordered = [view for _, view in sorted(shown, key=lambda item: -item[0])]
+    return choose_apart(ordered, corners.mean(0), VIEWS, APART_DEG)
+
+
+def choose_apart(views: Sequence[ScanView], target: Array, count: int, apart_deg: float) -> list[ScanView]:
+    """Choose the first views, at most `count`, whose directions to a target (3,) differ by an angle, [deg].
+
+    The angle is halved until there are enough; the first ones come first.
+    """
+    while True:
+        chosen = _keep_apart(views, target, count, apart_deg)
+        if len(chosen) == min(count, len(views)) or apart_deg < LEAST_APART_DEG:
+            return chosen
+        apart_deg /= 2
+
+
+def _keep_apart(views: Sequence[ScanView], target: Array, count: int, apart_deg: float) -> list[ScanView]:
+    chosen: list[ScanView] = []
+    directions: list[Array] = []
+    for view in views:
+        away = view.camera.center - target
+        away = away / np.linalg.norm(away)
+        if len(chosen) < count and all(away @ other <= np.cos(np.radians(apart_deg)) for other in directions):
+            chosen.append(view)
+            directions.append(away)
+    return chosen

@@ -1,0 +1,129 @@
+"""Refinement of the moving part's rectangle on its edges in scan images that show it from the front."""
+
+from collections.abc import Sequence
+from typing import Final
+
+import numpy as np
+from scipy import ndimage
+
+from aomgen.conventions import luma_from_srgb
+from aomgen.core.values import Array
+from aomgen.errors import ReconstructionError
+from aomgen.parts.scan_views import ScanView
+from aomgen.prompting.moved_panel import (
+    Grip,
+    Model,
+    Panel,
+    RegionAgreement,
+    fill_hull,
+    improve,
+    place_corners,
+)
+from aomgen.prompting.video_regions import REMEDY
+
+# Views that are used: the largest of those that see the front at a smaller angle than 60 degrees.
+VIEWS, MIN_COSINE = 8, 0.5
+# The robot may hide this share of the front.
+MAX_HIDDEN: Final = 0.1
+# Room around the front, as a share of the image's width.
+BORDER: Final = 1 / 50
+# Points along a side, without its ends: corners are round.
+SAMPLES: Final = np.linspace(0.04, 0.96, 40)
+# Standard deviation of the blur before gradients, [px]; a luma gradient that counts in full, [1/px].
+BLUR_PX, CLEAR_EDGE = 1.2, 6 / 255
+# Edges against the region: both are at most 1, and an edge of another object is as clear as the right one.
+EDGE_WEIGHT: Final = 0.7
+# Rectangles drawn around the first one, and their standard deviations: sides and depth [m], yaw and slip [rad].
+DRAWS, SPREAD = 6000, (0.04, 0.04, 0.03, 0.03, 0.02, 0.05, 0.05)
+STEPS: Final = (0.02, 0.02, 0.02, 0.02, 0.01, 0.03, 0.03)
+
+
+class EdgeClearness:
+    """Clearness of the edges that scan images show at the sides of rectangles."""
+
+    def __init__(self, views: Sequence[ScanView], grip: Grip) -> None:
+        """Blur the views, which have one size, and take their luma gradients; there are none on the robot."""
+        self._grip = grip
+        cameras = [view.camera for view in views]
+        self._size = np.array([cameras[0].width, cameras[0].height])
+        self._Ps = np.stack([camera.K @ camera.T_cam_world[:3] for camera in cameras])
+        slopes = [_measure_gradients(view) for view in views]
+        self._slopes = np.stack(slopes)
+
+    def measure(self, x: Array) -> float:
+        """Mean clearness of the edges at the sides of a rectangle (7,), 0..1.
+
+        Gradients are averaged along a side with their sign, so that texture cancels out.
+        """
+        corners = place_corners(self._grip, x)
+        ends = np.roll(corners, -1, axis=0)
+        points = (corners[:, None] + SAMPLES[:, None] * (ends - corners)[:, None]).reshape(-1, 3)
+        cams = points @ np.swapaxes(self._Ps[:, :, :3], 1, 2) + self._Ps[:, None, :, 3]
+        pixels = cams[..., :2] / np.maximum(cams[..., 2:], 1e-6)
+        columns, rows = np.moveaxis(np.clip(pixels, 0, self._size - 1).astype(np.int64), -1, 0)
+        at = np.arange(len(pixels))[:, None]
+        slopes = self._slopes[at, rows, columns].reshape(len(pixels), 4, -1, 2)
+        pixels = pixels.reshape(len(pixels), 4, -1, 2)
+        along = pixels[:, :, -1] - pixels[:, :, 0]
+        normals = np.stack([-along[..., 1], along[..., 0]], -1)
+        normals /= np.maximum(np.linalg.norm(normals, axis=-1, keepdims=True), 1e-6)
+        across = np.einsum("vsnk,vsk->vsn", slopes, normals)
+        return float(np.abs(np.clip(across, -CLEAR_EDGE, CLEAR_EDGE).mean(-1)).mean() / CLEAR_EDGE)
+
+
+def _measure_gradients(view: ScanView) -> Array:
+    """Luma gradients (H, W, 2) along x and y, 0 on the robot."""
+    luma = ndimage.gaussian_filter(luma_from_srgb(view.image_srgb), BLUR_PX)
+    along_y, along_x = np.gradient(luma)
+    return np.where(view.robot[..., None], 0.0, np.stack([along_x, along_y], -1))
+
+
+def choose_front_views(views: Sequence[ScanView], panel: Panel) -> list[ScanView]:
+    """Choose the views that show a panel largest, from the front and unhidden; largest first."""
+    shown: list[tuple[int, ScanView]] = []
+    for view in views:
+        camera = view.camera
+        pixels, depths = camera.project(panel.corners_world)
+        size = np.array([camera.width, camera.height])
+        border = BORDER * camera.width
+        away = camera.center - panel.center
+        facing = -(away / np.linalg.norm(away)) @ panel.axes[2]
+        if not (facing >= MIN_COSINE and np.all(depths > 0)):
+            continue
+        if not np.all((pixels >= border) & (pixels <= size - border)):
+            continue
+        region = fill_hull(pixels, camera.width, camera.height)
+        if (region & view.robot).sum() <= MAX_HIDDEN * region.sum():
+            shown.append((int(region.sum()), view))
+    return [view for _, view in sorted(shown, key=lambda item: -item[0])]
+
+
+def refine_panel(
+    x: Array,
+    model: Model,
+    agreement: RegionAgreement,
+    views: Sequence[ScanView],
+    rng: np.random.Generator,
+) -> Panel:
+    """Move the sides of a rectangle (7,) to edges in scan images, without leaving the region of the video.
+
+    Raises:
+        ReconstructionError: No view shows it from the front.
+    """
+    grip = agreement.grip
+    chosen = choose_front_views(views, Panel(corners_world=place_corners(grip, x), confidence=0.0))[:VIEWS]
+    if not chosen:
+        raise ReconstructionError(
+            "proposals",
+            "no scan image shows the moving part from the front without the robot before it",
+            REMEDY,
+        )
+    edges = EdgeClearness(chosen, grip)
+
+    def score(candidate: Array) -> float:
+        return agreement.score(candidate, model) + EDGE_WEIGHT * edges.measure(candidate)
+
+    draws = np.vstack([x, x + rng.normal(size=(DRAWS, len(x))) * SPREAD])
+    _, best = improve(score, draws, STEPS)
+    confidence = agreement.measure(best, model) * edges.measure(best)
+    return Panel(corners_world=place_corners(grip, best), confidence=confidence)

@@ -1,0 +1,163 @@
+"""Regions of a demonstration video that change: the robot in the first frame, and what the gripper has moved."""
+
+from dataclasses import dataclass
+from typing import Annotated, Final
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from aomgen.core.robust import compute_masked_median
+from aomgen.core.values import Array, freeze_arrays
+from aomgen.errors import NoMotionError
+from aomgen.segmentation.interface import Mask, PreparedImage
+
+# Color difference of a pixel that shows something else, above compression and soft shadows, 8 bit.
+CHANGED: Final = 25.0
+# Side of the window over which differences are averaged, [px]: compression blocks are 8 px.
+WINDOW: Final = 5
+# An arm that leaves its first position early differs from the first frame in at least this share of the video.
+# A part that it opens later differs for less than that.
+LEFT_SHARE: Final = 0.6
+# Least size of the robot, as a share of the image.
+MIN_ROBOT: Final = 0.005
+# Frames that make each of the two images before and after the motion.
+STATE_FRAMES: Final = 24
+# Margin around the robot's masks, [px]: the model's outline is accurate to a pixel or two before the refinement.
+ROBOT_MARGIN_PX: Final = 3
+# Probability that a pixel shows something else where a part has come to, and where none has: shadows move as well.
+CAME, STAYED = 0.9, 0.1
+# Distance between the points that are segmented, and their reach around the gripper, as shares of the image's width.
+STEP, REACH = 1 / 40, 1 / 8
+# Smaller segments are pieces of a part, and larger ones are rooms, as shares of the image.
+SIZES: Final = (0.002, 0.4)
+# A part is this near to the gripper that holds it, as a share of the image's width: half a handle's length.
+NEAR: Final = 1 / 20
+REMEDY: Final = "mark the parts with `aomgen prompts`"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class VideoChange:
+    """The scene of a video after the motion, without the robot where frames show it, and what has changed.
+
+    Attributes:
+        after_srgb: (H, W, 3) uint8.
+        changed: (H, W) pixels that show something else than before the motion.
+        seen: (H, W) pixels at which the robot hides neither state.
+    """
+
+    after_srgb: Annotated[NDArray[np.uint8], "H W 3"]
+    changed: Annotated[NDArray[np.bool_], "H W"]
+    seen: Annotated[NDArray[np.bool_], "H W"]
+
+    __post_init__ = freeze_arrays
+
+
+def find_robot_boxes(frames_srgb: NDArray[np.uint8]) -> list[Array]:
+    """Find boxes x0, y0, x1, y1 (4,), [px], that may hold the robot in the first of the frames (T, H, W, 3).
+
+    The image border, or an object before it, may divide the robot; shadows leave their positions as well. So the
+    likeliest box holds the largest region that differs from the first frame, and others hold the next ones, too. The
+    base, which does not move, may be outside.
+
+    Raises:
+        NoMotionError: Nothing leaves its first position.
+
+    Not checked: that the robot moves first, and that it leaves the region that it covers.
+    """
+    first = frames_srgb[0].astype(np.float32)
+    left = np.mean([_differ(frame.astype(np.float32), first) for frame in frames_srgb], axis=0) > LEFT_SHARE
+    pieces = np.zeros(left.shape, np.int32)
+    ndimage.label(left, output=pieces)
+    sizes = np.bincount(pieces.ravel(), minlength=2)
+    sizes[0] = 0
+    if not sizes.max() >= MIN_ROBOT * left.size:
+        raise NoMotionError(
+            "demonstration video",
+            f"nothing is seen to leave its position in the first frame ({sizes.max() / left.size:.1%} of the image, "
+            f"want {MIN_ROBOT:.1%})",
+            REMEDY,
+        )
+    order = np.argsort(-sizes)
+    large = order[sizes[order] >= MIN_ROBOT * left.size]
+    return [_bound(np.isin(pieces, large[:count])) for count in sorted({1, min(2, len(large)), len(large)})]
+
+
+def _bound(mask: Mask) -> Array:
+    rows, columns = np.nonzero(mask)
+    return np.array([columns.min(), rows.min(), columns.max() + 1, rows.max() + 1], np.float64)
+
+
+def compare_states(
+    frames_srgb: NDArray[np.uint8], robot: NDArray[np.bool_], first: int, last: int
+) -> VideoChange:
+    """Compare the scene after a frame with that before another one, without the robot.
+
+    Args:
+        frames_srgb, robot: Frames (T, H, W, 3) and the robot's masks (T, H, W) in them.
+        first, last: Frames between which the part moves.
+    """
+    cross = ndimage.generate_binary_structure(2, 1)[None]
+    (before, before_seen), (after, after_seen) = (
+        compute_masked_median(
+            frames_srgb[chosen], ~ndimage.binary_dilation(robot[chosen], cross, iterations=ROBOT_MARGIN_PX)
+        )
+        for chosen in (_spread(0, first + 1), _spread(last, len(frames_srgb)))
+    )
+    seen = before_seen & after_seen
+    return VideoChange(
+        after_srgb=np.where(after_seen[..., None], after, frames_srgb[-1]).astype(np.uint8),
+        changed=_differ(before, after) & seen,
+        seen=seen,
+    )
+
+
+def _spread(first: int, end: int) -> NDArray[np.int64]:
+    """At most `STATE_FRAMES` indices from first to end - 1."""
+    return np.unique(np.linspace(first, end - 1, STATE_FRAMES).astype(np.int64))
+
+
+def _differ(a: NDArray[np.float32], b: NDArray[np.float32]) -> Mask:
+    return np.asarray(ndimage.uniform_filter(np.abs(a - b).max(2), WINDOW) > CHANGED, bool)
+
+
+def find_moved_region(image: PreparedImage, change: VideoChange, gripper_px: Array) -> Mask:
+    """Choose the segment (H, W) at the gripper that the change of the video makes likeliest.
+
+    The part is sought where it has come to: there it covers something else, while a door that opens may reveal an
+    inside as dark as itself.
+
+    Args:
+        image: `change.after_srgb`, encoded.
+        gripper_px: Pixel (2,) of the end effector after the motion.
+
+    Raises:
+        NoMotionError: No segment at the gripper has changed.
+    """
+    height, width = change.seen.shape
+    offsets = np.arange(-REACH * width, REACH * width + 1, STEP * width)
+    points = gripper_px + np.stack(np.meshgrid(offsets, offsets), -1).reshape(-1, 2)
+    points = points[np.all((points >= 0) & (points < [width, height]), axis=1)]
+    found = [mask for mask in image.at_points(points).masks if _fits(mask, gripper_px)]
+    gains = [_log_likelihood_ratio(mask, change) for mask in found]
+    if not (gains and max(gains) > 0):
+        raise NoMotionError(
+            "demonstration video", "nothing at the gripper looks different after it has moved", REMEDY
+        )
+    return found[int(np.argmax(gains))]
+
+
+def _fits(mask: Mask, gripper_px: Array) -> bool:
+    """Return whether a segment has the size of a part and is near the gripper."""
+    if not SIZES[0] * mask.size <= mask.sum() <= SIZES[1] * mask.size:
+        return False
+    rows, columns = np.nonzero(mask)
+    nearest = np.hypot(columns + 0.5 - gripper_px[0], rows + 0.5 - gripper_px[1]).min()
+    return bool(nearest <= NEAR * mask.shape[1])
+
+
+def _log_likelihood_ratio(mask: Mask, change: VideoChange) -> float:
+    """Logarithm of the likelihood ratio of a part that has come to a segment over one that was there before."""
+    changed = int((mask & change.changed).sum())
+    same = int((mask & change.seen).sum()) - changed
+    return float(changed * np.log(CAME / STAYED) + same * np.log((1 - CAME) / (1 - STAYED)))
