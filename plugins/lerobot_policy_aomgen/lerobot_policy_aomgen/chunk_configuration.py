@@ -29,7 +29,7 @@ class ChunkConfig(PreTrainedConfig):
         super().__post_init__()
         if not 1 <= self.n_action_steps <= self.chunk_size:
             raise ValueError(
-                f"n_action_steps is {self.n_action_steps}, want 1 to chunk_size = {self.chunk_size}"
+                f"n_action_steps is {self.n_action_steps}, expected 1 to chunk_size = {self.chunk_size}"
             )
 
     def get_optimizer_preset(self) -> AdamWConfig:

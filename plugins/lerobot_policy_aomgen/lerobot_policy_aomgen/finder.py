@@ -200,5 +200,7 @@ def load_finder(path: Path) -> tuple[Finder, FinderErrors]:
     except (SafetensorError, KeyError, TypeError, ValueError, RuntimeError) as error:
         raise MalformedFileError(path, f"is no finder ({error})", "train it again") from error
     if tuple(described["keypoints"]) != KEYPOINTS:
-        raise MalformedFileError(path, f"finds {described['keypoints']}, want {KEYPOINTS}", "train it again")
+        raise MalformedFileError(
+            path, f"locates {described['keypoints']}, expected {KEYPOINTS}", "train it again"
+        )
     return finder.eval(), errors

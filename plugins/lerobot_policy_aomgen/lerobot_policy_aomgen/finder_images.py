@@ -70,7 +70,7 @@ def read_images(folder: Path, limit: int | None = None) -> LabelledImages:
     described = read_json(folder / DATASET_FILE)
     if tuple(described.get("keypoints", ())) != KEYPOINTS:
         raise MalformedFileError(
-            folder / DATASET_FILE, f"labels {described.get('keypoints')}, want {KEYPOINTS}", REMEDY
+            folder / DATASET_FILE, f"labels {described.get('keypoints')}, expected {KEYPOINTS}", REMEDY
         )
     jpegs, labels = list[bytes](), list[dict[str, Any]]()
     for shard in sorted(folder.glob("shard-*.tar")):

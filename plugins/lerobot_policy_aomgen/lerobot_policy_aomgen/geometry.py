@@ -52,7 +52,7 @@ def read_geometry(path: Path, cameras: list[str]) -> Geometry:
         raise ValueError(f"cameras {sorted(unknown)} are unknown (known: {', '.join(suite.cameras)})")
     chosen = {name: suite.cameras[name] for name in cameras or suite.cameras}
     if len(chosen) < 2:
-        raise ValueError(f"{len(chosen)} camera cannot locate a point, want 2 or more")
+        raise ValueError(f"{len(chosen)} camera cannot locate a point, two or more are needed")
     return describe_geometry(chosen, results.robot)
 
 

@@ -22,76 +22,96 @@ def export(
     target: Annotated[
         Path,
         typer.Argument(
-            help="A file of the twin: .usda, .usdc, .usdz, .xml (MJCF), .ply, .splat, .spz, .glb, .rrd or .mcap; or "
-            "with --format the folder of a dataset, replaced if it is one of ours."
+            help="File of the twin: .usda, .usdc, .usdz, .xml (MJCF), .ply, .splat, .spz, .glb, .rrd or .mcap. With --format: "
+            "folder of the dataset; an existing dataset of AOMGen is replaced."
         ),
     ],
     format: Annotated[
         str,
-        typer.Option(help=f"Of a dataset: {DATASET_FORMATS}; or images: labelled images without physics."),
+        typer.Option(
+            help=f"Format of a dataset of episodes: {DATASET_FORMATS}; or images: labelled images without physics."
+        ),
     ] = "",
     actions: Annotated[
         str,
-        typer.Option(help="Space of the actions: joint, ee_absolute or ee_delta; rlds has ee_delta without."),
+        typer.Option(
+            help="Action space: joint, ee_absolute or ee_delta. Default: ee_delta for rlds, otherwise joint."
+        ),
     ] = "",
     media: Annotated[
         str,
         typer.Option(
-            help="LeRobot's images: video, image (PNG), or none or keypoints: the object's pose or keypoints instead."
+            help="Images of LeRobot datasets: video (default) or image (PNG); none or keypoints replace them by the pose or the "
+            "keypoints of the object."
         ),
     ] = "",
     size: Annotated[
         str,
-        typer.Option(
-            help=f"WxH of the images, [px]; as rendered without, {IMAGES_SIZE} for --format images."
-        ),
+        typer.Option(help=f"Image size WxH, [px]. Default: as rendered; {IMAGES_SIZE} for --format images."),
     ] = "",
     val: Annotated[
         int | None,
         typer.Option(
-            min=0, help="Episodes to validate on; without: a tenth for rlds and hdf5, none for LeRobot."
+            min=0, help="Number of validation episodes. Default: a tenth for rlds and hdf5, none for LeRobot."
         ),
     ] = None,
     episode: Annotated[
         int | None,
-        typer.Option(min=0, help="Of a file: number of an episode; without, the recorded demonstration."),
+        typer.Option(
+            min=0,
+            help="File of the twin: number of the episode to write. Default: the recorded demonstration.",
+        ),
     ] = None,
     joint: Annotated[
-        float | None, typer.Option(help="Of a file of Gaussians: value of the object's joint, [rad] or [m].")
+        float | None, typer.Option(help="File of Gaussians: value of the object's joint, [rad] or [m].")
     ] = None,
     time_s: Annotated[
-        float | None, typer.Option("--time", help="Of a file of Gaussians: time of the motion, [s].")
+        float | None, typer.Option("--time", help="File of Gaussians: time in the motion, [s].")
     ] = None,
-    n: Annotated[int | None, typer.Option("--n", min=1, help="Of images: their number.")] = None,
+    n: Annotated[int | None, typer.Option("--n", min=1, help="Labelled images: their number.")] = None,
     seed: Annotated[
-        int | None, typer.Option(min=0, help="Of images: decides objects and scenes; 0 without.")
+        int | None,
+        typer.Option(min=0, help="Labelled images: random seed of objects and scenes. Default: 0."),
     ] = None,
     per_object: Annotated[
-        int | None, typer.Option(min=1, help="Of images: number of each object, in one shard; 100 without.")
+        int | None,
+        typer.Option(min=1, help="Labelled images: number for each object, in one shard. Default: 100."),
     ] = None,
     categories: Annotated[
         list[str] | None,
         typer.Option(
-            "--category", help="Of images: category of made objects; without, those of the run's. Repeatable."
+            "--category",
+            help="Labelled images: category of generated objects; repeatable. Default: those of the run.",
         ),
     ] = None,
     assets: Annotated[
         list[str] | None,
         typer.Option(
-            "--asset", help="Of images: category:seed or a USD file, in turn with --category. Repeatable."
+            "--asset",
+            help="Labelled images: category:seed or a USD file, used in turn with those of --category; repeatable.",
         ),
     ] = None,
     styles: Annotated[
         list[str] | None,
-        typer.Option("--style", help="Of images: style of made objects; all without. Repeatable."),
+        typer.Option(
+            "--style", help="Labelled images: style of generated objects; repeatable. Default: all styles."
+        ),
     ] = None,
-    workers: Annotated[int, typer.Option(min=0, help="Of images: processes; 0 for one a processor.")] = 0,
+    workers: Annotated[
+        int, typer.Option(min=0, help="Labelled images: number of processes; 0 means one for each CPU core.")
+    ] = 0,
     ray: Annotated[
-        str, typer.Option(help="Of images: a Ray cluster that sees these folders: auto, or HOST:PORT.")
+        str,
+        typer.Option(
+            help="Labelled images: address of a Ray cluster that shares these folders: auto or HOST:PORT."
+        ),
     ] = "",
 ) -> None:
-    """Write the twin as a file for other programs, the committed episodes that no person rejected as a dataset, or
-    labelled images of random objects without physics.
+    """Write the twin, a dataset of the episodes, or labelled images.
+
+    The suffix of the target selects a format of the twin for other programs. With --format the committed episodes are
+    written as a dataset, without those that a person has rejected; with --format images, labelled images of random
+    objects, which need no physics.
     """
     from aomgen.exports.formats import TWIN_SUFFIXES, export_twin
     from aomgen.pipeline.runner import results_of

@@ -125,7 +125,7 @@ class Ranges:
                 f"expected {COLDEST_K} to {HOTTEST_K}",
             )
         if self.axes not in ("world", "object"):
-            raise ConfigError("episodes.ranges.axes", f"is '{self.axes}'", 'want "world" or "object"')
+            raise ConfigError("episodes.ranges.axes", f"is '{self.axes}'", 'use "world" or "object"')
         if not all(isinstance(corner, tuple) and len(corner) == 2 for corner in self.polygon):
             raise ConfigError(
                 "episodes.ranges.polygon", f"is {self.polygon}", "give its corners, [[x, y], ...] in meters"

@@ -95,7 +95,7 @@ class ImageSetRequest:
             raise ConfigError("--category", "is missing", "name the category of the objects, or objects")
         for name, value in (("--n", self.images), ("--per-object", self.per_object)):
             if not value >= 1:
-                raise ConfigError(name, f"is {value}", "want 1 or more")
+                raise ConfigError(name, f"is {value}", "use 1 or more")
         for category in self.categories:
             if not is_made(category):
                 raise ConfigError("--category", f"'{category}' cannot be made", suggest_category(category))

@@ -198,8 +198,8 @@ def fit_region(agreement: RegionAgreement, rng: np.random.Generator) -> tuple[Ar
     if not agreement_share >= MIN_AGREEMENT:
         raise NoMotionError(
             "demonstration video",
-            f"no flat front that the gripper carries explains what has moved (overlap {agreement_share:.0%}, want "
-            f"{MIN_AGREEMENT:.0%})",
+            f"no flat front that the gripper carries explains what has moved (overlap {agreement_share:.0%}, at least "
+            f"{MIN_AGREEMENT:.0%} is needed)",
             REMEDY,
         )
     return best, model

@@ -80,7 +80,7 @@ def find_object_points(points_world: Array, panel: Panel, rng: np.random.Generat
     if plane is None:
         raise ReconstructionError(
             "proposals",
-            f"{len(below)} points of the scan are below the moving part, want {MIN_SUPPORT} on a level support",
+            f"{len(below)} points of the scan are below the moving part, at least {MIN_SUPPORT} on a level support are needed",
             REMEDY,
         )
     normal, anchor = plane

@@ -128,7 +128,7 @@ class PromptSession:
 
 
 def find_missing(prompts: Sequence[PromptSection]) -> dict[str, int]:
-    """Number of images on which each part still wants a box, without the parts that want none.
+    """Number of images on which each part still needs a box, without the parts that need none.
 
     Example:
         >>> find_missing([PromptSection(part="robot", image="0.jpg", box=[0, 0, 9, 9])])

@@ -75,7 +75,7 @@ def find_robot_boxes(frames_srgb: NDArray[np.uint8]) -> list[Array]:
         raise NoMotionError(
             "demonstration video",
             f"nothing is seen to leave its position in the first frame ({sizes.max() / left.size:.1%} of the image, "
-            f"want {MIN_ROBOT:.1%})",
+            f"at least {MIN_ROBOT:.1%} is needed)",
             REMEDY,
         )
     order = np.argsort(-sizes)
