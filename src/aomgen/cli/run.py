@@ -101,9 +101,9 @@ def status_lines(project: "Project") -> tuple[list[str], bool]:
         lines += [f"         warning: {sentence}" for sentence in (manifest.warnings if manifest else ())]
         for account in read_accounts(folder) if stage.name == "episodes" else ():
             lines.append(
-                f"         {account.asset}: {account.requested} requested = {account.committed} committed + "
-                f"{account.rejected} rejected + {account.left} left, after {account.attempts} attempts"
-                + (f" ({account.why})" if account.why else "")
+                f"         {account.asset}: {account.committed} of {account.requested} episodes committed, "
+                f"{account.rejected} rejected, {account.left} remaining, after {account.attempts} attempts"
+                + (f" (samples not used: {account.why})" if account.why else "")
             )
     return lines, left
 

@@ -135,7 +135,7 @@ def test_no_prompts(capture_copy):
 
 def test_prompt_outside_the_image(capture_copy):
     edit(capture_copy / "capture.toml", "box = [171.6,", "box = [-171.6,")
-    refuse(capture_copy, InputError, "0013.jpg", "outside 640 x 480")
+    refuse(capture_copy, InputError, "0013.jpg", "outside the image of 640 x 480")
 
 
 def test_unknown_key_names_the_nearest(capture_copy):
