@@ -14,7 +14,7 @@ import sys
 import threading
 import time
 import traceback
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from multiprocessing.connection import Connection, wait
@@ -22,7 +22,7 @@ from multiprocessing.process import BaseProcess
 from types import ModuleType
 from typing import Any, Final, Protocol, Self
 
-from aomgen.errors import BackendError
+from aomgen.errors import BackendError, WorkerError
 
 # Function that executes a unit; and function that opens it, called once in each worker, and pickled.
 Work = Callable[[Any], Any]
@@ -64,6 +64,26 @@ class Executor(Protocol):
     def __enter__(self) -> Self: ...
 
     def __exit__(self, *exception: object) -> None: ...
+
+
+def run_units(units: Sequence[Any], executor: Executor) -> Iterator[Done]:
+    """Execute units and yield each result as soon as it is known; the executor is closed at the end.
+
+    Raises:
+        WorkerError: A unit kills its process, or takes too long.
+        AomgenError: Whatever the work raises.
+    """
+    waiting, running = list(units), 0
+    with executor:
+        while waiting or running:
+            while waiting and running < executor.slots:
+                executor.submit(waiting.pop(0))
+                running += 1
+            done = executor.next_done()
+            running -= 1
+            if done.lost:
+                raise WorkerError(f"unit {done.unit}", f"was lost ({done.lost})", "try fewer --workers")
+            yield done
 
 
 class _Worker:

@@ -5,8 +5,8 @@ from pathlib import Path
 from typing import Any, Final, Generic, TypeVar
 
 from aomgen.core.progress import Progress
-from aomgen.errors import ConfigError, WorkerError
-from aomgen.executors import Executor
+from aomgen.errors import ConfigError
+from aomgen.executors import Executor, run_units
 from aomgen.io.artifact import load_artifact, read_json, save_artifact
 from aomgen.io.atomic import remove_staging, write_json
 
@@ -43,18 +43,10 @@ class SavedUnits(Generic[T]):
         """
         wanted = list(units)
         waiting = [unit for unit in wanted if not (self.folder / f"{unit_name(unit)}.json").is_file()]
-        left, running = len(waiting), 0
-        with executor:
-            while waiting or running:
-                while waiting and running < executor.slots:
-                    executor.submit(waiting.pop(0))
-                    running += 1
-                done = executor.next_done()
-                running, left = running - 1, left - 1
-                if done.lost:
-                    raise WorkerError(f"unit {done.unit}", f"was lost ({done.lost})", "try fewer --workers")
-                save_artifact(self.folder, unit_name(done.unit), done.value)
-                progress(1 - left / len(wanted), f"{len(wanted) - left} of {len(wanted)}")
+        kept = len(wanted) - len(waiting)
+        for number, done in enumerate(run_units(waiting, executor), kept + 1):
+            save_artifact(self.folder, unit_name(done.unit), done.value)
+            progress(number / len(wanted), f"{number} of {len(wanted)}")
         return [load_artifact(self.folder, unit_name(unit), self._kind) for unit in wanted]
 
 

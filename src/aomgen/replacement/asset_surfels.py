@@ -4,7 +4,9 @@ Discs on a surface overhang its edges and smear its prints. Fitted to images, by
 later, they end where the surface ends, and there are more of them where there is more to see.
 """
 
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Final
 
 import numpy as np
@@ -20,6 +22,7 @@ from aomgen.core.gaussians import SH_C0, Gaussians, concatenate
 from aomgen.core.light import open_transfer
 from aomgen.core.transforms import apply
 from aomgen.core.values import Array
+from aomgen.executors import Processes, Work, run_units
 from aomgen.lighting.link_occlusion import estimate_link_transfer
 from aomgen.replacement.asset_cover import cover_links
 from aomgen.replacement.asset_renderer import AssetRenderer
@@ -62,6 +65,8 @@ MIN_OPACITY: Final = 0.02
 STEP_PX: Final = 0.12
 # Learning rates at the end, as a share of those at the start.
 DECAY: Final = 0.1
+# Largest time to fit the surfels of one asset, which takes half a minute, [s].
+FIT_S: Final = 1800.0
 # Cameras look from around, down by these angles, [rad]; the asset's sphere fills these shares of their images.
 ELEVATIONS, FILLED = (-0.2, 1.2), (0.8, 1.1)
 # Focal length over the width of an image: that of a usual camera.
@@ -88,6 +93,22 @@ class _Surface:
 
     def select(self, which: NDArray[np.int64]) -> "_Surface":
         return _Surface(links=self.links[which], normals=self.normals[which], opaque=self.opaque[which])
+
+
+def fit_all_surfels(
+    assets: Mapping[int, ArticulatedAsset], seed: int, workers: int
+) -> Iterator[tuple[int, tuple[Surfels, Surfels]]]:
+    """Fit the surfels of several assets, one asset in each process, and yield them with their numbers when they are done.
+
+    The result does not depend on the number of workers: each asset has random numbers of its own. Errors as for `asset_surfels`.
+    """
+    opener = partial(_open_fit, assets, seed)
+    for done in run_units(list(assets), Processes(opener, min(workers, len(assets)), FIT_S)):
+        yield done.unit, done.value
+
+
+def _open_fit(assets: Mapping[int, ArticulatedAsset], seed: int) -> Work:
+    return lambda number: asset_surfels(assets[number], np.random.default_rng(seed + number))
 
 
 def asset_surfels(asset: ArticulatedAsset, rng: np.random.Generator) -> tuple[Surfels, Surfels]:

@@ -27,7 +27,7 @@ from aomgen.lighting.light_estimation import SceneLight, estimate_light, light_o
 from aomgen.lighting.reflection import show_in_light
 from aomgen.lighting.table_shadow import MAX_GAIN
 from aomgen.lighting.wall_shadow import cast_wall_shadow
-from aomgen.replacement.asset_surfels import asset_surfels
+from aomgen.replacement.asset_surfels import fit_all_surfels
 from aomgen.replacement.correspondence import describe_contact
 from aomgen.replacement.diffusion import choose_photograph, estimate_environment, inpaint_table
 from aomgen.replacement.fitting import FitParams, fit_asset
@@ -38,6 +38,7 @@ from aomgen.replacement.table_texture import Photograph, inpaint
 from aomgen.replacement.viewpoint import episode_cameras
 from aomgen.results import ASSET_USD, ASSETS_FOLDER, BACKGROUND_FOLDER, FITTED, Results
 from aomgen.robots.robot import longest_reach
+from aomgen.splatting.surfels import Surfels
 from aomgen.twin.binding import with_object
 from aomgen.twin.twin import TwinModel, pose_twin
 
@@ -62,17 +63,18 @@ def run(results: Results, folder: Path, progress: Progress) -> dict[str, Any]:
         cleared.surroundings, cleared.support, longest_reach(results.robot), results.configuration
     )
     fitted, rejected = fit_assets(results, describe_recorded_object(results, support))
-    for number, asset in enumerate(fitted):
-        progress(0.4 + 0.5 * number / len(fitted), f"asset {asset.asset.name}")
-        target = folder / ASSETS_FOLDER / f"{number:02d}"
+    progress(0.4, "Gaussians of the assets")
+    folders = [folder / ASSETS_FOLDER / f"{number:02d}" for number in range(len(fitted))]
+    for target, asset in zip(folders, fitted, strict=True):
         target.mkdir(parents=True)
         save_artifact(target, FITTED, asset)
         write_for_replay(asset.asset, target / ASSET_USD)
         if asset.asset.name == ORIGINAL:
-            twin = original_twin(background, results.twin, asset)
-        else:
-            twin = asset_twin(background, asset, light, project.seed + number)
-        save_artifact(target, "twin", twin)
+            save_artifact(target, "twin", original_twin(background, results.twin, asset))
+    others = {number: item.asset for number, item in enumerate(fitted) if item.asset.name != ORIGINAL}
+    for count, (number, surfels) in enumerate(fit_all_surfels(others, project.seed, results.workers), 1):
+        save_artifact(folders[number], "twin", asset_twin(background, fitted[number], light, surfels))
+        progress(0.4 + 0.5 * count / len(others), f"Gaussians of the assets, {count} of {len(others)}")
     progress(0.9, "new viewpoint")
     scene = EpisodeScene(
         support=support,
@@ -215,11 +217,10 @@ def examine_fit(results: Results, asset: ArticulatedAsset) -> Finding:
     return Finding(name=name, state=f"size x {found.scale:.2f}, {found.residual_mm:.1f} mm from the motion")
 
 
-def asset_twin(background: TwinModel, fitted: FittedAsset, light: SceneLight, seed: int) -> TwinModel:
-    """The cleared scene with a fitted asset where the recorded object stood."""
+def asset_twin(
+    background: TwinModel, fitted: FittedAsset, light: SceneLight, surfels: tuple[Surfels, Surfels]
+) -> TwinModel:
+    """The cleared scene with a fitted asset, whose links have these surfels, where the recorded object stood."""
     T = fitted.T_world_asset
-    static, moving = (
-        show_in_light(link, light, T[:3, :3])
-        for link in asset_surfels(fitted.asset, np.random.default_rng(seed))
-    )
+    static, moving = (show_in_light(link, light, T[:3, :3]) for link in surfels)
     return with_object(background, static, moving, fitted.asset.joint, light.shown, T)
