@@ -12,13 +12,13 @@ from typing import Annotated, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import least_squares
 from scipy.spatial import cKDTree
 
 from aomgen.conventions import BACKGROUND, ROBOT, linear_from_srgb, srgb_from_linear
 from aomgen.core.camera import Camera
 from aomgen.core.environment_map import EnvironmentMap
 from aomgen.core.gaussians import SH_C0, Gaussians
+from aomgen.core.least_squares import Kernel, ResidualTerm, solve
 from aomgen.core.light import DIRECTIONS, Light, hemisphere_light, light_from_harmonics, open_transfer
 from aomgen.core.mesh import face_normals_areas, sample_surface
 from aomgen.core.sh import sh_basis, sphere_directions
@@ -46,6 +46,8 @@ OUTLIER: Final = 0.05
 # Standard deviations of bands 1 and 2 of unobserved radiance, as shares of its mean, and of the tone curve;
 # the share of all colors that has the weight of one of them.
 BAND_SD, TONE_SD, PRIOR_COLORS = (0.6, 0.4), 0.3, 1e-4
+# Relative decrease of the cost that ends the fit; the light then differs by 0.2 grey levels from that at the optimum.
+TOLERANCE: Final = 1e-5
 # Upper limits of shoulder and color loss.
 MAX_TONE: Final = (2.0, 0.95)
 # A cell of the table has the weight of this number of colors of the robot: its
@@ -202,7 +204,7 @@ def _explain(
     spreads = np.repeat(BAND_SD, [3, 5])[:, None]
     weight = np.sqrt(PRIOR_COLORS * len(wanted))
 
-    def residuals(unknown: Array) -> Array:
+    def compare(unknown: Array) -> Array:
         unseen, albedo, tone = unknown[:27].reshape(9, 3), unknown[27], known or ToneCurve(*unknown[28:])
         robot = (samples.albedo + REFLECTED) * (samples.transfer @ radiance_around(around, unseen, tone))
         level = albedo * (table.transfer @ radiance_around(here, unseen, tone)).mean(1, keepdims=True)
@@ -211,10 +213,17 @@ def _explain(
         prior = np.append(unseen[1:] / (mean * spreads), unknown[28:] / TONE_SD)
         return np.concatenate([(shown - wanted).ravel(), TABLE * (shadow - grey).ravel(), weight * prior])
 
-    start = np.concatenate([np.ones(3), np.zeros(24), [MEAN_ALBEDO, 0.2, 0.1]])
-    low, high = np.full(30, -np.inf), np.full(30, np.inf)
-    low[27:], high[27:] = (0.01, 0, 0), (1, *MAX_TONE)
-    found = least_squares(residuals, start, bounds=(low, high), loss="soft_l1", f_scale=OUTLIER).x
+    limits = [(-np.inf, np.inf)] * 27 + [(0.01, 1.0)] + ([] if known else [(0.0, top) for top in MAX_TONE])
+    low, high = np.transpose(limits)
+    start = np.array([1.0] * 3 + [0.0] * 24 + [MEAN_ALBEDO] + ([] if known else [0.2, 0.1]))
+    term = ResidualTerm(name="light", residual=compare, kernel=Kernel(scale=OUTLIER, power=0.5))
+    found = solve(
+        [term],
+        start,
+        retract=lambda unknown, step: np.clip(unknown + step, low, high),
+        dimension=len(start),
+        tolerance=TOLERANCE,
+    ).state
     return found[:27].reshape(9, 3), known or ToneCurve(*found[28:])
 
 
