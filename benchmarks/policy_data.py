@@ -21,13 +21,17 @@ from benchmarks.policy_visuals import redraw
 from synthetic.world import make_capture
 
 Tell = Callable[[str], None]
-# Observations of the demonstrations: images of the twin or of the simulator, or the object's pose instead.
-Sight = Literal["splat", "simulator", "pose"]
+# Observations of the demonstrations: images of the twin or of the simulator, or the object's pose or keypoints instead.
+Sight = Literal["splat", "simulator", "pose", "keypoints"]
+# Values of --media for observations other than images.
+MEDIA: Final[Mapping[Sight, str]] = {"pose": "none", "keypoints": "keypoints"}
 # Demonstrations of a policy, and of one that learns from many objects.
 FULL, MANY = 150, 240
-# Images are rendered at twice the size of the policies' input, [px].
+# Images are rendered at twice the size of the input of most policies, [px].
 DRAWN_SIZE: Final = (192, 192)
 SEEN_SIZE: Final = (96, 96)
+# The finder crops larger images, which are rendered at this size, [px].
+FINDER_SIZE: Final = (240, 240)
 # Seed of the synthetic capture, unseen while the policy was chosen.
 DRAWER_SEED: Final = 9100
 # Seed of the trials, none of which was seen while grasps and policy were chosen.
@@ -173,9 +177,20 @@ class PolicyData:
                 episodes = redraw(run, self.folder / "redrawn" / name)
             else:
                 episodes = list_committed(open_results(run).folders["episodes"])
-            size, media = "x".join(map(str, SEEN_SIZE)), "none" if sees == "pose" else "image"
-            export_dataset(episodes, home, "lerobot-v3", media=media, size=size)
+            size, actions = "x".join(map(str, SEEN_SIZE)), "ee_absolute" if sees == "keypoints" else "joint"
+            media = MEDIA.get(sees, "image")
+            export_dataset(episodes, home, "lerobot-v3", actions=actions, media=media, size=size)
         return home
+
+    def finder_suite(self, test: Trials) -> Path:
+        """Return the file of a test's trials with the larger images of the finder."""
+        path = self.folder / "suites" / f"{test.name}-{FINDER_SIZE[0]}px.json"
+        if not path.is_file():
+            suite, _ = open_suite(self.suite(test))
+            cameras = {name: camera.resize(*FINDER_SIZE) for name, camera in suite.cameras.items()}
+            changed = replace(suite, cameras=cameras, drawn_size=FINDER_SIZE, action_space="ee_absolute")
+            write_suite(path, changed.seal())
+        return path
 
     def suite(self, test: Trials) -> Path:
         """Return the file of a test's trials."""

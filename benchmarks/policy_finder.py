@@ -1,7 +1,9 @@
 """Errors of the finder of `handle_act` in labelled images: of its training, of other scenes, and of other objects."""
 
 from dataclasses import replace
+from importlib import import_module
 from pathlib import Path
+from types import ModuleType
 from typing import Any, Final
 
 from aomgen.errors import BackendError
@@ -18,8 +20,30 @@ TESTED: Final = LEARNED[::10]
 STEPS: Final = 3000
 
 
+# Name of the trained finder.
+WEIGHTS: Final = "finder.safetensors"
+
+
+def train_finder(data: PolicyData) -> Path:
+    """Train a finder on images of generated microwaves and return its file; an existing one is kept.
+
+    Raises:
+        BackendError: The plug-in is not installed here.
+        AomgenError: Any error of the run, the images or the training.
+    """
+    home = data.folder / "finder"
+    if not (home / WEIGHTS).is_file():
+        main = _plugin("train_finder").main
+        learned = _export(data, "learned", [f"microwave:{seed}" for seed in LEARNED], 0)
+        data.tell("training finder")
+        words = [str(learned), str(home), "--validation", str(_export_others(data)), f"--steps={STEPS}"]
+        if main(words):
+            raise BackendError("train_finder", "failed", "see its message above")
+    return home / WEIGHTS
+
+
 def measure_finder(data: PolicyData) -> dict[str, Any]:
-    """Train a finder on images of made microwaves and measure its lateral errors; images and finder are kept.
+    """Measure the lateral errors of a finder; images and finder are kept.
 
     Returns:
         For images of the training, of the same objects in other scenes, of other objects and of the user's assets: the table of
@@ -29,33 +53,35 @@ def measure_finder(data: PolicyData) -> dict[str, Any]:
         BackendError: The plug-in is not installed here.
         AomgenError: Any error of the run, the images or the training.
     """
+    errors, read_images = _plugin("finder_errors"), _plugin("finder_images").read_images
+    finder, _ = _plugin("finder").load_finder(train_finder(data))
+    learned = _export(data, "learned", [f"microwave:{seed}" for seed in LEARNED], 0)
+    images = {
+        "training": read_images(learned, len(TESTED) * PER_OBJECT),
+        "other_scenes": read_images(_export(data, "scenes", [f"microwave:{seed}" for seed in TESTED], 1)),
+        "other_objects": read_images(_export_others(data)),
+    }
+    if data.assets:
+        images["imported"] = read_images(_export(data, "imported", list(data.assets), 3))
+    return {
+        name: errors.make_table(errors.measure_errors(finder, found), found) for name, found in images.items()
+    }
+
+
+def _plugin(module: str) -> ModuleType:
+    """Import a module of the plug-in, which needs LeRobot."""
     try:
-        from lerobot_policy_aomgen.finder import load_finder  # pyright: ignore[reportMissingImports]
-        from lerobot_policy_aomgen.finder_errors import make_table, measure_errors  # pyright: ignore[reportMissingImports]
-        from lerobot_policy_aomgen.finder_images import read_images  # pyright: ignore[reportMissingImports]
-        from lerobot_policy_aomgen.train_finder import main  # pyright: ignore[reportMissingImports]
+        return import_module(f"lerobot_policy_aomgen.{module}")
     except ImportError as error:
         raise BackendError(
             "lerobot_policy_aomgen",
             f"cannot be imported ({error})",
             "make policy-env; .venv-policy/bin/python -m benchmarks policy ...",
         ) from error
-    learned = _export(data, "learned", [f"microwave:{seed}" for seed in LEARNED], 0)
-    tests = {
-        "other_scenes": _export(data, "scenes", [f"microwave:{seed}" for seed in TESTED], 1),
-        "other_objects": _export(data, "objects", [f"microwave:{seed}" for seed in OTHERS], 2),
-    }
-    if data.assets:
-        tests["imported"] = _export(data, "imported", list(data.assets), 3)
-    home = data.folder / "finder"
-    if not (home / "finder.safetensors").is_file():
-        words = [str(learned), str(home), "--validation", str(tests["other_objects"]), f"--steps={STEPS}"]
-        if main(words):
-            raise BackendError("train_finder", "failed", "see its message above")
-    finder, _ = load_finder(home / "finder.safetensors")
-    images = {"training": read_images(learned, len(TESTED) * PER_OBJECT)}
-    images |= {name: read_images(folder) for name, folder in tests.items()}
-    return {name: make_table(measure_errors(finder, found), found) for name, found in images.items()}
+
+
+def _export_others(data: PolicyData) -> Path:
+    return _export(data, "objects", [f"microwave:{seed}" for seed in OTHERS], 2)
 
 
 def _export(data: PolicyData, name: str, assets: list[str], seed: int) -> Path:

@@ -16,8 +16,8 @@ MOVED_M: Final = (0.0, 0.05, 0.10, 0.20)
 QUICK: Final = "quick"
 
 
-# Kinds of policies: the small one of our plug-in, and LeRobot's own, which need a GPU.
-Kind = Literal["small_act", "act", "diffusion"]
+# Kinds of policies: those of our plug-in, and LeRobot's own, which need a GPU.
+Kind = Literal["small_act", "handle_act", "act", "diffusion"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -39,6 +39,11 @@ class Training:
     sees: Sight = "splat"
     kind: Kind = "small_act"
     fixed_camera: bool = False
+
+    @property
+    def finds(self) -> bool:
+        """Whether the policy contains a finder."""
+        return self.kind == "handle_act"
 
     @property
     def name(self) -> str:
@@ -128,6 +133,18 @@ TABLES: Final = {
             ("single", "microwave", FULL),
             ("mixed", "microwaves", FULL),
             ("mixed", "microwaves", MANY),
+        )
+    ]
+    + [
+        Row(
+            label={"training": "mixed", "demonstrations": MANY, "policy": "handle_act"},
+            policies=tuple(
+                Training(
+                    world="microwaves", demonstrations=MANY, seed=seed, sees="keypoints", kind="handle_act"
+                )
+                for seed in SEEDS
+            ),
+            test=Trials(world=UNSEEN),
         )
     ],
     "renderer_table": [

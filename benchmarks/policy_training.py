@@ -16,7 +16,8 @@ from aomgen.errors import BackendError, NotEnoughEpisodesError
 from aomgen.evaluation.lerobot_policy import IMAGES, LAST, STATE, TRAINING, WEIGHTS
 from aomgen.io.artifact import read_json
 from aomgen.io.atomic import remove_folder
-from benchmarks.policy_data import PolicyData
+from benchmarks.policy_data import UNSEEN, PolicyData, Trials
+from benchmarks.policy_finder import train_finder
 from benchmarks.policy_tables import Kind, Training
 
 # Settings of every training: AdamW steps, batch size, and steps between checkpoints,
@@ -27,6 +28,7 @@ QUICK_STEPS: Final = 3
 ON_GPU: Final = ("--policy.device=cuda", "--policy.pretrained_backbone_weights=null")
 NETWORKS: Final[Mapping[Kind, tuple[str, ...]]] = {
     "small_act": ("--policy.type=small_act", "--policy.device=cpu"),
+    "handle_act": ("--policy.type=handle_act", "--policy.device=cpu"),
     "act": ("--policy.type=act", *ON_GPU),
     "diffusion": ("--policy.type=diffusion", *ON_GPU),
 }
@@ -83,6 +85,7 @@ class Trainer:
                 f"--batch_size={BATCH}", "--num_workers=0", f"--save_freq={min(SAVE_EVERY, steps)}",
                 "--wandb.enable=false", "--eval_freq=0",
                 *([f"--policy.input_features={json.dumps(front_features(dataset))}"] if training.fixed_camera else []),
+                *(self._finder_options() if training.finds else []),
             ]  # fmt: skip
         self.data.tell(f"training {training.name}")
         # Mixed precision is a third faster than float32, at an equal loss.
@@ -97,6 +100,10 @@ class Trainer:
         if done.returncode:
             raise BackendError("lerobot-train", f"ended with exit code {done.returncode}", f"see {log}")
         return home
+
+    def _finder_options(self) -> list[str]:
+        suite = self.data.finder_suite(Trials(world=UNSEEN))
+        return [f"--policy.finder={train_finder(self.data)}", f"--policy.suite={suite}"]
 
 
 def first_draws(dataset: Path, count: int) -> list[int]:

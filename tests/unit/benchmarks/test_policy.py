@@ -15,9 +15,11 @@ from aomgen.core.camera import Camera
 from aomgen.core.project import Project
 from aomgen.episodes.factory import GenerationParams
 from aomgen.errors import BackendError, ConfigError, NotEnoughEpisodesError
+from aomgen.evaluation.suite import Suite
+from aomgen.io.artifact import load_artifact
 from aomgen.io.schema import override
 from aomgen.pipeline.runner import LOCK_FILE
-from benchmarks import policy_video
+from benchmarks import policy_data, policy_video
 from benchmarks.policy import PolicyBench, beats, folder_digest, table_figures
 from benchmarks.policy_data import MANY, UNSEEN, WORLDS, PolicyData, Trials, moved_cameras
 from benchmarks.policy_finder import LEARNED, OTHERS, TESTED, measure_finder
@@ -222,6 +224,66 @@ def test_a_training_is_done_once_and_goes_on_where_it_ended(
     assert words.read_text().splitlines()[len(told) + 1 :] == ["--resume=true", "--steps=30"]
 
 
+def test_a_policy_with_a_finder_is_trained_with_finder_and_suite(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    command, words = tmp_path / "lerobot-train", tmp_path / "words"
+    command.write_text(LEROBOT)
+    command.chmod(0o755)
+    monkeypatch.setenv("WORDS", str(words))
+    finder = tmp_path / "finder" / "finder.safetensors"
+    finder.parent.mkdir()
+    finder.touch()
+    data: Any = SimpleNamespace(
+        folder=tmp_path,
+        dataset=lambda world, sees: tmp_path / sees,
+        finder_suite=lambda test: tmp_path / f"{test.name}.json",
+        tell=lambda text: None,
+    )
+    write_episodes(tmp_path / "keypoints", *"abc")
+    policy = Training(world="microwaves", demonstrations=3, sees="keypoints", kind="handle_act")
+    Trainer(data=data, steps=20, command=command).train(policy)
+    suite = tmp_path / "unseen_microwaves-1-0mm.json"
+    expected = {f"--policy.finder={finder}", f"--policy.suite={suite}", "--policy.type=handle_act"}
+    assert expected <= set(words.read_text().splitlines())
+
+
+def test_the_finder_gets_larger_images_of_the_same_trials(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    camera = Camera(width=96, height=96, fx=80.0, fy=90.0, cx=48.0, cy=50.0, T_world_cam=np.eye(4))
+    suite = Suite(
+        run=".",
+        twin="",
+        task="",
+        assets=(),
+        joint_names=(),
+        fps=10,
+        action_space="joint",
+        cameras={"front": camera},
+        drawn_size=(192, 192),
+        max_frames=9,
+        seed=3,
+        trials=(),
+        redrawn={},
+        nearest=None,
+    ).seal()
+    test = Trials(world="microwave")
+    data = PolicyData(
+        folder=tmp_path, capture=tmp_path, run_project=lambda: None, workers=1, tell=lambda text: None
+    )
+    (tmp_path / "suites").mkdir()
+    (tmp_path / "suites" / f"{test.name}.json").touch()
+    monkeypatch.setattr(policy_data, "open_suite", lambda path: (suite, None))
+    written = load_artifact(data.finder_suite(test).parent, data.finder_suite(test).stem, Suite)
+    resized = written.cameras["front"]
+    assert (resized.width, resized.height) == (240, 240)
+    assert (resized.fx, resized.cy) == pytest.approx((200, 125))
+    assert (written.action_space, written.drawn_size) == ("ee_absolute", (240, 240))
+    assert (written.seed, written.max_frames) == (suite.seed, suite.max_frames)
+    assert written.digest != suite.digest
+
+
 def test_a_policy_of_the_fixed_camera_sees_only_that(tmp_path: Path) -> None:
     features = {
         "observation.state": {"shape": [7]},
@@ -305,15 +367,16 @@ def test_the_mean_trajectory_is_of_demonstrations_that_stay_where_they_end(
 
 
 def test_kept_rollouts_need_neither_lerobot_nor_data(tmp_path: Path) -> None:
-    for name in ("microwave-150", "microwaves-150", f"microwaves-{MANY}"):
+    small = [f"{name}-0" for name in ("microwave-150", "microwaves-150", f"microwaves-{MANY}")]
+    for name in (*small, *(f"microwaves-{MANY}-{seed}-keypoints-handle_act" for seed in range(3))):
         figures = json.dumps(tried([True] * 5 + [False] * 5))
-        kept = tmp_path / "rollouts" / f"{name}-0-on-unseen_microwaves-1-0mm-splat.json"
+        kept = tmp_path / "rollouts" / f"{name}-on-unseen_microwaves-1-0mm-splat.json"
         kept.parent.mkdir(exist_ok=True)
         kept.write_text(figures)
     data: Any = SimpleNamespace(folder=tmp_path, workers=1)
     bench = PolicyBench(data=data, trainer=Trainer(data=data, command=tmp_path / "absent"))
     table = bench.figures(["unseen_table"])["unseen_table"]
-    assert [row["success_rate"] for row in table] == [0.5] * 3
+    assert [row["success_rate"] for row in table] == [0.5] * 4
 
 
 def test_a_dataset_is_known_by_names_and_contents(tmp_path: Path) -> None:
