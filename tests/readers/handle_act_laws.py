@@ -17,6 +17,7 @@ from lerobot_policy_aomgen.finder_noise import add_errors, tabulate_errors
 from lerobot_policy_aomgen.geometry import describe_geometry, disturb_poses, pose_end_effector, pose_views
 from lerobot_policy_aomgen.lifting import lift_points, project_points
 from lerobot_policy_aomgen.modeling_handle_act import HandleACTPolicy
+from lerobot_policy_aomgen.tracking import PointTracker
 
 from aomgen.core.camera import Camera, look_at
 from aomgen.core.transforms import quat_from_matrix
@@ -97,6 +98,24 @@ try:
     print("failed: a camera without measured errors is refused")
 except ValueError as error:
     check("front" in str(error), "known cameras are named")
+
+tracker, resting = PointTracker(), torch.randn(3, 5, 3)
+still = torch.eye(4).repeat(3, 1, 1)
+for look in range(9):
+    located = resting + (1.0 if look == 4 else 0.01 * torch.randn(3, 5, 3))
+    estimate, spreads = tracker.update(located, torch.full((3, 5), 0.01), still, torch.zeros(3))
+check((estimate - resting).abs().max() < 0.03, "one wrong location of nine does not change the estimate")
+check(torch.allclose(spreads, torch.full((3, 5), 0.01)), "standard deviations are medians as well")
+moved = still.clone()
+moved[:, 0, 3] = 0.2
+for pose, gripper in ((still, [0.8, 0.8, 0.0]), (moved, [0.8, 0.0, 0.0])):
+    held, _ = tracker.update(resting + 9, torch.full((3, 5), 1e-3), pose, torch.tensor(gripper))
+shift = torch.zeros(3, 5, 3)
+shift[0, :3, 0] = 0.2
+check(
+    torch.allclose((held - estimate)[:2], shift[:2], atol=1e-6), "the handle moves with a closed gripper only"
+)
+check((held[2] - resting[2]).abs().min() > 8, "an object that was not grasped is located again")
 
 with tempfile.TemporaryDirectory() as scratch:
     folder = Path(scratch)

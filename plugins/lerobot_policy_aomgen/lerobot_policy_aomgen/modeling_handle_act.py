@@ -34,13 +34,17 @@ from lerobot_policy_aomgen.geometry import (
     read_geometry,
 )
 from lerobot_policy_aomgen.lifting import lift_points, project_points
+from lerobot_policy_aomgen.tracking import PointTracker, combine_looks
+
+# Training combines up to this number of looks; in an episode, the object is located every five frames before it is grasped.
+MAX_LOOKS = 8
 
 
 class HandleACTPolicy(PreTrainedPolicy):
     """See `HandleACTConfig`.
 
     Attributes:
-        points_world: Keypoints (P, 3) that were found last, [m]; None before the first look.
+        points_world: Last estimate of the keypoints (P, 3), [m]; None before the first one.
     """
 
     config_class = HandleACTConfig
@@ -76,7 +80,7 @@ class HandleACTPolicy(PreTrainedPolicy):
     def reset(self) -> None:
         """Forget the last chunk and the points."""
         self._blender = ChunkBlender(self.config.n_action_steps)
-        self._first: Tensor | None = None
+        self._tracker = PointTracker()
         self._last: Tensor | None = None
         self.points_world: Tensor | None = None
 
@@ -91,7 +95,11 @@ class HandleACTPolicy(PreTrainedPolicy):
 
     def _compute_loss(self, batch: dict[str, Tensor]) -> Tensor:
         joints, truth = batch[OBS_STATE][..., :-1], batch[OBS_ENV_STATE].unflatten(-1, (len(KEYPOINTS), 3))
-        (first, _), (points, sigmas) = (self._find_as_measured(joints[:, k], truth[:, k]) for k in (0, 1))
+        count = int(torch.randint(1, MAX_LOOKS + 1, ()))
+        looks = [self._find_as_measured(joints[:, 1], truth[:, 1]) for _ in range(count)]
+        points, sigmas = combine_looks(*map(torch.stack, zip(*looks, strict=True)))
+        # The estimate at rest and that of now have the same error, as in `PointTracker`.
+        first = truth[:, 0] + points - truth[:, 1]
         T_world_ee = pose_end_effector(self._geometry, joints[:, 1])
         T_world_ee = disturb_poses(T_world_ee, self.config.pose_noise_m, self.config.pose_noise_rad)
         inputs = join_inputs(T_world_ee, points, sigmas, first[:, 0], batch[OBS_STATE][:, 1, -1])
@@ -119,20 +127,19 @@ class HandleACTPolicy(PreTrainedPolicy):
     def predict_action_chunk(self, batch: dict[str, Tensor], **_: Any) -> Tensor:
         """Poses and gripper (B, chunk_size, 8) from now on, world frame."""
         self.eval()
-        points, sigmas = self.find_points(batch)
-        self.points_world = points[0]
-        if self._first is None:
-            self._first = points[:, 0]
         state = batch[OBS_STATE]
         T_world_ee = pose_end_effector(self._geometry, state[:, :-1])
-        poses = self.network(join_inputs(T_world_ee, points, sigmas, self._first, state[:, -1]))
+        points, sigmas = self._tracker.update(*self.find_points(batch), T_world_ee, state[:, -1])
+        self.points_world = points[0]
+        first = self._tracker.rest_world[:, 0]
+        poses = self.network(join_inputs(T_world_ee, points, sigmas, first, state[:, -1]))
         actions = align_signs(decode_poses(T_world_ee, poses), self._last)
         self._last = actions[:, 0]
         return actions
 
     @torch.no_grad()
     def select_action(self, batch: dict[str, Tensor], **_: Any) -> Tensor:
-        """The action (B, 8) of this step; the finder looks when the actions of the last chunk are used up."""
+        """The action (B, 8) of this step; the finder receives images when the actions of the last chunk are used up."""
         return self._blender.next_action(lambda: self.predict_action_chunk(batch))
 
 
