@@ -70,7 +70,7 @@ def test_a_prompted_image_without_points_has_no_place():
         (prompt("1.jpg"),), cameras, points, observations[observations[:, 1] != 1]
     )
     assert (found.registered, found.views) == (True, 0)
-    with pytest.raises(ReconstructionError, match="seen by 0 images"):
+    with pytest.raises(ReconstructionError, match="visible in 0 images"):
         require_coverage([found])
 
 
