@@ -109,13 +109,13 @@ class Panel:
         # One coordinate at a time: the search of a panel spends its time here.
         x, y, z = (local[..., axis] for axis in range(3))
         body = [row[0] * x + row[1] * y + row[2] * z + row[3] for row in T_body_panel[:3]]
-        ours = np.logical_and.reduce(_within(body, self.body_low, self.body_high))
-        moves = np.logical_and.reduce(_within([x, y, z], self.low, self.high))
+        ours = _within(body, self.body_low, self.body_high)
+        moves = _within([x, y, z], self.low, self.high)
         if center is not None and center[2] > 0:
             behind = ours & (z < 0)
             share = center[2] / (center[2] - z[behind])
             hit = [center[k] + share * (plane[behind] - center[k]) for k, plane in enumerate((x, y))]
-            moves[behind] |= np.logical_and.reduce(_within(hit, self.low, self.high))
+            moves[behind] |= _within(hit, self.low, self.high)
         labels = np.full(ours.shape, BACKGROUND, np.uint8)
         labels[ours] = STATIC
         labels[moves] = MOVING
@@ -161,9 +161,13 @@ class Panel:
         return float(beyond[:, :2].sum(1).mean())
 
 
-def _within(planes: list[NDArray], low: Array, high: Array) -> list[NDArray[np.bool_]]:
-    """For each coordinate, which of its values lie between two bounds (D or more,)."""
-    return [(values > low[axis]) & (values < high[axis]) for axis, values in enumerate(planes)]
+def _within(planes: list[NDArray], low: Array, high: Array) -> NDArray[np.bool_]:
+    """Return which points, given one coordinate at a time, lie between two bounds (D or more,)."""
+    inside = (planes[0] > low[0]) & (planes[0] < high[0])
+    for axis, values in enumerate(planes[1:], 1):
+        inside &= values > low[axis]
+        inside &= values < high[axis]
+    return inside
 
 
 def find_panel_frame(

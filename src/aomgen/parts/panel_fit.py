@@ -136,7 +136,7 @@ def descend(panel: Panel, size: float, terms: Sequence[Term], shares: Sequence[f
             for step in share * size * directions:
                 for _ in range(MAX_STRIDES):
                     moved = panel.move(step)
-                    loss = compute_loss(moved, size, terms)
+                    loss = compute_loss(moved, size, terms, limit=best - MIN_GAIN)
                     if not loss < best - MIN_GAIN:
                         break
                     panel, best = moved, loss
@@ -145,13 +145,20 @@ def descend(panel: Panel, size: float, terms: Sequence[Term], shares: Sequence[f
     return panel, best
 
 
-def compute_loss(panel: Panel, size: float, terms: Sequence[Term]) -> float:
-    """Sum of all terms and of the regularization; infinite for impossible boxes."""
+def compute_loss(panel: Panel, size: float, terms: Sequence[Term], limit: float = np.inf) -> float:
+    """Sum of all terms and of the regularization; infinite for impossible boxes, and where it reaches the limit."""
     if not panel.is_valid:
         return np.inf
     thick = panel.thicken_body(0.5 * SKIN_SHARE * size)
     shape = (SIZE_WEIGHT * panel.extent_m + UNCOVERED_WEIGHT * thick.uncovered_m) / size
-    return sum(term.loss(thick) for term in terms) + shape + min(SKEW_WEIGHT * panel.skew_rad, MAX_SKEW_LOSS)
+    skew = min(SKEW_WEIGHT * panel.skew_rad, MAX_SKEW_LOSS)
+    total = 0.0
+    for term in terms:
+        total += term.loss(thick)
+        # No term is negative: the remaining ones, which cost most of the time, cannot bring the sum below the limit.
+        if not total + shape + skew < limit:
+            return np.inf
+    return total + shape + skew
 
 
 def _list_directions(panel: Panel, size: float) -> Array:

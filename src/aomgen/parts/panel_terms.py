@@ -52,7 +52,7 @@ def box_misfit(mask: Mask, box: Array) -> float:
     The distances of the four sides, as shares of the box, and twice the share of the mask outside.
     Single pixels do not make an extent. Without a mask it is 4: each side off by the whole box.
     """
-    total = int(mask.sum())
+    total = np.count_nonzero(mask)
     width, height = box[2] - box[0], box[3] - box[1]
     columns = np.flatnonzero(mask.sum(0) > max(1.0, 0.015 * height))
     rows = np.flatnonzero(mask.sum(1) > max(1.0, 0.015 * width))
@@ -70,15 +70,15 @@ def pixels_within(box: Array, shape: tuple[int, ...]) -> Mask:
 
 
 def share_inside(mask: Mask, box: Array) -> float:
-    """Share of a mask (H, W), not empty, inside a box x0, y0, x1, y1, [px]."""
+    """Share of a mask (H, W) inside a box x0, y0, x1, y1, [px]; 0 for an empty mask."""
     x0, y0 = np.maximum(np.floor(box[:2]), 0).astype(int)
     x1, y1 = np.ceil(box[2:]).astype(int)
-    return float(mask[y0:y1, x0:x1].sum() / mask.sum())
+    return np.count_nonzero(mask[y0:y1, x0:x1]) / max(1, np.count_nonzero(mask))
 
 
 def iou(first: Mask, second: Mask) -> float:
     """Intersection over union of two masks."""
-    return float((first & second).sum() / max(1, (first | second).sum()))
+    return np.count_nonzero(first & second) / max(1, np.count_nonzero(first | second))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

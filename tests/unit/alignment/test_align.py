@@ -97,8 +97,8 @@ def test_images_without_the_robot_are_refused(configuration):
         align(scan_of(views, boxes, ground_points(rng)), configuration, silent, rng, PARAMS)
 
 
-@pytest.mark.parametrize("off_deg", [0.0, -60.0, 60.0])
-def test_a_hand_turned_against_the_log_is_noticed(configuration, off_deg):
+@pytest.mark.parametrize("off_deg", [0.0, 60.0])
+def test_a_wrist_turned_against_the_log_is_noticed(configuration, off_deg):
     views, _ = scene(configuration, np.random.default_rng(5), robot=True, focal_px=600.0)
     joints = JOINTS.copy()
     joints[-1] += np.radians(off_deg)

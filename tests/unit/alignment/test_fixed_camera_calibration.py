@@ -141,6 +141,12 @@ def stage(robot: RobotModel) -> Stage:
     return stage
 
 
+@pytest.fixture(scope="module")
+def front_film(stage: Stage) -> Video:
+    """The moving arm from the front, 0.4 s before the log; rendered once."""
+    return stage.film(FRONT, 0.4)
+
+
 @pytest.mark.slow
 def test_several_cameras_and_their_clocks_are_found_and_a_blind_one_is_kept(stage: Stage) -> None:
     wall = world_camera([-1.7, -1.0, 0.9], (-3.0, -3.0, 0.9))
@@ -231,24 +237,22 @@ def test_a_gross_calibration_is_refused_with_its_mistake(stage: Stage, wrong: np
     assert hint in str(refused.value)
 
 
-def test_joint_zeros_are_found_with_the_moving_arm(stage: Stage) -> None:
+def test_joint_zeros_are_found_with_the_moving_arm(stage: Stage, front_film: Video) -> None:
     zeros = np.radians([0.0, 0.4, -0.4, 0.3, -0.3, 0.0])
-    found = calibrate(worse(stage, -zeros), {"front": camera_video(FRONT, stage.film(FRONT, 0.4))})
+    found = calibrate(worse(stage, -zeros), {"front": camera_video(FRONT, front_film)})
     assert np.degrees(found.joint_zeros_rad[1:4]) == pytest.approx(np.degrees(zeros[1:4]), abs=0.2)
     assert np.all(np.abs(found.joint_zeros_rad - zeros) < 4 * found.joint_zero_sds_rad)
 
 
-def test_joints_as_logged_stay(stage: Stage) -> None:
-    found = calibrate(stage, {"front": camera_video(FRONT, stage.film(FRONT, 0.4))})
+def test_joints_as_logged_stay(stage: Stage, front_film: Video) -> None:
+    found = calibrate(stage, {"front": camera_video(FRONT, front_film)})
     assert np.abs(np.degrees(found.joint_zeros_rad)).max() < 0.1
 
 
-def test_a_joint_far_off_is_refused_by_name(stage: Stage) -> None:
+def test_a_joint_far_off_is_refused_by_name(stage: Stage, front_film: Video) -> None:
     zeros = np.radians([0.0, 0.0, 3.5, 0.0, 0.0, 0.0])
     with pytest.raises(AlignmentError, match="elbow_joint"):
-        calibrate(
-            worse(stage, -zeros), {"front": camera_video(FRONT, stage.film(FRONT, 0.4))}, clock_offset_s=0.4
-        )
+        calibrate(worse(stage, -zeros), {"front": camera_video(FRONT, front_film)}, clock_offset_s=0.4)
 
 
 def worse(stage: Stage, added_rad: np.ndarray) -> Stage:

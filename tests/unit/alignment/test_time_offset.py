@@ -17,7 +17,7 @@ LOG_TIMES = np.arange(0, 10.0, 0.01)
 
 
 def path(times_s: np.ndarray) -> np.ndarray:
-    """A disc's way (T, 2) as shares of the image: rests, two strokes of different speed, rests."""
+    """Path (T, 2) of a disc as shares of the image: rests, two strokes of different speed, rests."""
     x = np.interp(times_s, [1.5, 3.0, 4.0, 7.0], [0.15, 0.75, 0.75, 0.3])
     return np.stack([x, 0.3 + 0.4 * np.interp(times_s, [2.0, 6.5], [0, 1])], 1)
 
@@ -38,7 +38,7 @@ def film(masks: np.ndarray, seed: int = 0) -> Video:
     return Video(times_s=TIMES, frames_srgb=np.clip(frames, 0, 255).astype(np.uint8), fps=FPS)
 
 
-@pytest.mark.parametrize("offset", [0.74, 1.313, -0.2])
+@pytest.mark.parametrize("offset", [1.313, -0.2])
 def test_the_offset_of_a_painted_film_is_found_to_a_fraction_of_a_frame(offset: float) -> None:
     masks_at = disc(path)
     video = film(masks_at(TIMES + offset, 160, 120))

@@ -1,6 +1,7 @@
 """Labels of all Gaussians: by prompts and masks, by the demonstration in turn, and smooth over neighbors."""
 
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -140,11 +141,27 @@ def labelled(scan: PromptedScan) -> Parts:
     return find_parts(scan, weigh_evidence(scan))
 
 
-def test_labels_of_a_known_scene_are_recovered(configuration, tmp_path):
+@pytest.fixture(scope="module")
+def known_scene(configuration, tmp_path_factory) -> tuple[Gaussians, np.ndarray, list[ScanView], Path]:
+    """The toy scene with its labels, views and the folder of the label images; built once, read only."""
+    folder = tmp_path_factory.mktemp("labels")
     gaussians, labels = toy_scene(configuration)
-    views = toy_views(gaussians, labels, configuration, tmp_path)
+    return gaussians, labels, toy_views(gaussians, labels, configuration, folder), folder
+
+
+@pytest.fixture(scope="module")
+def boxed(known_scene, configuration) -> tuple[PromptedScan, PartEvidence]:
+    """The toy scene with two boxes around each part, and the evidence of its labels; computed once."""
+    gaussians, _, views, folder = known_scene
+    prompts = tuple(tight_prompt(part, i, folder) for part in ("static", "moving") for i in (2, 4))
+    scan = segmented(gaussians, views, prompts, folder, configuration)
+    return scan, weigh_evidence(scan)
+
+
+def test_labels_of_a_known_scene_are_recovered(known_scene, configuration):
+    gaussians, labels, views, folder = known_scene
     prompts = tuple(prompt(part, f"{i}.jpg") for part in ("static", "moving") for i in (2, 4))
-    parts = labelled(segmented(gaussians, views, prompts, tmp_path, configuration))
+    parts = labelled(segmented(gaussians, views, prompts, folder, configuration))
     votes = np.zeros(len(gaussians))
     for view in views:
         ids = np.asarray(render(gaussians, view.camera, with_ids=True).max_id)
@@ -155,14 +172,13 @@ def test_labels_of_a_known_scene_are_recovered(configuration, tmp_path):
     assert np.all((parts.robot_bodies >= 0) == (parts.labels == ROBOT))
 
 
-def test_what_shows_through_the_object_far_behind_it_is_not_the_object(configuration, tmp_path):
-    near, labels = toy_scene(configuration)
-    views = toy_views(near, labels, configuration, tmp_path)
+def test_what_shows_through_the_object_far_behind_it_is_not_the_object(known_scene, configuration):
+    near, labels, views, folder = known_scene
     sky = near.select(np.flatnonzero(labels == STATIC)[:50]).transform(
         transform(np.eye(3), np.array([0.0, 860.0, 0.0]))
     )
-    prompts = tuple(tight_prompt(part, 2, tmp_path) for part in ("static", "moving"))
-    scan = segmented(concatenate([near, sky]), views, prompts, tmp_path, configuration)
+    prompts = tuple(tight_prompt(part, 2, folder) for part in ("static", "moving"))
+    scan = segmented(concatenate([near, sky]), views, prompts, folder, configuration)
     shown = np.concatenate([labels, np.full(len(sky), STATIC)])
     evidence = PartEvidence(log_likelihoods=np.log(0.02 + 0.96 * (shown[:, None] == LABELS)), method="boxes")
     parts = find_parts(scan, evidence)
@@ -170,12 +186,9 @@ def test_what_shows_through_the_object_far_behind_it_is_not_the_object(configura
     assert np.mean(parts.labels[: len(near)] == labels) > 0.97
 
 
-def test_cut_parts_are_stored_with_their_pieces(configuration, tmp_path):
-    gaussians, labels = toy_scene(configuration)
-    views = toy_views(gaussians, labels, configuration, tmp_path)
-    prompts = tuple(tight_prompt(part, i, tmp_path) for part in ("static", "moving") for i in (2, 4))
-    scan = segmented(gaussians, views, prompts, tmp_path, configuration)
-    parts = find_parts(*cut_scan(scan, weigh_evidence(scan), None))
+def test_cut_parts_are_stored_with_their_pieces(known_scene, boxed, tmp_path):
+    gaussians = known_scene[0]
+    parts = find_parts(*cut_scan(*boxed, None))
     assert len(parts.cut.sources) > 0
     assert len(parts.labels) == len(parts.cut.apply(gaussians)) > len(gaussians)
     save_artifact(tmp_path, "parts", parts)
@@ -184,11 +197,9 @@ def test_cut_parts_are_stored_with_their_pieces(configuration, tmp_path):
     assert np.array_equal(stored.pieces.means, parts.cut.pieces.means)
 
 
-def test_boxes_around_the_parts_give_a_panel(configuration, tmp_path):
-    gaussians, labels = toy_scene(configuration)
-    views = toy_views(gaussians, labels, configuration, tmp_path)
-    prompts = tuple(tight_prompt(part, i, tmp_path) for part in ("static", "moving") for i in (2, 4))
-    parts = labelled(segmented(gaussians, views, prompts, tmp_path, configuration))
+def test_boxes_around_the_parts_give_a_panel(known_scene, boxed):
+    gaussians, labels, views, _ = known_scene
+    parts = find_parts(*boxed)
     assert parts.method == "boxes"
     assert parts.box_misfit < 0.1
     drawn = render(gaussians, views[3].camera, with_ids=True)

@@ -25,8 +25,10 @@ from aomgen.structure.sparse_model import SparseModel
 from aomgen.structure.stage import list_pose_warnings
 from similarity_fit import best_similarity
 
-# Enough for boards full of print, and quick.
-FEW_FEATURES = StructureParams(max_features=1000)
+# Enough for boards full of print; images that are not doubled need a third of the time.
+FEW_FEATURES = StructureParams(max_features=1000, first_octave=0)
+# For tests that need matches between all images.
+MORE_FEATURES = StructureParams(max_features=1000)
 INTRINSICS = Intrinsics(fx=320.0, fy=320.0, cx=160.0, cy=120.0)
 
 
@@ -125,7 +127,7 @@ def test_foreign_and_repeated_images_are_listed_and_unused(photographs, tmp_path
     again = tmp_path / "again.jpg"
     write_image(again, read_image(images["05.png"]))
     images["again.jpg"] = again
-    structure = _run(images, demo={"front": view})
+    structure = _run(images, demo={"front": view}, params=MORE_FEATURES)
     assert set(structure.dropped) == {"foreign0.png", "foreign1.png", "again.jpg"}
     assert "shows the same as" in structure.dropped["again.jpg"]
     assert "too few matches" in structure.dropped["foreign0.png"]
@@ -133,7 +135,7 @@ def test_foreign_and_repeated_images_are_listed_and_unused(photographs, tmp_path
     assert set(structure.figures["tried"]) == {"incremental", "global"}
 
 
-def test_a_few_places_photographed_again_and_again_are_refused(photographs, tmp_path):
+def test_repeated_images_of_few_viewpoints_are_refused(photographs, tmp_path):
     images, *_ = photographs
     few = {f"{i}{name}": path for name, path in list(images.items())[:4] for i in range(3)}
     with pytest.raises(ReconstructionError, match="12 images, 8 of them twice"):
@@ -157,19 +159,18 @@ def _no_mapping(work: Workspace, group: str):
     raise AssertionError("images were mapped although their poses are known")
 
 
-@pytest.mark.parametrize("error_deg", [0.0, 0.4])
-def test_given_poses_replace_mapping(photographs, monkeypatch, error_deg):
+def test_given_poses_replace_mapping(photographs, monkeypatch):
     images, cameras, *_ = photographs
     monkeypatch.setattr(Workspace, "map", _no_mapping)
     monkeypatch.setattr(Workspace, "map_globally", _no_mapping)
-    structure = _run(images, poses=_given_poses(cameras, error_deg))
+    structure = _run(images, poses=_given_poses(cameras, error_deg=0.4))
     assert structure.figures["mapper"] == "given poses"
     assert structure.figures["given_poses"] == {"used": 12, "contradicted": {}, "warnings": []}
     assert structure.dropped == {}
     assert _errors(structure, cameras).max() < 0.01
 
 
-def test_contradicted_and_missing_poses_are_found_anew(photographs):
+def test_contradicted_and_missing_poses_are_estimated(photographs):
     images, cameras, *_ = photographs
     poses = _given_poses(cameras)
     poses["03.png"], poses["08.png"] = poses["08.png"], poses["03.png"]
@@ -189,7 +190,8 @@ def test_contradicted_and_missing_poses_are_found_anew(photographs):
 def test_poses_of_other_axes_are_not_used(photographs):
     images, cameras, *_ = photographs
     poses = {name: T @ np.diag([1.0, -1.0, -1.0, 1.0]) for name, T in _given_poses(cameras).items()}
-    structure = _run(images, poses=poses)
+    # With fewer features some images have too few matches to contradict a pose.
+    structure = _run(images, poses=poses, params=MORE_FEATURES)
     assert structure.figures["mapper"] == "incremental"
     assert structure.figures["given_poses"]["used"] == 0
     assert "all images are mapped" in list_pose_warnings(structure)[0]
@@ -277,7 +279,7 @@ def test_images_of_nothing_are_refused(tmp_path):
         images[f"{index}.png"] = tmp_path / f"{index}.png"
         write_image(images[f"{index}.png"], rng.integers(0, 255, (120, 160, 3)).astype(np.uint8))
     with pytest.raises(ReconstructionError, match="scan"):
-        _run(images, intrinsics=None, params=StructureParams(max_features=500))
+        _run(images, intrinsics=None, params=StructureParams(max_features=500, first_octave=0))
 
 
 def test_a_fixed_camera_that_shows_something_else_is_refused(photographs, tmp_path):
