@@ -164,7 +164,9 @@ class _DescribedScene:
 
     def write(self, folder: Path) -> None:
         for name, pixels in self.textures.items():
-            write_bytes(folder / name, encode_png(pixels))
+            # The folder is named by the digest of its content, so that an existing file is the same.
+            if not (folder / name).is_file():
+                write_bytes(folder / name, encode_png(pixels))
         write_json(folder / "scene.json", self.scene)
         np.savez(folder / "meshes.npz", allow_pickle=False, **self.arrays)
 

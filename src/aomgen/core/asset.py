@@ -59,8 +59,9 @@ class AssetLink:
         for box in self.colliders:
             T = box.T_asset_box
             local = np.abs((points - T[:3, 3]) @ T[:3, :3]) - box.half_extents
-            nearest = np.minimum(nearest, np.linalg.norm(np.maximum(local, 0.0), axis=1))
-        return nearest
+            x, y, z = (np.maximum(local, 0.0) ** 2).T
+            nearest = np.minimum(nearest, x + y + z)
+        return np.sqrt(nearest)
 
     @property
     def bounds(self) -> tuple[Array, Array]:

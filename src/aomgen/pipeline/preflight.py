@@ -1,6 +1,7 @@
 """Everything about a project that can be known before work starts."""
 
 from collections.abc import Mapping, Sequence
+from functools import cache
 from pathlib import Path
 
 from aomgen.assets.choice import asset_file, is_made, make_asset, open_assets, suggest_category
@@ -205,11 +206,17 @@ def _warn_of_distortion(project: Project, capture: Recording) -> tuple[str, ...]
     )
 
 
+@cache
+def _find_joint_types(category: str) -> frozenset[str]:
+    """Make some assets of a category, which takes most of the time of a check, to find how it opens."""
+    return frozenset(make_asset(category, seed).joint.type for seed in CATEGORY_SEEDS)
+
+
 def _doubtful_joints(category: str, assets: list[ArticulatedAsset]) -> tuple[str, ...]:
     """Assets that open another way than the recorded object's category always does."""
     if not is_made(category):
         return ()
-    types = {make_asset(category, seed).joint.type for seed in CATEGORY_SEEDS}
+    types = _find_joint_types(category)
     if len(types) > 1:
         return ()
     usual = next(iter(types))

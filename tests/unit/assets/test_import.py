@@ -278,10 +278,8 @@ def test_an_imported_asset_is_named_as_its_file(tmp_path: Path) -> None:
         assert read_usd(tmp_path / f"{name}.usda").name == name
 
 
-# Models that are imported within a few seconds, of each kind of furniture.
-FURNITURE = (
-    "KatorLegaz/apple-ibook-2001", "BlendSwap-CC-BY/microwave", "BlendSwap-CC-BY/bedsideTable", "BlendSwap-CC-BY/tvStand",
-)  # fmt: skip
+# Models that are imported within two seconds; the laptop's lid is too thick for the gripper.
+FURNITURE = ("KatorLegaz/apple-ibook-2001", "BlendSwap-CC-BY/tvStand")
 
 
 @pytest.mark.skipif(not SHARED.is_dir(), reason="needs the shared models")
@@ -300,5 +298,5 @@ def test_real_models_can_be_imported_and_most_can_be_used() -> None:
     }
     assets += [import_model(libero / f"{n}.xml", joint=joint, scale=2.0) for n, joint in named.items()]
     usable = [asset.name for asset in assets if not check_asset(asset)]
-    assert len(usable) >= 6, usable
+    assert len(usable) >= len(assets) - 1, usable
     assert all(asset.credit for asset in assets[:-4])

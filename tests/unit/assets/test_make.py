@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from aomgen.assets.asset_check import check_asset, held_at_rim, outward_normal
-from aomgen.assets.choice import MAKERS, OTHER_MAKERS, list_styles, make_asset, open_asset
+from aomgen.assets.choice import MAKERS, OTHER_MAKERS, list_styles, make_asset, open_asset, style_of_seed
 from aomgen.assets.doctor import examine
 from aomgen.assets.mjcf import HOLDS, add_asset, holding_friction
 from aomgen.assets.usd_write import write_usd
@@ -124,13 +124,13 @@ STYLES = [(category, style) for category in MAKERS | OTHER_MAKERS for style in l
 
 @pytest.mark.parametrize(("category", "style"), STYLES)
 def test_every_style_can_be_held_and_boxes_follow_what_is_seen(category: str, style: str) -> None:
-    for seed in (0, 101):
-        asset = make_asset(category, seed, style)
-        assert check_asset(asset) == []
-        assert outward_normal(asset) @ [0, -1, 0] > 0.99
-        findings = {finding.name: finding for finding in examine(asset)}
-        assert not findings["handle"].warning
-        assert not findings[f"colliders of {asset.moving.name}"].warning
+    has_no_problems(make_asset(category, 0, style))
+    asset = make_asset(category, 101, style)
+    assert outward_normal(asset) @ [0, -1, 0] > 0.99
+    findings = {finding.name: finding for finding in examine(asset)}
+    assert not findings["use"].problem
+    assert not findings["handle"].warning
+    assert not findings[f"colliders of {asset.moving.name}"].warning
 
 
 @pytest.mark.parametrize("category", sorted(MAKERS | OTHER_MAKERS))
@@ -160,11 +160,15 @@ def test_consecutive_seeds_have_all_styles_in_turn() -> None:
     for category in MAKERS | OTHER_MAKERS:
         styles = list_styles(category)
         assert len(styles) >= 6
-        for number, style in enumerate(styles[:2]):
-            turn = make_asset(category, 1 + number + len(styles))
-            assert turn.handle_point == pytest.approx(
-                make_asset(category, 1 + number + len(styles), style).handle_point
-            )
+        for first in (1, 1 + len(styles)):
+            assert [style_of_seed(category, seed) for seed in range(first, first + len(styles))] == styles
+
+
+def test_a_seed_has_the_style_of_its_turn() -> None:
+    styles = list_styles("toolbox")
+    seed = 2 + len(styles)
+    usual, named = make_asset("toolbox", seed), make_asset("toolbox", seed, styles[1])
+    assert usual.handle_point == pytest.approx(named.handle_point)
 
 
 def test_unknown_style_lists_the_known_ones() -> None:

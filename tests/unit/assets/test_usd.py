@@ -72,7 +72,7 @@ def test_text_round_trip(usd: Path, microwave: ArticulatedAsset) -> None:
 def test_binary_round_trip_of_a_scaled_drawer(tmp_path: Path) -> None:
     asset = make_asset("drawer", 2).transform(np.diag([0.8, 0.8, 0.8, 1.0]))
     write_usd(asset, tmp_path / "drawer.usdc")
-    assert_same(asset, read_usd(tmp_path / "drawer.usdc"))
+    assert_same(asset, parse_usd(tmp_path / "drawer.usdc"))
 
 
 @pytest.mark.parametrize(("category", "seed"), [("cabinet", 0), ("laptop", 1), ("toolbox", 1)])
@@ -155,7 +155,7 @@ def test_no_joint_is_refused(usd: Path) -> None:
     stage.RemovePrim("/microwave_1/joint")
     stage.GetRootLayer().Save()
     with pytest.raises(AssetError, match="no revolute or prismatic joint"):
-        read_usd(usd)
+        parse_usd(usd)
 
 
 def test_two_joints_are_listed(usd: Path) -> None:
@@ -191,7 +191,7 @@ def test_missing_texture_is_named(usd: Path) -> None:
     victim = next(usd.parent.glob("*_textures/*keypad.png"))
     victim.unlink()
     with pytest.raises(MissingFileError, match="keypad"):
-        read_usd(usd)
+        parse_usd(usd)
 
 
 @pytest.mark.parametrize("suffix", [".usda", ".usdc"])

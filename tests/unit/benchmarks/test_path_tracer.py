@@ -22,13 +22,19 @@ def world():
     return build_world(robot, draw_layout(make_asset("microwave", 3), np.random.default_rng(0)), visual=True)
 
 
-def test_a_scene_is_described_with_materials_and_textures(world, tmp_path):
-    with PathTracedRenderer(world, CONDITIONS.size, tmp_path, LIGHT) as painter:
+@pytest.fixture(scope="module")
+def scenes(tmp_path_factory):
+    """A folder in which the textures of the world are encoded once."""
+    return tmp_path_factory.mktemp("scenes")
+
+
+def test_a_scene_is_described_with_materials_and_textures(world, scenes):
+    with PathTracedRenderer(world, CONDITIONS.size, scenes, LIGHT) as painter:
         painter._described.write(painter.folder)
         scene = json.loads((painter.folder / "scene.json").read_text())
         meshes = np.load(painter.folder / "meshes.npz")
-        again = PathTracedRenderer(world, CONDITIONS.size, tmp_path, LIGHT)
-        other = PathTracedRenderer(world, CONDITIONS.size, tmp_path, RoomLight(environment="city.exr"))
+        again = PathTracedRenderer(world, CONDITIONS.size, scenes, LIGHT)
+        other = PathTracedRenderer(world, CONDITIONS.size, scenes, RoomLight(environment="city.exr"))
         assert again.folder == painter.folder != other.folder
         again.close()
         other.close()
@@ -54,8 +60,8 @@ def test_without_blender_nothing_is_traced(world, tmp_path, monkeypatch):
     assert not list(tmp_path.rglob("*.png"))
 
 
-def test_a_blender_that_dies_is_told_of(world, tmp_path, monkeypatch):
-    """Half a picture that it has written is not taken for one the next time."""
+def test_a_blender_that_dies_is_reported(world, scenes, tmp_path, monkeypatch):
+    """Half an image that it has written is not used the next time."""
     dying = tmp_path / "python"
     half = 'read job; file=$(echo "$job" | sed "s/.*\\"file\\": \\"//; s/\\".*//")'
     dying.write_text(f'#!/bin/sh\n{half}\nmkdir -p "$(dirname "$file")"\necho cut > "$file"\nexit 3\n')
@@ -64,12 +70,12 @@ def test_a_blender_that_dies_is_told_of(world, tmp_path, monkeypatch):
     camera = Camera(
         fx=100, fy=100, cx=16, cy=12, width=32, height=24, T_world_cam=look_at((1, 0, 1), (0, 0, 0))
     )
-    painter = PathTracedRenderer(world, (32, 24), tmp_path, LIGHT)
+    painter = PathTracedRenderer(world, (32, 24), scenes, LIGHT)
     with painter:
         for _ in range(2):
             with pytest.raises(BackendError, match="exit code 3"):
                 painter.draw(camera, world.model.qpos0)
-    assert [file.read_text() for file in tmp_path.rglob("pictures/*")] == ["cut\n"]
+    assert [file.read_text() for file in scenes.rglob("pictures/*")] == ["cut\n"]
 
 
 def test_an_unknown_room_is_refused_before_any_work(tmp_path):

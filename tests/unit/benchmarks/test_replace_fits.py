@@ -6,7 +6,7 @@ import pytest
 
 from aomgen.errors import EstimationError
 from aomgen.replacement.correspondence import describe_contact
-from benchmarks import replace_fits
+from benchmarks import grip_on_meshes, replace_fits
 from recordings import gripped_recording
 
 
@@ -29,10 +29,11 @@ def films(monkeypatch, robot):
     monkeypatch.setattr(replace_fits, "motion_world", film)
     monkeypatch.setattr(replace_fits, "recorded_motion", recover)
     monkeypatch.setattr(replace_fits, "ASSETS", 2)
+    monkeypatch.setattr(grip_on_meshes, "POSES", 2)
     return shown
 
 
-def test_a_film_that_shows_nothing_is_told_of_and_the_next_one_taken(films, monkeypatch, tmp_path):
+def test_a_video_without_motion_is_reported_and_the_next_one_is_used(films, monkeypatch, tmp_path):
     monkeypatch.setattr(replace_fits, "CATEGORIES", ("microwave", "drawer"))
     found = replace_fits.run_fits(tmp_path, 7, lambda text: None)
     microwaves, drawers = found["categories"]
@@ -46,7 +47,7 @@ def test_a_film_that_shows_nothing_is_told_of_and_the_next_one_taken(films, monk
     assert found["contact_mm_worst"] == max(microwaves["contact_mm"])
 
 
-def test_no_film_that_shows_anything_is_an_error(films, monkeypatch, tmp_path):
+def test_no_video_with_motion_is_an_error(films, monkeypatch, tmp_path):
     monkeypatch.setattr(replace_fits, "MAX_WORLDS", 1)
     with pytest.raises(EstimationError, match="shows nothing"):
         replace_fits.run_fits(tmp_path, 7, lambda text: None)

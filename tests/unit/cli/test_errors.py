@@ -1,8 +1,6 @@
 """Bad input on the command line: one sentence, an exit code by family, nothing half-written."""
 
-from collections.abc import Callable
 from pathlib import Path
-from subprocess import CompletedProcess
 from unittest.mock import patch
 
 import pytest
@@ -25,10 +23,9 @@ def test_a_damaged_capture_starts_nothing(capture_copy, tmp_path):
     assert not (tmp_path / "out").exists()
 
 
-@pytest.mark.parametrize("call", [aomgen, started])
-def test_init_does_not_overwrite(sample, tmp_path, call: Callable[..., CompletedProcess]):
+def test_init_does_not_overwrite(small_capture, tmp_path):
     (tmp_path / "project.toml").write_text("")
-    one_sentence(call("init", sample, folder=tmp_path), 2, "exists already")
+    one_sentence(aomgen("init", small_capture, folder=tmp_path), 2, "exists already")
 
 
 @pytest.mark.parametrize(
@@ -44,8 +41,8 @@ def test_a_wrong_project(tmp_path, text, words):
     one_sentence(aomgen("run", "project.toml", folder=tmp_path), 2, *words)
 
 
-def test_an_unknown_stage_lists_the_known(sample, tmp_path):
-    aomgen("init", sample, folder=tmp_path)
+def test_an_unknown_stage_lists_the_known(small_capture, tmp_path):
+    aomgen("init", small_capture, folder=tmp_path)
     result = aomgen("run", "project.toml", "--until", "dreaming", folder=tmp_path)
     one_sentence(result, 2, "dreaming", "structure, gaussians")
 
@@ -90,8 +87,8 @@ def test_a_moved_run_is_found_where_it_is(unfinished, tmp_path):
     assert "partial  01_structure" in aomgen("status", moved, folder=tmp_path).stdout
 
 
-def test_a_project_beside_its_run_names_the_run(sample, tmp_path):
-    aomgen("init", sample, folder=tmp_path)
+def test_a_project_beside_its_run_names_the_run(small_capture, tmp_path):
+    aomgen("init", small_capture, folder=tmp_path)
     assert find_project(tmp_path).out == tmp_path / "out"
 
 

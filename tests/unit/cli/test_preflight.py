@@ -133,7 +133,7 @@ def aomgen(*arguments: object) -> tuple[str, str]:
     return out.getvalue(), err.getvalue()
 
 
-@pytest.mark.parametrize("name", ["truncated image", "all images blurred", "log in milliseconds"])
+@pytest.mark.parametrize("name", ["truncated image", "log in milliseconds"])
 def test_every_command_refuses_alike(small_copy, tmp_path, monkeypatch, no_work, name):
     monkeypatch.chdir(tmp_path)
     aomgen("init", "capture")

@@ -1,4 +1,4 @@
-"""Broken captures, projects and assets are named in one sentence before work starts; good ones pass in silence."""
+"""Broken captures, projects and assets are named in one sentence before work starts; good ones give no warning."""
 
 import json
 import re
@@ -89,7 +89,8 @@ PROJECTS = {
 @pytest.mark.parametrize("name", PROJECTS)
 def test_assets_that_cannot_be_used(small_capture, tmp_path, name):
     assets, kind, words = PROJECTS[name]
-    write_tight_usd(tmp_path / "tight.usda")
+    if "tight.usda" in assets:
+        write_tight_usd(tmp_path / "tight.usda")
     recorded = read_capture(small_capture)
     with chdir(tmp_path):
         project = preflight.new_project(recorded, tmp_path / "out", assets)
@@ -178,8 +179,8 @@ def test_a_folder_that_is_not_ours(small_capture, tmp_path, monkeypatch):
         preflight.check_project(project_of(small_capture, tmp_path / "out"), read_capture(small_capture))
 
 
-@pytest.mark.parametrize("name", ["sample", "microwave-a", "drawer-b"])
-def test_good_captures_pass_in_silence(sample, tmp_path, name):
+@pytest.mark.parametrize("name", ["sample", "drawer-b"])
+def test_good_captures_pass_without_warnings(sample, tmp_path, name):
     folder = sample if name == "sample" else SHARED / name
     if not folder.is_dir():
         pytest.skip("the captures with ground truth lie beside the project, not in it")

@@ -1,9 +1,11 @@
 """Synthetic captures: complete, deterministic, opened by contact alone, truthful."""
 
 import tomllib
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
+import mujoco
 import numpy as np
 import pytest
 
@@ -23,6 +25,7 @@ from benchmarks.truth import read_truth
 from synthetic.demonstration_search import Performance, find_demonstration, simulate
 from synthetic.grasp_selection import draw_usual_style
 from synthetic.layout import build_world, draw_layout
+from synthetic.room import add_room
 from synthetic.scene_recording import Conditions
 from synthetic.style import draw_style
 from synthetic.tabletop_objects import SIZES
@@ -234,33 +237,35 @@ def test_unknown_category_is_refused(tmp_path: Path) -> None:
     assert not (tmp_path / "x").exists()
 
 
-def test_laptops_are_found_closed_or_ajar(robot: RobotModel) -> None:
+def test_laptops_are_found_closed_or_ajar(made: Callable[[str, int], ArticulatedAsset]) -> None:
     rng = np.random.default_rng(0)
-    starts = np.rad2deg([draw_usual_style(make_asset("laptop", 0), rng)[0].start for _ in range(40)])
+    starts = np.rad2deg([draw_usual_style(made("laptop", 0), rng)[0].start for _ in range(40)])
     ajar = starts[starts > 0]
     assert 0.3 < len(ajar) / len(starts) < 0.9
     assert 3 <= ajar.min() <= ajar.max() <= 12
-    assert {draw_usual_style(make_asset("dresser", 0), rng)[0].start for _ in range(10)} == {0.0}
+    assert {draw_usual_style(made("dresser", 0), rng)[0].start for _ in range(10)} == {0.0}
 
 
-def test_things_beside_a_laptop_are_in_the_way_and_hide_none_of_it(robot: RobotModel) -> None:
+def test_objects_beside_a_laptop_collide_and_hide_none_of_it(
+    made: Callable[[str, int], ArticulatedAsset],
+) -> None:
     kinds = set()
     for seed in range(4):
-        layout = draw_layout(make_asset("laptop", seed), np.random.default_rng(seed))
-        names = [
-            [model.geom(number).name for number in range(model.ngeom)]
-            for model in (build_world(robot, layout, visual=shown).model for shown in (False, True))
-        ]
-        solids = [[name for name in each if name.rstrip("0123456789_") in SIZES] for each in names]
-        assert solids[0] == solids[1]
-        kinds |= {name.rstrip("0123456789_") for name in solids[0]}
-        model = build_world(robot, layout, visual=False).model
+        layout = draw_layout(made("laptop", seed), np.random.default_rng(seed))
+        rooms = []
+        for visual in (False, True):
+            spec = mujoco.MjSpec()
+            add_room(spec, layout.room, np.random.default_rng(layout.room_seed), visual=visual)
+            rooms.append([geom for geom in spec.geoms if geom.name.rstrip("0123456789_") in SIZES])
+        solids, shown = rooms
+        assert [geom.name for geom in solids] == [geom.name for geom in shown]
+        kinds |= {geom.name.rstrip("0123456789_") for geom in solids}
         x0, x1, y0, y1 = layout.room.keep_free
-        for name in solids[0]:
-            (x, y, _), (a, b, _) = model.geom(name).pos, model.geom(name).size
+        for geom in solids:
+            (x, y, _), (a, b, _) = geom.pos, geom.size
             assert x + a < x0 or x - a > x1 or y + b < y0 or y - b > y1
     assert kinds == {"mug", "mouse", "adapter", "book"}
-    dresser = draw_layout(make_asset("dresser", 0), np.random.default_rng(0))
+    dresser = draw_layout(made("dresser", 0), np.random.default_rng(0))
     assert not dresser.room.desk
 
 

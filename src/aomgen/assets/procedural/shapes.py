@@ -59,10 +59,16 @@ class Material:
             faces=faces,
             uvs=uvs if texture.size or self.maps else np.zeros((0, 3, 2)),
             texture_srgb=texture if textured else NO_TEXTURE,
-            color_srgb=np.asarray(texture.mean((0, 1)) / 255 if texture.size else self.color_srgb),
+            color_srgb=_mean_color(texture) if texture.size else np.asarray(self.color_srgb),
             maps=self.maps if textured else {},
             **numbers,
         )
+
+
+def _mean_color(texture_srgb: NDArray[np.uint8]) -> Array:
+    """Compute the mean (3,) of a texture (H, W, 3), 0..1; rows first is several times faster than all pixels at once."""
+    height, width, _ = texture_srgb.shape
+    return np.asarray(texture_srgb.sum(0, dtype=np.uint32).sum(0) / (height * width) / 255, np.float64)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
