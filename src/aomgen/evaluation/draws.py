@@ -37,7 +37,7 @@ from aomgen.results import Results
 from aomgen.saved_units import SavedUnits
 from aomgen.simulation.settings import draw_settings
 
-# Largest number of samples for a trial; if one in a hundred is feasible, one is found almost certainly.
+# Largest number of samples for a trial; if 1 % of them are feasible, one is found almost certainly.
 MAX_TRIAL_DRAWS: Final = 500
 # Time limit of a trial as a multiple of the longest plan, because policies are slower than plans.
 PATIENCE: Final = 1.5

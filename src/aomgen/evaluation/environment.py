@@ -26,21 +26,21 @@ ENV_ID: Final = "aomgen/Open-v0"
 
 
 class OpenEnv(gymnasium.Env[dict[str, Any], NDArray[np.float32]]):
-    """Trials of a suite. An episode ends when the object is open and stays so, when it cannot be any more, or in time.
+    """Trials of a suite. An episode ends when the object stays open, when the trial has failed, or at the time limit.
 
-    Reward is 1 for the step that succeeds. `info` of every step: `is_success`, `opening_share`, `fail_reason` (empty as
-    long as the trial goes on, and when it has succeeded), `trial`.
+    The reward is 1 in the step that succeeds, else 0. Every `info` contains `is_success`, `opening_share`,
+    `fail_reason` (empty unless the trial has failed) and `trial`.
 
     Args:
-        suite: File of a suite, or a world that has been opened.
+        suite: File of a suite, or an open world.
         visuals: "splat", or "simulator" for MuJoCo's renderer.
-        render_mode: `render` gives the first camera's image.
+        render_mode: In the mode "rgb_array", `render` returns the image of the first camera.
 
     Attributes:
-        task, task_description: The instruction.
+        task, task_description: Language instruction.
 
     Raises:
-        ConfigError: No such visuals, or the suite belongs to another twin.
+        ConfigError: The visuals are unknown, or the suite belongs to another twin.
         AomgenError: See `open_suite`.
     """
 
@@ -72,7 +72,7 @@ class OpenEnv(gymnasium.Env[dict[str, Any], NDArray[np.float32]]):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[dict[str, Any], dict[str, Any]]:
-        """Begin the trial `options["trial"]`, or one drawn from the seed.
+        """Begin the trial `options["trial"]`, or one sampled with the seed.
 
         Raises:
             ConfigError: The suite has no such trial.
@@ -91,7 +91,7 @@ class OpenEnv(gymnasium.Env[dict[str, Any], NDArray[np.float32]]):
         return self._seen, self._info(self._rollout)
 
     def step(self, action: NDArray[np.float32]) -> tuple[dict[str, Any], float, bool, bool, dict[str, Any]]:
-        """Take an action; raises ConfigError where it has another shape."""
+        """Execute an action; raises ConfigError if it has another shape."""
         rollout = self._rollout
         if rollout is None or rollout.fail_reason is not None:
             raise ConfigError("step", "was called without an active trial", "call reset first")
@@ -102,7 +102,7 @@ class OpenEnv(gymnasium.Env[dict[str, Any], NDArray[np.float32]]):
         return self._seen, float(info["is_success"]), over and not late, late, info
 
     def render(self) -> NDArray[np.uint8]:
-        """Image of the first camera."""
+        """Return the image (H, W, 3) of the first camera."""
         return self._seen["pixels"][next(iter(self._world.suite.cameras))]
 
     @staticmethod

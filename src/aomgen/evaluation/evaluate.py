@@ -1,4 +1,4 @@
-"""Roll a policy out in every trial of a suite, over processes, and count."""
+"""Roll out a policy in all trials of a suite, in parallel processes, and summarize the results."""
 
 from collections import Counter
 from collections.abc import Callable
@@ -48,16 +48,16 @@ class EvaluationRequest:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RolloutRecord:
-    """Result of a trial.
+    """Result of one trial.
 
     Attributes:
-        trial: Its number.
-        fail_reason: Empty where it succeeded.
-        opening_share: Travel of the object's joint at the end, over the planned one.
-        frames: Number F of the actions taken.
-        opening_shares: That travel after each action (F,).
-        ee_world: End effector after each action (F, 3), world frame, [m].
-        finder_mm: Distances (L, 5) of the keypoints that the policy located from the true ones, of each of its L looks;
+        trial: Number of the trial.
+        fail_reason: Reason of a failure; empty after a success.
+        opening_share: Final travel of the object's joint divided by the planned travel.
+        frames: Number F of executed actions.
+        opening_shares: Opening share after each action (F,).
+        ee_world: Position of the end effector after each action (F, 3), world frame, [m].
+        finder_mm: Errors (L, 5) of the keypoints that the policy located in each of its L observations with images;
             without rows if it locates none.
     """
 
@@ -73,7 +73,7 @@ class RolloutRecord:
 
     @property
     def figures(self) -> dict[str, Any]:
-        """Everything except the course of the trial."""
+        """Return the values of the trial except those of single frames."""
         names = ("trial", "fail_reason", "opening_share", "frames")
         return {name: getattr(self, name) for name in names}
 
@@ -81,28 +81,29 @@ class RolloutRecord:
 def evaluate(
     suite: Suite, results: Results, out: Path, request: EvaluationRequest, workers: int, progress: Progress
 ) -> dict[str, Any]:
-    """Judge a policy; rollouts that are there are kept.
+    """Evaluate a policy; stored rollouts are reused.
 
     Args:
-        suite, results: The trials, and the run that they belong to.
-        out: Gets a file for each rollout, and videos of some failures.
+        suite, results: The trials, and the run to which they belong.
+        out: Receives a file for each rollout, and videos of some failures.
         request: Policy and its settings.
-        workers: Processes.
+        workers: Number of processes.
         progress: Called after every rollout.
 
     Returns:
         `policy`, `suite` and `twin` (digests), `action_space`, `visuals`, `trials`, `successes`, `success_rate`,
-        `interval_95` (Wilson's), `failures` by reason, `redrawn`, `nearest_mm` and `nearest_deg` (of a trial and a
-        training episode), all `rollouts`, and `finder_error_mm` of each keypoint if the policy locates keypoints.
+        `interval_95` (Wilson's), `failures` by reason, `redrawn` (skipped samples by reason), `nearest_mm` and
+        `nearest_deg` (smallest distance between a trial and a training episode), all `rollouts`, and `finder_error_mm`
+        of each keypoint if the policy locates keypoints.
 
     Raises:
-        ConfigError: The policy is unknown, or a trial is inside the training.
-        AomgenError: Whatever the policy refuses.
+        ConfigError: The policy is unknown, or a trial has the object pose of a training episode.
+        AomgenError: Any error of the policy.
     """
     nearest = require_apart(suite, results)
     identity = {"suite": suite.digest, **asdict(request), "weights": policy_digest(request.policy)}
     suite = replace(suite, action_space=request.action_space or suite.action_space)
-    # A copy without what has been read.
+    # A copy without cached results.
     opener = partial(_open_rollouts, suite, replace(results), request)
     # A policy that cannot be opened is refused before processes are started.
     open_policy(request.policy, World(suite, results, request.visuals))
@@ -133,7 +134,7 @@ def evaluate(
 
 
 def interval_95(successes: int, trials: int) -> list[float]:
-    """Wilson's interval of a share."""
+    """Compute Wilson's 95 % interval of a success rate."""
     interval = binomtest(successes, trials).proportion_ci(0.95, method="wilson")
     return [float(interval.low), float(interval.high)]
 
@@ -146,7 +147,7 @@ def _open_rollouts(
 
 
 def roll_out(world: World, policy: Policy, number: int, film: Path | None = None) -> RolloutRecord:
-    """Let a policy try a trial to its end; a folder `film` gets its video."""
+    """Run a policy in one trial until it ends; its video is written to the folder `film` if one is given."""
     rollout, frames = world.rollout(number), list[NDArray[np.uint8]]()
     openings, joints, finder_mm = list[float](), list[Array](), list[Array]()
     policy.reset(rollout)

@@ -1,4 +1,4 @@
-"""Errors of located keypoints as tables: median, 90th percentile, and the share that fingers tolerate."""
+"""Tables of keypoint errors: median, 90th percentile, and the share that the gripper tolerates."""
 
 from collections.abc import Mapping
 from typing import Any, Final
@@ -14,7 +14,7 @@ Row = dict[str, Any]
 
 
 def summarize_errors(errors_mm: Array) -> Row:
-    """Number, median, 90th percentile and tolerated share of those errors that are numbers; the number alone if it is zero."""
+    """Compute number, median, 90th percentile and tolerated share of finite errors; only the number if it is zero."""
     known = errors_mm[np.isfinite(errors_mm)]
     if not len(known):
         return {"number": 0}
@@ -24,12 +24,12 @@ def summarize_errors(errors_mm: Array) -> Row:
 
 
 def summarize_points(errors_mm: Array) -> dict[str, Row]:
-    """Summarize errors (N, 5) of each keypoint; NaN where there is none."""
+    """Summarize the errors (N, 5) of each keypoint; missing values are NaN."""
     return {name: summarize_errors(errors_mm[:, number]) for number, name in enumerate(KEYPOINTS)}
 
 
 def format_errors(table: Mapping[str, Row], title: str) -> str:
-    """A table as text, one line for each row that has errors."""
+    """Format a table as text, with one line for each row that has errors."""
     lines = [f"{title:24}{'number':>8}{'median':>12}{'90 %':>12}{'within 10 mm':>15}"]
     lines += [
         f"{name:24}{row['number']:8d}{row['median_mm']:9.1f} mm{row['p90_mm']:9.1f} mm{row['within_10_mm']:15.2f}"

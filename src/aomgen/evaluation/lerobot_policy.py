@@ -1,4 +1,4 @@
-"""Policies that LeRobot has trained, `lerobot:DIR`; LeRobot itself is installed by `make policy-env`, not with us."""
+"""Policies trained with LeRobot, `lerobot:DIR`; LeRobot itself is installed separately by `make policy-env`."""
 
 from collections import deque
 from collections.abc import Mapping
@@ -17,17 +17,17 @@ from aomgen.io.artifact import read_json
 if TYPE_CHECKING:
     from aomgen.evaluation.rollout import Rollout
 
-# Files of `lerobot-train` below its output folder: the newest weights and their training settings.
+# Folder of the newest weights and training settings in the output folder of `lerobot-train`.
 LAST: Final = "checkpoints/last/pretrained_model"
 WEIGHTS, SETTINGS, TRAINING = "model.safetensors", "config.json", "train_config.json"
 STATE, IMAGES = "observation.state", "observation.images."
 
 
 def checkpoint_folder(folder: Path) -> Path:
-    """Folder of the weights, from a folder of weights, or of a training.
+    """Find the folder of the weights in a folder of weights or in the output folder of a training.
 
     Raises:
-        MissingFileError: There are none.
+        MissingFileError: The folder contains no weights.
     """
     for place in (folder, folder / LAST):
         if (place / WEIGHTS).is_file() and (place / SETTINGS).is_file():
@@ -38,16 +38,16 @@ def checkpoint_folder(folder: Path) -> Path:
 
 
 class LerobotPolicy:
-    """A trained policy, which looks when the actions of its last chunk are done.
+    """A trained policy, which receives images when the actions of its last chunk are used up.
 
     Args:
         folder: Folder of weights, or output folder of a training.
-        suite: Suite that the policy has to fit.
+        suite: Suite with which the policy has to be compatible.
 
     Raises:
-        BackendError: LeRobot is not installed here.
-        MissingFileError, MalformedFileError: There are no weights, or they are damaged, or of an unknown type.
-        ConfigError: It was trained on other cameras, sizes, joints, actions or another rate.
+        BackendError: LeRobot is not installed.
+        MissingFileError, MalformedFileError: The weights are missing, damaged, or of an unknown type.
+        ConfigError: The policy was trained on other cameras, image sizes, joints, actions or another rate.
     """
 
     def __init__(self, folder: Path, suite: Suite) -> None:
@@ -68,7 +68,7 @@ class LerobotPolicy:
             config: Any = PreTrainedConfig.from_pretrained(place)
             policy: Any = get_policy_class(config.type).from_pretrained(place)
             self._before, self._after = make_pre_post_processors(config, str(place))
-        # LeRobot lets through whatever its readers of JSON, weights and settings raise.
+        # LeRobot does not catch the errors of its readers of JSON, weights and settings.
         except Exception as error:
             reason = (str(error).strip().splitlines() or [type(error).__name__])[0]
             raise MalformedFileError(
@@ -76,45 +76,45 @@ class LerobotPolicy:
             ) from error
         require_fit(config, suite, place)
         self._policy = policy.eval()
-        # Policies of our plug-in that locate points need the cameras of the trials.
+        # Policies of our plug-in that locate keypoints need the cameras of the trials.
         if hasattr(policy, "place_cameras"):
             policy.place_cameras(suite.cameras)
         self._images = list(config.image_features)
-        # A policy that looks at one frame does not look at another before these are done.
+        # A policy that observes single frames observes the next one after this number of actions.
         self._steps = config.n_action_steps if config.n_obs_steps == 1 else 1
         self._told: Array | None = None if config.env_state_feature is None else np.zeros(0)
         self._left: deque[Array] = deque()
 
     @property
     def points_world(self) -> Array | None:
-        """Keypoints (5, 3) that the policy located last, world frame, [m]; None if it locates none."""
+        """Return the keypoints (5, 3) that the policy located last, world frame, [m]; None if it locates none."""
         points = getattr(self._policy, "points_world", None)
         return None if points is None else np.asarray(points, np.float64)
 
     def reset(self, rollout: "Rollout") -> None:
-        """Forget what is left of the last chunk; learn where the object stands, if it was trained on that."""
+        """Discard the rest of the last chunk, and read the object pose if the policy was trained with it."""
         if self._told is not None:
             self._told = pose_vectors(rollout.T_world_object[None])[0].astype(np.float32)
         self._left.clear()
         self._policy.reset()
 
     def looks(self, frame: int) -> bool:
-        """Return whether a chunk is used up and the policy takes images."""
+        """Return whether the policy uses images and its last chunk is used up."""
         return bool(self._images) and not self._left
 
     def act(self, observation: Mapping[str, Any]) -> Array:
-        """The next action."""
+        """Return the next action (D,)."""
         if not self._left:
             self._left.extend(self._ask(observation))
         return self._left.popleft()
 
     def chunk(self, observation: Mapping[str, Any]) -> Array:
-        """All actions (N, D) that it foresees, also those that it would look again before doing."""
+        """Predict a whole chunk of actions (N, D), including those that are replaced by the next prediction."""
         with self._torch.no_grad():
             return self._actions(self._policy.predict_action_chunk(self._batch(observation))[0])
 
     def _ask(self, observation: Mapping[str, Any]) -> Array:
-        """Actions (N, D) from now on."""
+        """Predict the next actions (N, D) that are executed."""
         batch = self._batch(observation)
         with self._torch.no_grad():
             chosen = [self._policy.select_action(batch) for _ in range(self._steps)]
@@ -135,7 +135,7 @@ class LerobotPolicy:
 
 
 def require_fit(config: Any, suite: Suite, place: Path) -> None:
-    """Refuse a policy that was trained for something else than a suite offers; every difference is named."""
+    """Refuse a policy whose training data differ from a suite; the error lists every difference."""
     wanted = {name.removeprefix(IMAGES): tuple(item.shape) for name, item in config.image_features.items()}
     offered = {name: (3, camera.height, camera.width) for name, camera in suite.cameras.items()}
     problems = [
@@ -160,7 +160,7 @@ def require_fit(config: Any, suite: Suite, place: Path) -> None:
 
 
 def _dataset_of(place: Path) -> dict[str, Any]:
-    """`fps` and `actions` of the dataset that a policy learned from, as far as it is still there."""
+    """Return `fps` and `actions` of the training dataset of a policy, if the dataset still exists."""
     training = read_json(place / TRAINING) if (place / TRAINING).is_file() else {}
     root = Path(training.get("dataset", {}).get("root") or place / "no dataset")
     found = {}

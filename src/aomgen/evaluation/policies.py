@@ -34,7 +34,7 @@ class Policy(Protocol):
 
     @property
     def points_world(self) -> Array | None:
-        """Keypoints (5, 3) that it located last, world frame, [m]; None if it locates none."""
+        """Return the keypoints (5, 3) that the policy located last, world frame, [m]; None if it locates none."""
         ...
 
     def reset(self, rollout: Rollout) -> None:

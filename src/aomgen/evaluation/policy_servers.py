@@ -1,8 +1,9 @@
-"""The policy servers of openpi and OpenVLA: how they are spoken to, and what may come back.
+"""Clients of the policy servers of openpi and OpenVLA, with checks of the replies.
 
-openpi's `scripts/serve_policy.py` is a websocket: it sends its policy's metadata, then a response to every
-observation. Messages are msgpack; an array is a map of its bytes, dtype and shape. OpenVLA's `vla-scripts/deploy.py` (and
-OpenVLA-OFT's) responds to POST /act; messages are JSON, an array is an object with its bytes in base64 (json-numpy).
+openpi's `scripts/serve_policy.py` is a websocket server. It sends the metadata of its policy, then a response to every
+observation. Messages are msgpack; an array is a map of its bytes, dtype and shape. OpenVLA's and OpenVLA-OFT's
+`vla-scripts/deploy.py` responds to POST /act. Messages are JSON; an array is an object with its bytes in base64
+(json-numpy).
 
 Source: the files named, of openpi 15a9616, openvla c8f03f4 and openvla-oft 213c5ff.
 """
@@ -22,20 +23,20 @@ from numpy.typing import NDArray
 from aomgen.errors import BackendError, PolicyServerError
 from aomgen.executors import CONNECT_S
 
-# A server compiles its model before its first response, [s].
+# Time limit of a response, [s]; a server compiles its model before the first one.
 ANSWER_S: Final = 300.0
-# A chunk of actions takes some kilobytes; a larger message is no response, [bytes].
+# Largest accepted message, [bytes]; a chunk of actions takes some kilobytes.
 MAX_ANSWER: Final = 1 << 20
-# Kinds of dtypes that are numbers.
+# Kinds of numeric dtypes.
 NUMBERS: Final = "fiub"
 
 
 def read_array(data: Any, dtype: Any, shape: Any) -> NDArray[Any]:
-    """An array of numbers from its bytes.
+    """Decode a numeric array from its bytes.
 
     Raises:
-        ValueError: They are none, or fewer or more than the shape says.
-        TypeError: Something is not of the kind that belongs there.
+        ValueError: The data are not numeric, or their size differs from that of the shape.
+        TypeError: An argument is of another type.
     """
     kind = np.dtype(dtype)
     if kind.kind not in NUMBERS:
@@ -46,17 +47,17 @@ def read_array(data: Any, dtype: Any, shape: Any) -> NDArray[Any]:
 
 
 class OpenpiServer:
-    """A connection to openpi's server.
+    """Connection to openpi's server.
 
     Args:
         address: HOST:PORT.
 
     Attributes:
-        metadata: The server's metadata: `policy_metadata` of the training's config.
+        metadata: Metadata of the server, `policy_metadata` in the training config.
 
     Raises:
         BackendError: The libraries are not installed.
-        PolicyServerError: It is away, or no such server.
+        PolicyServerError: The server is unreachable, or is not an openpi server.
     """
 
     def __init__(self, address: str) -> None:
@@ -74,7 +75,7 @@ class OpenpiServer:
             (WebSocketException, OSError),
         )
         stack = ExitStack()
-        # The connection's thread would hold it open.
+        # Otherwise the thread of the connection keeps it open.
         weakref.finalize(self, stack.close)
         try:
             # During inference the server does not respond to pings.
@@ -96,7 +97,7 @@ class OpenpiServer:
         """Return the response to an observation, whose arrays may be nested.
 
         Raises:
-            PolicyServerError: It went away, failed, or sends something else.
+            PolicyServerError: The server is unreachable, failed, or sent an invalid reply.
         """
         try:
             self._connection.send(self._msgpack.packb(observation, default=_pack))
@@ -138,13 +139,13 @@ def _unpack(content: dict[Any, Any]) -> Any:
 
 
 class OpenvlaServer:
-    """OpenVLA's server.
+    """Client of OpenVLA's server.
 
     Args:
         address: HOST:PORT.
 
     Raises:
-        PolicyServerError: No server is there.
+        PolicyServerError: The server is unreachable.
     """
 
     def __init__(self, address: str) -> None:
@@ -161,7 +162,7 @@ class OpenvlaServer:
         """Return the response to a payload: arrays, numbers and lists of them.
 
         Raises:
-            PolicyServerError: It went away, failed, or sends something else.
+            PolicyServerError: The server is unreachable, failed, or sent an invalid reply.
         """
         connection = http.client.HTTPConnection(self._address, timeout=ANSWER_S)
         try:
@@ -213,5 +214,5 @@ def _no_answer(where: str, want: str, error: Exception) -> PolicyServerError:
 
 
 def _last_line(text: str) -> str:
-    """Last line of a traceback, which names the error."""
+    """Return the last line of a traceback, which names the error."""
     return (text.strip().splitlines() or [""])[-1][:200]

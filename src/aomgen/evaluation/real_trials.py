@@ -1,4 +1,4 @@
-"""Trials of policies on the real robot beside their trials in the twin."""
+"""Comparison of trials of policies on the real robot with trials in the twin."""
 
 import csv
 from collections.abc import Mapping, Sequence
@@ -27,15 +27,15 @@ WORDS: Final = {
     **dict.fromkeys(("1", "true", "yes", "success"), 1),
     **dict.fromkeys(("0", "false", "no", "failure"), 0),
 }
-# A trial of a real robot takes a minute; a file of this size holds more than anybody makes, [bytes].
+# Largest file of real trials, [bytes].
 MAX_BYTES: Final = 4 << 20
-# Keys of the figures of `aomgen evaluate` that are read.
+# Keys that are read from the results of `aomgen evaluate`.
 FIGURES: Final = ("policy", "suite", "rollouts")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RealTrials:
-    """Real trials of a policy: results, 0 or 1, and numbers of the suite's trials; no numbers where they are unknown."""
+    """Real trials of a policy: results, 0 or 1, and numbers of the suite's trials (empty if unknown)."""
 
     results: tuple[int, ...]
     trials: tuple[int, ...]
@@ -44,11 +44,12 @@ class RealTrials:
 def read_real_trials(path: Path) -> dict[str, RealTrials]:
     """Read a CSV with the columns policy, success and, optionally, trial.
 
-    Success is 1 or 0, true or false, yes or no. A trial is the number of the suite's trial that was built up in reality.
+    Success is 1 or 0, true or false, yes or no. A trial is the number of the suite's trial that was reproduced in
+    reality.
 
     Raises:
-        MissingFileError, LimitExceededError: No such file, or it is too large.
-        MalformedFileError: A column is missing, or a row cannot be understood; names it.
+        MissingFileError, LimitExceededError: The file is missing or too large.
+        MalformedFileError: A column is missing, or a row is invalid; the error names it.
     """
     if not path.is_file():
         raise MissingFileError(path, "is missing", "give a CSV with the columns policy, success and trial")
@@ -90,11 +91,11 @@ def _collect(path: Path, policy: str, items: Sequence[tuple[int, int | None]]) -
 
 
 def read_twin_trials(paths: Sequence[Path]) -> dict[str, dict[int, int]]:
-    """Results, 0 or 1, by policy and trial of figures that `aomgen evaluate SUITE --policy P --json F` wrote.
+    """Read results, 0 or 1, by policy and trial, from files that `aomgen evaluate SUITE --policy P --json F` wrote.
 
     Raises:
-        MalformedFileError: A file holds something else.
-        ConfigError: Two files judge one policy, or in different suites.
+        MalformedFileError: A file has other content.
+        ConfigError: Two files evaluate the same policy, or use different suites.
     """
     found: dict[str, dict[int, int]] = {}
     homes: dict[str, Path] = {}
@@ -121,7 +122,7 @@ def read_twin_trials(paths: Sequence[Path]) -> dict[str, dict[int, int]]:
 
 
 def is_evaluation(figures: Any) -> bool:
-    """Return whether JSON values are figures of an evaluation in the twin."""
+    """Return whether JSON values are the result of an evaluation in the twin."""
     return isinstance(figures, dict) and all(key in figures for key in FIGURES)
 
 
@@ -132,11 +133,11 @@ def compare_with_reality(
 
     Returns:
         `policies` by name: `real` and `twin` (`successes`, `trials`, `success_rate`, Wilson's `interval_95`), `pairs`, and
-        `combined` (see `RealSuccess`); `pearson_r` (None where it is undefined) and `mmrv` over policies.
+        `combined` (see `RealSuccess`); `pearson_r` (None if it is undefined) and `mmrv` over policies.
 
     Raises:
-        UnknownNameError: A policy was not judged in the twin.
-        ConfigError: A real trial is not one of the suite.
+        UnknownNameError: A policy was not evaluated in the twin.
+        ConfigError: The suite does not contain a real trial.
     """
     policies: dict[str, Any] = {}
     for policy, trials in real.items():

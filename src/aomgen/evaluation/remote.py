@@ -1,4 +1,4 @@
-"""Policies that run on another machine: `openpi://HOST:PORT` and `openvla://HOST:PORT`, trained as `recipes/` says.
+"""Policies that run on another machine, `openpi://HOST:PORT` and `openvla://HOST:PORT`, trained as in `recipes/`.
 
 A server returns one action or a chunk of them; it is called again when they are used up.
 """
@@ -19,9 +19,9 @@ from aomgen.evaluation.policy_servers import NUMBERS, OpenpiServer, OpenvlaServe
 
 SCHEMES: Final = ("openpi", "openvla")
 _NAME: Final = re.compile(r"([a-z]+)://([\w.-]+|\[[0-9a-fA-F:.]+\]):([0-9]{1,5})(?:/([\w.+-]+))?")
-# Numbers of OpenVLA's action: a motion and the gripper; joints of its state.
+# Size of OpenVLA's actions (a motion and the gripper), and number of joints in its state.
 OPENVLA_ACTION, OPENVLA_JOINTS = 7, 7
-# Metadata of the recipes' policies, see recipes/pi05_openpi.py.
+# Keys in the metadata of the recipes' policies, see recipes/pi05_openpi.py.
 ACTION_SPACE, CAMERAS = "action_space", "cameras"
 Ask = Callable[[Mapping[str, Any]], Array]
 Convert = Callable[[Array, Array], Array]
@@ -29,12 +29,12 @@ Convert = Callable[[Array, Array], Array]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RemoteTask:
-    """Properties of a suite that a server must fit.
+    """Properties of a suite with which a server has to be compatible.
 
     Attributes:
-        instruction: In words.
+        instruction: Language instruction.
         action_space: Action space, see `datasets.features`.
-        cameras: In the suite's order.
+        cameras: Names of the cameras, in the suite's order.
         joints: Number of arm joints.
         ee_poses: Poses of the end effector (T, 4, 4), world frame, from joints (T, J).
     """
@@ -47,11 +47,11 @@ class RemoteTask:
 
 
 class RemotePolicy:
-    """Acts out a server's chunks of actions.
+    """Policy that executes a server's chunks of actions.
 
     Args:
-        ask: A chunk (T, D) for an observation.
-        conversion: Makes, for each trial, what turns an action of a chunk and what the robot measures into the
+        ask: Returns a chunk (T, D) for an observation.
+        conversion: Creates for each trial a function that converts an action of a chunk and the measured state into the
             environment's action.
     """
 
@@ -62,19 +62,19 @@ class RemotePolicy:
         self._convert, self._left = conversion(), deque[Array]()
 
     def reset(self, rollout: object) -> None:
-        """Forget the last trial."""
+        """Discard the state of the last trial."""
         self._convert = self._conversion()
         self._left.clear()
 
     def looks(self, frame: int) -> bool:
-        """Return whether a chunk is used up."""
+        """Return whether the last chunk is used up."""
         return not self._left
 
     def act(self, observation: Mapping[str, Any]) -> Array:
-        """The next action.
+        """Return the next action (D,).
 
         Raises:
-            PolicyServerError: The server went away, failed, or returns no actions.
+            PolicyServerError: The server is unreachable, failed, or returned no actions.
         """
         if not self._left:
             self._left.extend(self._ask(observation))
@@ -82,12 +82,12 @@ class RemotePolicy:
 
 
 def open_remote(name: str, task: RemoteTask) -> RemotePolicy:
-    """A policy by its address.
+    """Connect to the policy at an address.
 
     Raises:
-        ConfigError: It is no address, or the policy is of another action space or other cameras.
+        ConfigError: The address is invalid, or the policy has another action space or other cameras.
         BackendError: A library is missing.
-        PolicyServerError: The server is away, or another one.
+        PolicyServerError: The server is unreachable or incompatible.
     """
     found = _NAME.fullmatch(name)
     if not found or not 0 < int(found[3]) < 1 << 16:
@@ -134,7 +134,7 @@ def _open_openpi(address: str, task: RemoteTask) -> RemotePolicy:
 
 
 def _open_openvla(address: str, dataset: str | None, task: RemoteTask) -> RemotePolicy:
-    """OpenVLA's server; `dataset` chooses among a checkpoint's statistics, which scale its actions."""
+    """Connect to OpenVLA's server; `dataset` selects the statistics of a checkpoint that scale its actions."""
     where = f"openvla://{address}"
     _require_space(where, "ee_delta", task)
     if not task.joints <= OPENVLA_JOINTS:
@@ -145,7 +145,7 @@ def _open_openvla(address: str, dataset: str | None, task: RemoteTask) -> Remote
         image, measured = observation["pixels"][task.cameras[0]], observation["agent_pos"]
         state = np.zeros(OPENVLA_JOINTS + 1, np.float32)
         state[: task.joints], state[-1] = measured[:-1], 1 - measured[-1]
-        # OpenVLA reads the image, OpenVLA-OFT the full image and the state.
+        # OpenVLA reads "image"; OpenVLA-OFT reads "full_image" and "state".
         payload = {"image": image, "full_image": image, "state": state, "instruction": task.instruction}
         payload |= {"unnorm_key": dataset} if dataset else {}
         return _chunk(where, server.act(payload), OPENVLA_ACTION)
@@ -161,10 +161,10 @@ def _require_space(where: str, space: str, task: RemoteTask) -> None:
 
 
 def _chunk(where: str, answer: Any, size: int) -> Array:
-    """Actions (T, size) of a response, which may hold a single one; the environment judges whether they are finite.
+    """Read the actions (T, size) of a response, also a single one; the environment checks whether they are finite.
 
     Raises:
-        PolicyServerError: There are none, or they have another shape.
+        PolicyServerError: The response contains no actions, or they have another shape.
     """
     try:
         actions = np.atleast_2d(np.asarray(answer))
@@ -182,7 +182,7 @@ def _chunk(where: str, answer: Any, size: int) -> Array:
 
 
 class OpenvlaActions:
-    """The environment's `ee_delta` from OpenVLA's actions of one trial, which count from the target before.
+    """Conversion of OpenVLA's actions of one trial, which are relative to the previous target, to `ee_delta`.
 
     Args:
         ee_poses: Poses of the end effector (T, 4, 4), world frame, from joints (T, J).
@@ -193,7 +193,7 @@ class OpenvlaActions:
         self._T_world_last: Array | None = None
 
     def __call__(self, action: Array, measured: Array) -> Array:
-        """The action (7,) where joints and gripper (J + 1,) are measured; at first that is the last target."""
+        """Convert an action (7,); the first one is relative to the measured joints and gripper (J + 1,)."""
         last = self._T_world_last
         if last is None:
             last = self._ee_poses(measured[None, :-1])[0]
@@ -203,9 +203,9 @@ class OpenvlaActions:
 
 
 def delta_of_openvla(action: Array, T_world_last: Array) -> Array:
-    """The environment's `ee_delta` (7,) from OpenVLA's action (7,), both from the target T_world_last (4, 4).
+    """Convert OpenVLA's action (7,) to `ee_delta` (7,), both relative to the target T_world_last (4, 4).
 
-    OpenVLA's has the world's axes, roll, pitch and yaw, and a gripper that is 1 open; see `datasets.rlds`.
+    OpenVLA's action uses the axes of the world, roll, pitch and yaw, and 1 for an open gripper; see `datasets.rlds`.
     """
     roll, pitch, yaw = (
         matrix_from_rotvec(angle * axis) for angle, axis in zip(action[3:6], np.eye(3), strict=True)

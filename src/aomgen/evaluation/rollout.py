@@ -1,4 +1,4 @@
-"""One trial in closed loop: actions in, physics, what the policy sees, and whether the object was moved as it shall be."""
+"""Closed-loop simulation of one trial: actions, physics, observations and the test for success."""
 
 import math
 from functools import cached_property
@@ -22,12 +22,12 @@ from aomgen.results import Results
 from aomgen.simulation.judge import PassRule, judge
 from aomgen.simulation.replay import Simulation
 
-# The part has to stay where it shall be for this long, [s].
+# Time for which the part has to stay at its target, [s].
 HELD_S: Final = 0.5
-# Why a trial fails for which the pass rule has no word.
+# Reason of a failure that the pass rule does not define.
 BAD_ACTION: Final = "bad_action"
-# Tolerances of requested poses, [m] and [rad], and the most iterations. Near a straight elbow 0.2 mm of the end effector are 6 degrees of it:
-# an arm that lags behind by them catches up with all its torque.
+# Tolerances of requested poses, [m] and [rad], and largest number of iterations. Near a straight elbow, 0.2 mm at the
+# end effector correspond to 6 degrees at the elbow; an arm corrects such an error with its full torque.
 CLOSE, ITERATIONS = (1e-5, 1e-4), 50
 
 
@@ -45,13 +45,14 @@ class Targets:
 
     def __init__(self, space: ActionSpace, solver: IkSolver, start: Array) -> None:
         self._space, self._solver, self.last = space, solver, start
-        # As it was asked for: deltas add up to the path, not to what the solver leaves of it.
+        # The requested pose, not the solver's result: solver errors must not accumulate in the path of the deltas.
         self._T_world_last = solver.robot.ee_poses(start[None, :-1])[0]
 
     def take(self, action: Array) -> Array | None:
-        """Arm joints and gripper (J + 1,) of an action, within the joints' limits; None where it is not finite or has no rotation.
+        """Compute the joint and gripper target (J + 1,) of an action, within the joint limits.
 
-        Beyond the arm's reach it comes as near as it can.
+        A pose beyond the arm's reach is approximated. The result is None if the action is not finite or has no
+        rotation.
         """
         if not np.isfinite(action).all():
             return None
@@ -73,7 +74,7 @@ class Targets:
 
 
 class World:
-    """A suite's trials and what they have in common, read once: robot, objects, cameras.
+    """Trials of a suite with their common robot, objects and cameras, which are read once.
 
     Args:
         suite: The trials.
@@ -87,15 +88,15 @@ class World:
         drawn = {name: camera.resize(*suite.drawn_size) for name, camera in fixed.items()}
         self.factory = EpisodeFactory(results, results.folders["episodes"], drawn)
         self.carried = tuple(name for name in suite.cameras if name not in fixed)
-        # From the first to the last of them it takes that long.
+        # The time from the first to the last of these frames is HELD_S.
         self.held_frames = 1 + math.ceil(HELD_S * suite.fps)
 
     def rollout(self, number: int) -> "Rollout":
-        """A trial at its reset."""
+        """Return a trial in its initial state."""
         return Rollout(self, number)
 
     def plan(self, number: int) -> EpisodePlan:
-        """The plan for a trial, which its certificate was given for."""
+        """Return the plan of a trial that was verified when the trial was sampled."""
         trial = self.suite.trials[number]
         plan = self.factory.plan(self.factory.asset(trial.asset), trial.variation)
         if isinstance(plan, Rejection):
@@ -104,15 +105,15 @@ class World:
 
 
 class Rollout:
-    """One trial from its reset to its end.
+    """One trial from its initial state to its end.
 
     Attributes:
         number: Number of the trial.
         trial: The trial.
-        fitted: The object.
-        T_world_object: Its pose.
-        frame: Actions taken.
-        fail_reason: None as long as it goes on, empty when it has succeeded, else why not.
+        fitted: The object of the trial.
+        T_world_object: Pose of the object (4, 4).
+        frame: Number of executed actions.
+        fail_reason: None while the trial continues, empty after a success, else the reason of the failure.
     """
 
     def __init__(self, world: World, number: int) -> None:
@@ -132,7 +133,7 @@ class Rollout:
 
     @property
     def opening_share(self) -> float:
-        """Travel of the object's joint over the planned one, signed."""
+        """Return the signed travel of the object's joint divided by the planned travel."""
         return float((self.reached.thetas[0] - self.fitted.start_theta) / self.fitted.travel)
 
     @cached_property
@@ -140,7 +141,7 @@ class Rollout:
         return find_keypoints(self.fitted.asset)
 
     def locate_keypoints(self) -> Array:
-        """The object's true keypoints (5, 3) at this frame, world frame, [m]."""
+        """Compute the true keypoints (5, 3) of the object at this frame, world frame, [m]."""
         joint = self.fitted.asset.joint
         return apply(
             self.T_world_object, move_keypoints(self._closed_keypoints, joint, self.reached.thetas[:1])[0]
@@ -159,7 +160,7 @@ class Rollout:
         return {"agent_pos": state, **({"pixels": self._pictures()} if pixels else {})}
 
     def _pictures(self) -> Images:
-        """Image (H, W, 3) of every camera, made smaller as a dataset's are."""
+        """Render the image (H, W, 3) of every camera, reduced like those of a dataset."""
         sizes = {name: (camera.width, camera.height) for name, camera in self.world.suite.cameras.items()}
         return {
             name: image if image.shape[1::-1] == sizes[name] else resize(image, *sizes[name])
@@ -167,7 +168,7 @@ class Rollout:
         }
 
     def step(self, action: Array) -> None:
-        """Take an action, and end the trial where it succeeds, fails or has lasted too long.
+        """Execute an action; the trial ends if it has succeeded, failed or reached the time limit.
 
         Raises:
             ConfigError: The action has another shape.
@@ -193,7 +194,7 @@ class Rollout:
             self.fail_reason = self._find_refusal()
 
     def _find_refusal(self) -> str:
-        """Why the certificate would be refused; empty where it would be given."""
+        """Return the reason for which the pass rule rejects the trial; empty if it passes."""
         result = judge(self._simulation.run(), self.fitted, self._scene, self.trial.setting, PassRule())
         if isinstance(result, Rejection):
             return result.reason

@@ -1,4 +1,4 @@
-"""Images of a trial: by the twin's Gaussians, or by MuJoCo's meshes before an image of the scene, as in the paper."""
+"""Images of a trial, rendered from Gaussians, or by MuJoCo in front of an image of the scene as in the paper."""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -23,13 +23,13 @@ from aomgen.twin.twin import StaticLayer, static_layer
 
 Visuals = Literal["splat", "simulator"]
 VISUALS: Final[tuple[Visuals, ...]] = get_args(Visuals)
-# The simulator's light from everywhere and from the camera: together a white surface is about white.
+# Ambient light and headlight of the simulator; their sum renders a white surface about white.
 AMBIENT, DIFFUSE = 0.5, 0.5
 Images = dict[str, NDArray[np.uint8]]
 
 
 class TrialViews(Protocol):
-    """Draws states of one trial, each a trajectory of one sample."""
+    """Renderer of the states of one trial; each state is a trajectory of one sample."""
 
     def draw(self, reached: Trajectory) -> Images:
         """Image (H, W, 3) of every camera."""
@@ -37,7 +37,7 @@ class TrialViews(Protocol):
 
 
 class SplatViews:
-    """Draws a trial as its episode would be drawn; `carried` names cameras of the robot that are drawn as well."""
+    """Renderer of a trial from Gaussians, like an episode; `carried` names additional cameras of the robot."""
 
     def __init__(
         self,
@@ -83,9 +83,9 @@ class SplatViews:
 
 
 class SimulatorViews:
-    """Renders robot, table and object with MuJoCo; behind them a wall shows the scene's Gaussians.
+    """Renderer of robot, table and object with MuJoCo, in front of a wall with the image of the scene's Gaussians.
 
-    The wall is as far away as its image was rendered for: each camera sees a separate one. Source: AOMGen, sec. 5.3.
+    Each camera has a separate wall, at the distance for which its image was rendered. Source: AOMGen, sec. 5.3.
     """
 
     def __init__(
