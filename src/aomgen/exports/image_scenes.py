@@ -140,8 +140,7 @@ class SceneMaker:
         return [item for item in self._spheres if item[0] - 1 not in hand]
 
     def put_in_place(self, asset: ArticulatedAsset) -> FittedAsset:
-        """Place an asset at true size in place of the recorded object, with the same horizontal position of the
-        handle."""
+        """Place an asset at true size like the recorded object, with the same horizontal handle position."""
         R = self._reference.T_world_asset[:3, :3]
         offset = self._recorded_handle - R @ asset.handle_point
         height = self._results.episode_scene.support.height

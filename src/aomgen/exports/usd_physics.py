@@ -111,8 +111,7 @@ def actuated_joints(model: mujoco.MjModel, actuator: int) -> dict[int, float]:
 
 
 def coupled_joints(model: mujoco.MjModel, driven: Collection[int]) -> dict[int, tuple[int, float, float]]:
-    """Return leader, offset and ratio, from the described pose, of the joints (id) that equalities couple to driven
-    ones."""
+    """Return leader, offset and ratio of each joint (id) that an equality couples to a driven joint."""
     found = {}
     for number in np.flatnonzero(model.eq_type == mujoco.mjtEq.mjEQ_JOINT):
         follower, leader = int(model.eq_obj1id[number]), int(model.eq_obj2id[number])
