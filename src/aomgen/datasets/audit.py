@@ -1,4 +1,4 @@
-"""Compare a dataset with its episodes: numbers, images and splits, one by one."""
+"""Compare the numbers, images and splits of a dataset with its episodes."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
@@ -18,9 +18,9 @@ from aomgen.io.episode_folder import CommittedEpisode, read_episode
 from aomgen.io.video import halve_colors
 from aomgen.splatting.metrics import psnr
 
-# Largest difference of a number, as a share of it or of 1: several steps of single precision.
+# Largest difference of a number, relative to the number or to 1; several steps of single precision.
 MAX_DIFFERENCE: Final = 1e-6
-# Least PSNR of an image against the episode's, [dB]: JPEG of quality 95 and a second pass of a video stay above.
+# Smallest PSNR of an image relative to the episode, [dB]; JPEG of quality 95 and re-encoded videos are above.
 MIN_PSNR_DB: Final = 35.0
 
 
@@ -29,13 +29,13 @@ class Audit:
     """Result of a comparison.
 
     Attributes:
-        actions: Space of the feature `action`.
+        actions: Action space of the feature `action`.
         committed: Number of committed episodes.
         splits: Number of episodes in the dataset, by split.
         frames: Number of frames in the dataset.
-        difference, differing: Largest difference of a number, and its feature.
-        psnr_db, least_like: Least PSNR of an image, and its camera and episode.
-        faults: Sentences; none where dataset and episodes agree.
+        difference, differing: Largest difference of a number, and the feature with this difference.
+        psnr_db, least_like: Smallest PSNR of an image, and the camera and episode of this image.
+        faults: Sentences about differences; empty if dataset and episodes agree.
     """
 
     actions: str
@@ -53,7 +53,7 @@ def audit_dataset(dataset: Path, episode_folders: Sequence[Path], progress: Prog
     """Compare a dataset with committed episodes.
 
     Args:
-        dataset: A folder in any of our formats.
+        dataset: Folder of a dataset in any format of `FORMATS`.
         episode_folders: All committed episodes of a run.
         progress: Called after every episode.
 
@@ -133,7 +133,7 @@ def _compare_images(
 def _render_reference(
     stored: StoredDataset, item: CommittedEpisode, camera: str
 ) -> Iterator[NDArray[np.uint8]]:
-    """Images of an episode with the dataset's resolution and color sampling."""
+    """Yield images of an episode with the dataset's resolution and color sampling."""
     rendered = item.episode.cameras[camera]
     view = rendered.resize(*stored.sizes[camera])
     again = stored.video and (view.width, view.height) != (rendered.width, rendered.height)
@@ -143,7 +143,7 @@ def _render_reference(
 
 
 def _likenesses(images: Iterator[NDArray[np.uint8]], wanted: Iterator[NDArray[np.uint8]]) -> Iterator[float]:
-    """PSNR of frame by frame, [dB]; as many as both have, none for one of another shape."""
+    """Yield the PSNR of each pair of frames, [dB]; infinite for equal frames, 0 for different shapes."""
     for mine, theirs in zip(images, wanted, strict=False):
         if np.array_equal(mine, theirs):
             yield np.inf

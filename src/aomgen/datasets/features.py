@@ -36,7 +36,7 @@ _POSE = ("x", "y", "z", "qw", "qx", "qy", "qz")
 _DELTA = ("dx", "dy", "dz", "drx", "dry", "drz")
 _IMAGE_POINT = ("u", "v", "visible")
 OBJECT_POSE, WORLD_POINTS = "annotation.object_pose", "annotation.keypoints"
-# Feature that LeRobot's policies observe instead of images, by the option --media, and its name as an observation.
+# Feature that LeRobot's policies observe instead of images, by the option --media; and its name in such datasets.
 TOLD_FEATURES: Final = {"none": OBJECT_POSE, "keypoints": WORLD_POINTS}
 TOLD: Final = "observation.environment_state"
 # Quantiles that LeRobot v3.0 stores for each feature.
@@ -105,12 +105,12 @@ def feature_columns(episode: Episode, actions: ActionSpace = "joint") -> dict[st
 
 
 def image_points_feature(camera: str) -> str:
-    """Name of the feature that holds the keypoints in a camera's images."""
+    """Return the name of the feature with the keypoints in a camera's images."""
     return f"annotation.keypoints_px.{camera}"
 
 
 def _image_points(episode: Episode, camera: str, points_world: Array) -> Array:
-    """Pixels of the keypoints (T, 5, 3), and 1 or 0 where they are visible or not, as (T, 15)."""
+    """Project keypoints (T, 5, 3) to x, y [px] and visibility (1 or 0), as (T, 15)."""
     pixels = [
         project_keypoints(episode.camera_at(camera, t), points)[0] for t, points in enumerate(points_world)
     ]

@@ -1,4 +1,4 @@
-"""The formats that datasets are written in, and how one is recognised."""
+"""Formats of datasets, and recognition of the format of a folder."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -31,16 +31,16 @@ from aomgen.errors import ConfigError, MalformedFileError, MissingFileError, Unk
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DatasetFormat:
-    """One format.
+    """Format of datasets.
 
     Attributes:
-        mark: File by which a folder in this format is recognised.
-        write: Builds a dataset of episodes.
-        read: Reads it back.
-        columns: Values of one episode by feature.
-        actions: Space of `action` unless another is chosen.
+        mark: File by which a folder in this format is recognized.
+        write: Writes a dataset from episodes.
+        read: Reads a dataset.
+        columns: Computes the values of one episode by feature.
+        actions: Default action space of `action`.
         media: Whether the storage of images can be chosen.
-        needs_val: Whether some episodes are always kept to validate on.
+        needs_val: Whether the dataset needs a validation split.
     """
 
     mark: str
@@ -83,19 +83,19 @@ def export_dataset(
     size: str = "",
     val: int | None = None,
 ) -> Selection:
-    """Build a dataset from committed episodes; options that are not given are the format's own.
+    """Build a dataset from committed episodes; missing options have the defaults of the format.
 
     Args:
         episode_folders: Folders of committed episodes, in order.
-        folder: Becomes the dataset; replaced if it is one of ours.
+        folder: Folder of the dataset; an existing dataset of AOMGen is replaced.
         kind: One of `FORMATS`.
-        progress: Called as the work goes on.
+        progress: Called with the progress.
         actions, media, val: See `selection.Choices`.
         size: Size of the images, for example `128x96`.
 
     Raises:
-        ConfigError: An option is wrong, or the folder holds something else than a dataset of ours.
-        AomgenError: Whatever the format's writer refuses.
+        ConfigError: An option is invalid, or the folder is not a dataset of AOMGen.
+        AomgenError: Any error of the format's writer.
     """
     known = _format(kind)
     if media and not known.media:
@@ -115,11 +115,11 @@ def export_dataset(
 
 
 def find_format(folder: Path) -> DatasetFormat:
-    """The format of a dataset.
+    """Recognize the format of a dataset.
 
     Raises:
-        MissingFileError: There is no such folder.
-        MalformedFileError: It is in no known format.
+        MissingFileError: The folder does not exist.
+        MalformedFileError: The folder has no known format.
     """
     if not folder.is_dir():
         raise MissingFileError(folder, "is missing", "give the folder of a dataset")

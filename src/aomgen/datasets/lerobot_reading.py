@@ -1,4 +1,4 @@
-"""Reading LeRobot datasets of our own back, v2.1 and v3.0."""
+"""Reader of LeRobot datasets v2.1 and v3.0 that AOMGen wrote."""
 
 import json
 from collections.abc import Iterator
@@ -28,7 +28,7 @@ INFO_FILE: Final = "meta/info.json"
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Location:
-    """Location of an episode's rows and frames: row and frame numbers within the files."""
+    """Location of an episode: numbers of its rows and frames within the files."""
 
     number: int
     source_index: int
@@ -43,8 +43,8 @@ def read_lerobot(folder: Path) -> StoredDataset:
 
     Raises:
         MissingFileError: A file is missing.
-        MalformedFileError: Another `codebase_version`, a file is damaged or lacks a feature, or the
-            dataset is not of AOMGen's making.
+        MalformedFileError: The `codebase_version` is unsupported, a file is damaged or lacks a feature, or the dataset
+            was not written by AOMGen.
     """
     where = folder / INFO_FILE
     info = read_json(where)
@@ -121,7 +121,7 @@ def _locations_v21(folder: Path, videos: list[str], fps: int) -> Iterator[_Locat
 
 def _tasks_v3(folder: Path) -> list[str]:
     table = _read_table(folder / lerobot_v3.TASKS_PATH)
-    # The sentences are in the column that pandas makes of an index.
+    # The instructions are in the index column of the pandas format.
     rows = {
         number: task for number, task in zip(*(column.to_pylist() for column in table.columns), strict=True)
     }
@@ -139,12 +139,12 @@ def _read_lines(path: Path) -> list[Any]:
     return [json.loads(line) for line in path.read_text("utf-8").splitlines()]
 
 
-# Readers of the episodes' locations and of the instructions, by version.
+# Readers of the locations of episodes and of the instructions, by version.
 TASKS: Final = {lerobot_v21.VERSION: _tasks_v21, lerobot_v3.VERSION: _tasks_v3}
 LOCATIONS: Final = {lerobot_v21.VERSION: _locations_v21, lerobot_v3.VERSION: _locations_v3}
 
 
-# Frames of a video with their numbers; taken in order.
+# Numbered frames of a video, read in order.
 _Frames = Iterator[tuple[int, tuple[float, av.VideoFrame]]]
 
 
@@ -153,7 +153,7 @@ def _open_video(path: Path) -> _Frames:
 
 
 def _take(frames: _Frames, start: int, count: int) -> Iterator[NDArray[np.uint8]]:
-    """The frames start .. start + count - 1; those before are passed over."""
+    """Yield the frames start .. start + count - 1; earlier frames are skipped."""
     for number, (_, frame) in frames:
         if number >= start:
             yield np.asarray(frame.to_ndarray(format="rgb24", threads=1), np.uint8)
@@ -196,7 +196,7 @@ def _episodes(
 
 
 def _columns(table: pa.Table) -> dict[str, NDArray[Any]]:
-    """Numbers (T, D) or (T,) of a table by feature."""
+    """Return the numeric columns (T, D) or (T,) of a table by feature."""
     numeric = [name for name in table.column_names if not pa.types.is_struct(table.schema.field(name).type)]
     columns = {str(name): np.array(table[name].to_pylist()) for name in numeric}
     told = next((name for name in TOLD_FEATURES.values() if name not in columns), TOLD)

@@ -27,7 +27,7 @@ from aomgen.io.atomic import write_bytes, write_text
 from aomgen.io.episode_folder import CommittedEpisode
 from aomgen.io.images import encode_png
 
-# Files in a folder: the format's default.
+# Number of files in a folder, the default of the format.
 CHUNK_FILES: Final = 1000
 INDEX_TYPES: Final = {
     "timestamp": "float32",
@@ -36,26 +36,26 @@ INDEX_TYPES: Final = {
     "index": "int64",
     "task_index": "int64",
 }
-# Parts of `names` of a feature that holds images.
+# Axis names of an image feature.
 IMAGE_AXES: Final = ("height", "width", "channels")
-# Columns of the table of episodes that LeRobot does not know: an episode's number in its run, and its object.
+# Additional columns of the table of episodes: the number of an episode in its run, and its object.
 SOURCE, ASSET = "aomgen/source_index", "aomgen/asset"
-# A table's images (PNG) by feature.
+# Images (PNG) of a table by feature.
 Images = Mapping[str, list[bytes]]
 
 
 def image_key(camera: str) -> str:
-    """Name of the feature that holds a camera's images."""
+    """Return the name of the feature with a camera's images."""
     return f"observation.images.{camera}"
 
 
 def tasks_of(selection: Selection) -> list[str]:
-    """The different instructions, in order."""
+    """Return the distinct instructions, in order."""
     return list(dict.fromkeys(item.episode.instruction for item in selection.episodes))
 
 
 def episode_columns(selection: Selection) -> list[dict[str, NDArray]]:
-    """Columns (T, D) float32 or (T,) of each episode."""
+    """Return the columns (T, D) float32 or (T,) of each episode."""
     tasks, start, result = tasks_of(selection), 0, []
     for number, item in enumerate(selection.episodes):
         episode, count = item.episode, len(item.episode)
@@ -71,18 +71,18 @@ def episode_columns(selection: Selection) -> list[dict[str, NDArray]]:
 
 
 def _make_stored_name(feature: str, media: Media) -> str:
-    """Name of a feature; without images another feature becomes an observation."""
+    """Return the stored name of a feature; without images, another feature becomes an observation."""
     return TOLD if feature == TOLD_FEATURES.get(media) else feature
 
 
 def single_precision_columns(episode: Episode, actions: ActionSpace) -> dict[str, NDArray]:
-    """Columns that the tables hold of an episode alone: its features (T, D) and its times (T,), float32."""
+    """Compute the columns that depend only on the episode: features (T, D) and times (T,), float32."""
     columns = feature_columns(episode, actions) | {"timestamp": episode.times_s}
     return {name: values.astype(np.float32) for name, values in columns.items()}
 
 
 def encode_images(item: CommittedEpisode) -> tuple[dict[str, list[bytes]], dict[str, NDArray[np.int64]]]:
-    """All images of an episode as PNG by feature, and color counts (3, 256) by camera."""
+    """Encode all images of an episode as PNG by feature; also returns color counts (3, 256) by camera."""
     encoded, counts = {}, {}
     for camera in sorted(item.episode.cameras):
         images = list(read_images(item, camera))
@@ -92,7 +92,7 @@ def encode_images(item: CommittedEpisode) -> tuple[dict[str, list[bytes]], dict[
 
 
 def parquet_table(columns: Mapping[str, NDArray], images: Images) -> pa.Table:
-    """A table of columns (T, D) and images, which Hugging Face's `datasets` decodes."""
+    """Make a table of columns (T, D) and images that Hugging Face's `datasets` decodes."""
     arrays = {name: _arrow(values) for name, values in columns.items()}
     if not images:
         return pa.table(arrays)
@@ -108,7 +108,7 @@ def parquet_table(columns: Mapping[str, NDArray], images: Images) -> pa.Table:
 
 
 def _arrow(values: NDArray) -> pa.Array:
-    """A column; a feature of one element is stored as plain numbers, as LeRobot does."""
+    """Convert a column; features with one element are stored as plain numbers, as in LeRobot."""
     flat = pa.array(values.ravel(), pa.float32() if values.dtype == np.float32 else pa.int64())
     if values.ndim == 2 and values.shape[1] > 1:
         return pa.FixedSizeListArray.from_arrays(flat, values.shape[1])
@@ -125,7 +125,7 @@ def _hugging_face_type(values: NDArray) -> dict[str, Any]:
 def episode_statistics(
     columns: Mapping[str, NDArray], counts: Mapping[str, NDArray[np.int64]]
 ) -> Iterator[tuple[str, dict[str, list]]]:
-    """Every feature of an episode, or of all episodes joined, with its statistics."""
+    """Yield the statistics of every feature of an episode, or of all episodes joined."""
     frames = len(columns["index"])
     for name, values in columns.items():
         yield name, column_statistics(values.reshape(frames, -1))
@@ -134,12 +134,12 @@ def episode_statistics(
 
 
 def join_columns(columns: Sequence[Mapping[str, NDArray]]) -> dict[str, NDArray]:
-    """The columns of several episodes one below the other."""
+    """Concatenate the columns of several episodes."""
     return {name: np.concatenate([table[name] for table in columns]) for name in columns[0]}
 
 
 def describe(selection: Selection, version: str) -> dict[str, Any]:
-    """Common content of info.json in both formats."""
+    """Return the common content of info.json in both formats."""
     first, train = selection.episodes[0].episode, len(selection.train)
     splits = {"train": f"0:{train}"}
     if selection.val:
@@ -191,7 +191,7 @@ def _features(selection: Selection) -> dict[str, Any]:
 
 
 def write_plain_json(path: Path, content: Any) -> None:
-    """Create a JSON file with its keys in the order given."""
+    """Create a JSON file with its keys in the given order."""
     write_text(path, json.dumps(content, indent=4, allow_nan=False))
 
 

@@ -1,6 +1,6 @@
-"""LeRobot v2.1 datasets: a table and videos of their own for each episode.
+"""Writer of LeRobot v2.1 datasets, which have a separate table and separate videos for each episode.
 
-Older than v3.0, and the newest that openpi reads.
+This version is older than v3.0, and the newest one that openpi reads.
 
 Source: the file layout of LeRobot's `codebase_version` v2.1.
 """
@@ -37,7 +37,7 @@ from aomgen.io.video import probe_video
 VERSION: Final = "v2.1"
 DATA_PATH: Final = "data/chunk-{episode_chunk:03d}/episode_{episode_index:06d}.parquet"
 VIDEO_PATH: Final = "videos/chunk-{episode_chunk:03d}/{video_key}/episode_{episode_index:06d}.mp4"
-# Kinds of statistics that the format knows.
+# Statistics that the format defines.
 STATISTICS: Final = ("min", "max", "mean", "std", "count")
 
 
@@ -99,7 +99,7 @@ def _episode_line(item: CommittedEpisode, number: int) -> dict[str, Any]:
 
 
 def _info(selection: Selection) -> dict[str, Any]:
-    """Content of info.json."""
+    """Return the content of info.json."""
     episodes, video = len(selection.episodes), selection.choices.media == "video"
     cameras = len(selection.episodes[0].episode.cameras)
     return describe(selection, VERSION) | {
@@ -111,5 +111,5 @@ def _info(selection: Selection) -> dict[str, Any]:
 
 
 def _write_lines(path: Path, rows: list[dict[str, Any]]) -> None:
-    """One JSON value a line."""
+    """Write one JSON value per line."""
     write_text(path, "".join(json.dumps(row, allow_nan=False) + "\n" for row in rows))

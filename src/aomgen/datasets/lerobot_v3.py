@@ -1,8 +1,7 @@
-"""LeRobot v3.0 datasets, written with pyarrow and PyAV only.
+"""Writer of LeRobot v3.0 datasets, based on pyarrow and PyAV only.
 
-A dataset is a pure function of committed episodes: the same episodes give the same bytes, and
-a dataset can always be built again. `meta/` describes, `data/` holds the low-dimensional
-features of many episodes a file, `videos/` the images of many episodes a file.
+A dataset is a pure function of committed episodes: the same episodes result in the same bytes. `meta/` contains the
+description, `data/` low-dimensional features and `videos/` images, with many episodes per file.
 
 Source: the file layout of LeRobot's `codebase_version` v3.0.
 """
@@ -40,7 +39,7 @@ from aomgen.io.episode_folder import CommittedEpisode
 from aomgen.io.video import concatenate_videos
 
 VERSION: Final = "v3.0"
-# The format's defaults: sizes of files, [MB].
+# Default file sizes of the format, [MB].
 DATA_FILE_MB, VIDEO_FILE_MB = 100, 200
 DATA_PATH: Final = "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
 VIDEO_PATH: Final = "videos/{video_key}/chunk-{chunk_index:03d}/file-{file_index:03d}.mp4"
@@ -52,20 +51,20 @@ Counts = dict[str, NDArray[np.int64]]
 def write_lerobot_v3(
     episode_folders: Sequence[Path], folder: Path, choices: Choices = Choices(), progress: Progress = silent
 ) -> Selection:
-    """Build a dataset from committed episodes, in the order given, those to train on first.
+    """Build a dataset from committed episodes, in the given order, with the training split first.
 
     Args:
         episode_folders: Folders that `io.episode_folder.commit_episode` wrote.
-        folder: Becomes the dataset; replaced if it is there.
-        choices: The form of the dataset.
+        folder: Folder of the dataset; an existing dataset is replaced.
+        choices: Options of the dataset.
         progress: Called after every episode.
 
     Returns:
         The episodes that were written.
 
     Raises:
-        MissingFileError, ConfigError, CorruptArtifactError: See `selection.select_episodes`; or a video
-            has another length than its episode.
+        MissingFileError, ConfigError, CorruptArtifactError: See `selection.select_episodes`; or the length of a video
+            differs from its episode.
         StorageError: Writing to the disk failed.
     """
     selection = select_episodes(episode_folders, folder, choices)
@@ -116,7 +115,7 @@ def _complete_rows(
 
 
 def assign_files(sizes: Sequence[float], limit: float) -> list[int]:
-    """File number of each item when a file is closed before it would pass `limit`."""
+    """Assign a file number to each item, so that no file with several items is larger than `limit`."""
     numbers, number, filled = [], 0, 0.0
     for size in sizes:
         if filled > 0 and not filled + size <= limit:
@@ -127,7 +126,7 @@ def assign_files(sizes: Sequence[float], limit: float) -> list[int]:
 
 
 def _members(files: list[int]) -> list[list[int]]:
-    """Numbers of the episodes in each file."""
+    """Return the numbers of the episodes in each file."""
     return [[i for i, where in enumerate(files) if where == file] for file in range(files[-1] + 1)]
 
 
@@ -145,9 +144,9 @@ def _write_data_with_images(
     rows: list[dict[str, Any]],
     progress: Progress,
 ) -> list[Counts]:
-    """Write tables that hold the images, too; returns color counts (3, 256) by camera of each episode."""
+    """Write tables with images; returns color counts (3, 256) by camera of each episode."""
     cameras = selection.episodes[0].episode.cameras.values()
-    # A file's size is only known when it is written: at most that of its uncompressed images.
+    # The size of a file is unknown before it is written; the size of the uncompressed images is an upper bound.
     pixels = 3 * sum(camera.width * camera.height for camera in cameras)
     sizes = [_bytes(table) + len(table["index"]) * pixels for table in columns]
     counts: list[Counts] = []
@@ -178,7 +177,7 @@ def _write_data_file(staging: Path, file: int, table: pa.Table, rows: list[dict[
 def _write_videos(
     staging: Path, selection: Selection, rows: list[dict[str, Any]], progress: Progress
 ) -> list[Counts]:
-    """Write all videos, complete the episodes' rows; returns color counts (3, 256) by camera of each episode."""
+    """Write all videos and complete `rows`; returns color counts (3, 256) by camera of each episode."""
     episodes: list[CommittedEpisode] = list(selection.episodes)
     with scratch_folder(staging.parent) as scratch:
         if selection.choices.size is not None:
@@ -212,7 +211,7 @@ def _write_video_file(
 
 
 def _info(selection: Selection) -> dict[str, Any]:
-    """Content of info.json."""
+    """Return the content of info.json."""
     paths = {
         "data_files_size_in_mb": DATA_FILE_MB,
         "video_files_size_in_mb": VIDEO_FILE_MB,
@@ -223,7 +222,7 @@ def _info(selection: Selection) -> dict[str, Any]:
 
 
 def _task_table(tasks: Sequence[str]) -> pa.Table:
-    """The tasks as pandas would store a frame indexed by the sentence; LeRobot reads it so."""
+    """Make the table of tasks in the form of a pandas frame indexed by the instruction, as LeRobot expects it."""
     index = "__index_level_0__"
 
     def column(*values: Any) -> dict[str, Any]:

@@ -1,9 +1,8 @@
-"""TFRecord files of `tf.train.Example`, without TensorFlow, and ArrayRecord files.
+"""Readers and writers of TFRecord files of `tf.train.Example` (without TensorFlow), and of ArrayRecord files.
 
-A TFRecord is its length (8 bytes, little-endian), the length's masked CRC (4), its bytes, and their masked
-CRC (4). An Example is a protocol buffer: a map of names to lists of bytes, floats or whole numbers.
-
-ArrayRecord files, which loaders made with Grain read in any order, are written by Google's own library.
+A TFRecord consists of its length (8 bytes, little-endian), the masked CRC of the length (4), its data, and their masked
+CRC (4). An Example is a protocol buffer that maps names to lists of bytes, floats or integers. ArrayRecord files, which
+Grain reads in any order, are written by Google's library.
 
 Source: TensorFlow's guide "TFRecord and tf.train.Example"; protocol buffers' guide "Encoding".
 """
@@ -19,28 +18,28 @@ from numpy.typing import NDArray
 
 from aomgen.errors import BackendError, MalformedFileError, MissingFileError
 
-# TensorFlow turns a CRC by 15 bits and adds this, so that data which hold CRCs have sound ones.
+# TensorFlow rotates a CRC by 15 bits and adds this constant, because CRCs of data that contain CRCs are unreliable.
 MASK_TURN, MASK_ADDED = 15, 0xA282EAD8
-# Largest unsigned number of 32 and of 64 bits; both wrap there.
+# Largest unsigned integers of 32 and 64 bits.
 MAX_32, MAX_64 = 0xFFFFFFFF, 0xFFFFFFFFFFFFFFFF
-# Protocol buffers: the low three bits of a tag state how a field is stored; this is length first.
+# Wire type of protocol buffers (the low three bits of a tag) for fields with a length prefix.
 DELIMITED = 2
-# Fields of Feature: which kind of list it holds.
+# Field numbers of the three kinds of lists in a Feature.
 BYTES_LIST, FLOAT_LIST, INT64_LIST = 1, 2, 3
 REMEDY: Final = "export it again"
-# ArrayRecord: every record can be read alone.
+# Option of ArrayRecord with which every record can be read separately.
 OPTIONS: Final = "group_size:1"
 Feature = list[bytes] | NDArray[Any]
 
 
 def mask_crc(data: bytes) -> int:
-    """The CRC-32C of some bytes as TFRecord stores it."""
+    """Compute the masked CRC-32C that TFRecord stores."""
     crc = google_crc32c.value(data)
     return ((crc >> MASK_TURN | crc << (32 - MASK_TURN)) + MASK_ADDED) & MAX_32
 
 
 def records_bytes(records: Iterable[bytes]) -> bytes:
-    """Content of a TFRecord file."""
+    """Encode records as the content of a TFRecord file."""
     parts = []
     for record in records:
         length = struct.pack("<Q", len(record))
@@ -54,11 +53,11 @@ def records_bytes(records: Iterable[bytes]) -> bytes:
 
 
 def read_records(path: Path) -> Iterator[bytes]:
-    """The records of a TFRecord file, each checked against its CRC.
+    """Yield the records of a TFRecord file, whose CRCs are checked.
 
     Raises:
-        MissingFileError: No such file.
-        MalformedFileError: The file ends inside a record, or bytes do not match their CRC.
+        MissingFileError: The file does not exist.
+                MalformedFileError: The file ends inside a record, or data do not match their CRC.
     """
     if not path.is_file():
         raise MissingFileError(path, "is missing", REMEDY)
@@ -69,7 +68,7 @@ def read_records(path: Path) -> Iterator[bytes]:
             head = file.read(12)
             length = _check(path, number, head[:8], head[8:])
             (size,) = struct.unpack("<Q", length)
-            # Before so much memory is taken.
+            # Checked before this amount of memory is allocated.
             if not size + 16 <= left:
                 raise MalformedFileError(path, f"ends inside record {number}", REMEDY)
             yield _check(path, number, file.read(size), file.read(4))
@@ -86,7 +85,7 @@ def _check(path: Path, number: int, data: bytes, crc: bytes) -> bytes:
 
 
 def encode_example(features: Mapping[str, Feature]) -> bytes:
-    """A serialized `tf.train.Example`.
+    """Serialize a `tf.train.Example`.
 
     Args:
         features: Bytes, or numbers of any shape: floats are stored in single precision, others (and bool)
@@ -108,7 +107,7 @@ def _encode_feature(value: Feature) -> bytes:
 
 
 def _varint(number: int) -> bytes:
-    """Seven bits a byte, lowest first; the eighth bit says that more follow."""
+    """Encode an integer with seven bits per byte, lowest first; the eighth bit marks continuation."""
     result = bytearray()
     while number > 127:
         result.append(number & 127 | 128)
@@ -122,10 +121,10 @@ def _delimit(field: int, data: bytes) -> bytes:
 
 
 def decode_example(record: bytes, where: Path) -> dict[str, Feature]:
-    """Features of a serialized Example, numbers flat: float32 or int64.
+    """Decode the features of a serialized Example; numbers are flat arrays of float32 or int64.
 
     Raises:
-        MalformedFileError: The bytes are no Example; `where` names them.
+        MalformedFileError: The data are not an Example; `where` names their source.
     """
     try:
         features: dict[str, Feature] = {}
@@ -151,7 +150,7 @@ def _decode_feature(value: memoryview) -> Feature:
 
 
 def _parts(data: memoryview) -> Iterator[tuple[int, memoryview]]:
-    """Number and content of each field of a message; an Example holds only fields stored with their length."""
+    """Yield number and content of each field of a message; all fields of an Example have a length prefix."""
     place = 0
     while place < len(data):
         tag, place = _read_varint(data, place)
@@ -170,7 +169,7 @@ def _numbers(data: memoryview) -> Iterator[int]:
 
 
 def _read_varint(data: memoryview, place: int) -> tuple[int, int]:
-    """A number and the place behind it."""
+    """Read an integer; returns it and the position after it."""
     number = 0
     for shift in range(0, 64, 7):
         if not place < len(data):
@@ -187,7 +186,7 @@ def require_array_record() -> Any:
     """Import the library of ArrayRecord.
 
     Raises:
-        BackendError: It is not installed.
+        BackendError: The library is not installed.
     """
     try:
         from array_record.python import array_record_module
@@ -199,7 +198,7 @@ def require_array_record() -> Any:
 
 
 def write_array_record(path: Path, records: Iterable[bytes]) -> None:
-    """Write a file; its folder is there."""
+    """Write an ArrayRecord file into an existing folder."""
     writer = require_array_record().ArrayRecordWriter(str(path), OPTIONS)
     for record in records:
         writer.write(record)
@@ -207,11 +206,11 @@ def write_array_record(path: Path, records: Iterable[bytes]) -> None:
 
 
 def read_array_record(path: Path) -> list[bytes]:
-    """The records of a file.
+    """Read the records of an ArrayRecord file.
 
     Raises:
-        MissingFileError: No such file.
-        MalformedFileError: It is cut or damaged.
+        MissingFileError: The file does not exist.
+                MalformedFileError: The file is truncated or damaged.
     """
     if not path.is_file():
         raise MissingFileError(path, "is missing", REMEDY)

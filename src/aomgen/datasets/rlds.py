@@ -1,9 +1,9 @@
-"""RLDS datasets as TensorFlow Datasets (TFDS) stores them, for OpenVLA; TensorFlow is not needed.
+"""Reader and writer of RLDS datasets for OpenVLA, in the layout of TensorFlow Datasets (TFDS), without TensorFlow.
 
-`FOLDER/1.0.0/` holds features.json, dataset_info.json and the shards of the splits `train` and `val`, so that
+`FOLDER/1.0.0/` contains features.json, dataset_info.json and the shards of the splits `train` and `val`, so that
 `tfds.builder(FOLDER's name, data_dir=FOLDER's parent)` finds it. An episode is one record.
 
-OpenVLA's forms differ from those of our other formats: see `openvla_columns`.
+The columns differ from those of the other formats, see `openvla_columns`.
 
 Source: TFDS's documentation "RLDS"; OpenVLA's `prismatic/vla/datasets/rlds/oxe` for the encodings.
 """
@@ -48,13 +48,13 @@ from aomgen.io.episode_folder import CommittedEpisode
 from aomgen.io.images import decode_image, encode_jpeg
 
 VERSION: Final = "1.0.0"
-# Episodes in a file: some ten megabytes, so that a reader has several files to mix.
+# Number of episodes in a file (tens of megabytes), so that readers can shuffle several files.
 SHARD_EPISODES: Final = 16
-# Joints of OpenVLA's state; fewer are followed by zeros.
+# Number of joints in OpenVLA's state; missing joints are zero.
 STATE_JOINTS: Final = 7
 # At least 36 dB on rendered images, even at 64x48.
 JPEG_QUALITY: Final = 95
-# Kinds of shards, as TFDS calls them.
+# File formats of shards, by their names in TFDS.
 Shards = Literal["tfrecord", "array_record"]
 SHARD_NAME: Final = "{name}-{split}.{kind}-{shard:05d}-of-{shards:05d}"
 FILE_TEMPLATE: Final = "{DATASET}-{SPLIT}.{FILEFORMAT}-{SHARD_X_OF_Y}"
@@ -66,12 +66,12 @@ TFDS_NAME: Final = re.compile(r"[a-zA-Z]\w*")
 
 
 def openvla_columns(episode: Episode, actions: ActionSpace = "ee_delta") -> dict[str, Array]:
-    """Columns (T, D) of a step, by name; a point in a name stands for a level of nesting.
+    """Compute the columns (T, D) of the steps, by name; a dot in a name separates levels of nesting.
 
-    The gripper of `action` and `observation.state` is 1 open .. 0 closed. `observation.state` is seven joints
-    (zeros for those an arm does not have) and gripper. `action` of the space "ee_delta" is the motion from the
-    target before to the target in the world's axes: translation, then roll, pitch and yaw (`rpy_from_matrix`) of
-    R_world_target @ inverse(R_world_last). Annotations are as in the other formats.
+    The gripper of `action` and `observation.state` is 1 open .. 0 closed. `observation.state` contains seven joints
+    (zero if the arm has fewer) and the gripper. `action` of the space "ee_delta" is the motion from the previous target
+    to the target in the axes of the world: translation, then roll, pitch and yaw (`rpy_from_matrix`) of R_world_target
+    @ inverse(R_world_last). Annotations are the same as in the other formats.
 
     Raises:
         ConfigError: The arm has more than seven joints.
@@ -92,13 +92,13 @@ def openvla_columns(episode: Episode, actions: ActionSpace = "ee_delta") -> dict
 
 
 def world_deltas(Ts_world_last: Array, Ts_world_target: Array) -> Array:
-    """Motion from poses (T, 4, 4) to targets (T, 4, 4) in the world's axes (T, 6): [m], then [rad]."""
+    """Compute the motion (T, 6) from poses (T, 4, 4) to targets (T, 4, 4) in the axes of the world: [m], then [rad]."""
     turns = Ts_world_target[:, :3, :3] @ invert(Ts_world_last)[:, :3, :3]
     return np.column_stack([Ts_world_target[:, :3, 3] - Ts_world_last[:, :3, 3], rpy_from_matrix(turns)])
 
 
 def rpy_from_matrix(R: Array) -> Array:
-    """Roll, pitch and yaw (T, 3), [rad]: R = Rz(yaw) @ Ry(pitch) @ Rx(roll)."""
+    """Compute roll, pitch and yaw (T, 3), [rad], with R = Rz(yaw) @ Ry(pitch) @ Rx(roll)."""
     roll = np.arctan2(R[:, 2, 1], R[:, 2, 2])
     pitch = np.arctan2(-R[:, 2, 0], np.hypot(R[:, 2, 1], R[:, 2, 2]))
     yaw = np.arctan2(R[:, 1, 0], R[:, 0, 0])
@@ -116,8 +116,8 @@ def write_rlds(
     """Build a dataset from committed episodes; arguments, result and errors as `lerobot_v3.write_lerobot_v3`.
 
     Raises:
-        BackendError: The library that writes such shards is not installed.
-        ConfigError: The folder's name is none that TFDS takes, or nothing would be left to validate on.
+        BackendError: The library that writes these shards is not installed.
+        ConfigError: The name of the folder is invalid for TFDS, or the validation split would be empty.
     """
     name = folder.name
     if not TFDS_NAME.fullmatch(name):
@@ -168,7 +168,7 @@ def write_rlds(
 
 
 def openvla_statistics(columns: Sequence[Mapping[str, NDArray]]) -> dict[str, Any]:
-    """OpenVLA's normalization, from the columns of all episodes; summed in double precision, so that the order does not matter."""
+    """Compute OpenVLA's normalization from the columns of all episodes, in double precision."""
     result: dict[str, Any] = {}
     for key, name in {"action": "action", "proprio": "observation.state"}.items():
         values = np.concatenate([table[name].astype(np.float32) for table in columns]).astype(np.float64)
@@ -207,7 +207,7 @@ def _record(item: CommittedEpisode, actions: ActionSpace) -> bytes:
 
 
 def _describe_features(item: CommittedEpisode, columns: Mapping[str, NDArray]) -> dict[str, Any]:
-    """Content of features.json."""
+    """Return the content of features.json."""
     step: dict[str, Any] = {
         name: _tensor({"dimensions": [str(values.shape[1])]}, "float32") for name, values in columns.items()
     }
@@ -225,7 +225,7 @@ def _describe_features(item: CommittedEpisode, columns: Mapping[str, NDArray]) -
 
 
 def _nest(features: Mapping[str, Any]) -> dict[str, Any]:
-    """A dictionary of features; the part of a name before a point becomes a dictionary within."""
+    """Nest features; the part of a name before a dot becomes a nested dictionary."""
     levels: dict[str, dict[str, Any]] = {}
     for name, feature in features.items():
         first, _, rest = name.partition(".")
@@ -238,7 +238,7 @@ def _dictionary(features: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _tensor(shape: Mapping[str, Any], kind: str) -> dict[str, Any]:
-    """Numbers of a shape; a scalar when that is empty."""
+    """Describe a numeric tensor; a scalar if the shape is empty."""
     name = "tensor_feature.Tensor" if shape else "scalar.Scalar"
     return _feature(name, tensor={"shape": shape, "dtype": kind, "encoding": "none"})
 
@@ -248,7 +248,7 @@ def _feature(name: str, **content: Any) -> dict[str, Any]:
 
 
 def _info(name: str, splits: list[dict[str, Any]], kind: Shards) -> dict[str, Any]:
-    """Content of dataset_info.json."""
+    """Return the content of dataset_info.json."""
     return {
         "name": name,
         "version": VERSION,
@@ -265,7 +265,7 @@ def read_rlds(folder: Path) -> StoredDataset:
 
     Raises:
         MissingFileError: A file is missing.
-        MalformedFileError: A file is damaged, cut or lacks a feature.
+        MalformedFileError: A file is damaged or truncated, or lacks a feature.
     """
     where = folder / FEATURES_FILE
     widths: dict[str, int] = {}
@@ -294,7 +294,7 @@ def read_rlds(folder: Path) -> StoredDataset:
 
 
 def _flatten(described: Any, prefix: str = "") -> dict[str, Any]:
-    """Features by name, levels joined by points."""
+    """Return features by name; levels are separated by dots."""
     if "featuresDict" not in described:
         return {prefix.removesuffix("."): described}
     flat: dict[str, Any] = {}
@@ -311,7 +311,7 @@ def _episodes(
     widths: dict[str, int],
     sizes: dict[str, tuple[int, int]],
 ) -> Iterator[StoredEpisode]:
-    """Read the episodes; `widths` has the length of each feature at a step."""
+    """Read the episodes; `widths` contains the length of each feature at a step."""
     for split, shards in lengths.items():
         for number, expected in enumerate(shards):
             words = {"name": name, "split": split, "kind": kind, "shard": number, "shards": len(shards)}

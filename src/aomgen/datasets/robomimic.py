@@ -1,7 +1,7 @@
-"""HDF5 datasets in robomimic's layout: one file, a group a demonstration, masks for the splits.
+"""Reader and writer of HDF5 datasets in robomimic's layout: one file, one group per demonstration, masks for splits.
 
-robomimic's policies end in a tanh, so `actions` are scaled to [-1, 1] over the whole dataset; the limits are
-attributes of the data, and annotations hold the actions of every space in their own units.
+The last layer of robomimic's policies is a tanh. Therefore `actions` are scaled to [-1, 1] over the whole dataset; the
+limits are attributes of the data. Annotations contain the unscaled actions of every space.
 
 Source: robomimic's documentation "Dataset contents and info".
 """
@@ -30,9 +30,9 @@ from aomgen.errors import ConfigError, MalformedFileError, MissingFileError, sug
 from aomgen.io.episode_folder import CommittedEpisode
 
 FILE: Final = "demonstrations.hdf5"
-# robomimic's number of Gym environments.
+# Type number of Gym environments in robomimic.
 GYM_TYPE: Final = 2
-# robomimic's names of the splits.
+# Names of the splits in robomimic.
 MASKS: Final = {"train": "train", "val": "valid"}
 IMAGE: Final = "_image"
 
@@ -43,7 +43,7 @@ def write_robomimic(
     """Build a dataset from committed episodes; arguments, result and errors as `lerobot_v3.write_lerobot_v3`.
 
     Raises:
-        ConfigError: Nothing would be left to validate on.
+        ConfigError: The validation split would be empty.
     """
     import h5py
 
@@ -70,7 +70,7 @@ def write_robomimic(
 
 
 def action_limits(selection: Selection) -> tuple[Array, Array]:
-    """Least and greatest value (D,) of each element of the actions."""
+    """Compute the smallest and the largest value (D,) of each element of the actions."""
     actions = np.concatenate(
         [feature_columns(item.episode, selection.choices.actions)["action"] for item in selection.episodes]
     )
@@ -78,13 +78,13 @@ def action_limits(selection: Selection) -> tuple[Array, Array]:
 
 
 def scale_actions(actions: Array, lower: Array, upper: Array) -> Array:
-    """Actions (T, D) mapped from lower..upper to -1..1; an element that never changes becomes 0."""
+    """Scale actions (T, D) from lower..upper to -1..1; a constant element becomes 0."""
     span = upper - lower
     return np.where(span > 0, 2 * (actions - lower) / np.where(span > 0, span, 1) - 1, 0)
 
 
 def unscale_actions(scaled: Array, lower: Array, upper: Array) -> Array:
-    """The inverse of `scale_actions`."""
+    """Invert `scale_actions`."""
     return lower + (scaled + 1) / 2 * (upper - lower)
 
 
@@ -109,7 +109,7 @@ def _write_demonstration(
     group["obs/state"] = columns["observation.state"]
     for camera in sorted(episode.cameras):
         images = np.stack(list(read_images(item, camera)))
-        # A frame a chunk, since readers want single frames.
+        # One frame per chunk, because readers load single frames.
         group.create_dataset(
             f"obs/{camera}_image",
             data=images,
@@ -122,7 +122,7 @@ def _write_demonstration(
 
 
 def _add_next(group: Any, name: str) -> None:
-    """The observation that follows each one, the last one twice: a view that takes no space."""
+    """Add the next observation of each step (the last one is repeated) as a virtual dataset, which needs no storage."""
     from h5py import h5d, h5p, h5s
 
     source = group["obs"][name]
@@ -133,7 +133,7 @@ def _add_next(group: Any, name: str) -> None:
         chosen.select_hyperslab((start, *[0] * len(rest)), (number, *rest))
         return chosen
 
-    # Not h5py's VirtualLayout, which writes down when it was made.
+    # h5py's VirtualLayout is not used, because it stores the time of creation.
     properties = h5p.create(h5p.DATASET_CREATE)
     properties.set_obj_track_times(False)
     here, path = b".", source.name.encode()
@@ -148,7 +148,7 @@ def read_robomimic(folder: Path) -> StoredDataset:
 
     Raises:
         MissingFileError: The file is missing.
-        MalformedFileError: It is damaged, cut or lacks a feature.
+        MalformedFileError: The file is damaged or truncated, or lacks a feature.
     """
     import h5py
 

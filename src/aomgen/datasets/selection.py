@@ -1,4 +1,4 @@
-"""Content of a dataset: committed episodes of one kind, their split, and the chosen form."""
+"""Content of a dataset: compatible committed episodes, their splits, and the options of the dataset."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -14,25 +14,25 @@ from aomgen.errors import ConfigError, MalformedFileError, MissingFileError
 from aomgen.io.atomic import stage_folder, write_json
 from aomgen.io.episode_folder import CommittedEpisode, read_episode
 
-# Storage of images in a LeRobot dataset: compressed videos, or PNG in its tables, which need no video decoder; or none, and
-# policies observe the object's pose or its keypoints instead.
+# Storage of images in a LeRobot dataset: compressed videos, or PNG in its tables, which requires no video decoder. With
+# "none" or "keypoints", policies observe the object's pose or its keypoints instead of images.
 Media = Literal["video", "image", "none", "keypoints"]
 # Default share of the validation episodes in formats that need such a split.
 VAL_SHARE: Final = 0.1
-# Beside a dataset's data: what it was made of. A folder without it is not ours to replace.
+# File in a dataset that names its source. Folders without it are never replaced.
 MARK: Final = "aomgen.json"
 REMEDY: Final = "export it again"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Choices:
-    """The form of a dataset.
+    """Options of a dataset.
 
     Attributes:
-        actions: Space of the actions that policies learn.
+        actions: Action space that policies learn.
         media: Storage of the images in LeRobot datasets.
-        size: Width and height of images, [px]; None for as rendered.
-        val: Number of episodes to validate on, in a split of their own.
+        size: Width and height of images, [px]; None keeps the rendered size.
+        val: Number of episodes in the validation split.
     """
 
     actions: ActionSpace = "joint"
@@ -51,9 +51,9 @@ class Selection:
     """The episodes of a dataset.
 
     Attributes:
-        train, val: To train and to validate on. All have the same rate, robot, joints and cameras, and
-            their cameras the dataset's image size; videos and color counts are as rendered.
-        choices: The form of the dataset.
+        train, val: Training and validation episodes with equal rate, robot, joints and cameras. The cameras have the
+            image size of the dataset; videos and color counts are those of the rendered images.
+        choices: Options of the dataset.
     """
 
     train: tuple[CommittedEpisode, ...]
@@ -62,32 +62,32 @@ class Selection:
 
     @property
     def episodes(self) -> tuple[CommittedEpisode, ...]:
-        """All of them, those to train on first."""
+        """Return all episodes, the training split first."""
         return self.train + self.val
 
     @property
     def splits(self) -> dict[str, tuple[CommittedEpisode, ...]]:
-        """The two splits by name."""
+        """Return the two splits by name."""
         return {"train": self.train, "val": self.val}
 
     @property
     def frames(self) -> int:
-        """Number of frames of all episodes."""
+        """Return the number of frames of all episodes."""
         return sum(len(item.episode) for item in self.episodes)
 
 
 def select_episodes(episode_folders: Sequence[Path], dataset: Path, choices: Choices) -> Selection:
-    """Read the episodes of a dataset, in the order given.
+    """Read the episodes of a dataset, in the given order.
 
     Args:
         episode_folders: Folders that `io.episode_folder.commit_episode` wrote.
         dataset: Folder of the dataset, for messages.
-        choices: The form of the dataset.
+        choices: Options of the dataset.
 
     Raises:
         MissingFileError: There is no episode.
-        ConfigError: Episodes differ in rate, robot, joints, cameras or codec; or there are too few for
-            the split, or images are rendered smaller.
+        ConfigError: Episodes differ in rate, robot, joints, cameras or codec, there are too few for the split, or the
+            rendered images are too small.
         CorruptArtifactError: An episode's file is damaged.
     """
     if not episode_folders:
@@ -101,7 +101,7 @@ def select_episodes(episode_folders: Sequence[Path], dataset: Path, choices: Cho
     episodes = [read_episode(path) for path in episode_folders]
     for item in episodes:
         _check_alike(item, episodes[0])
-    # Without images, keypoints are in pixels of the rendered ones.
+    # Without images, keypoints are in pixels of the rendered images.
     if choices.size is not None and choices.has_images:
         episodes = [_resize_cameras(item, choices.size) for item in episodes]
     chosen = spread(len(episodes), choices.val)
@@ -114,7 +114,7 @@ def select_episodes(episode_folders: Sequence[Path], dataset: Path, choices: Cho
 
 @contextmanager
 def stage_dataset(folder: Path, selection: Selection) -> Iterator[Path]:
-    """A folder that becomes the dataset when the block ends without an error, marked as ours.
+    """Yield a marked folder that becomes the dataset when the block ends without an error.
 
     Raises:
         StorageError: Writing to the disk failed.
@@ -128,10 +128,10 @@ def stage_dataset(folder: Path, selection: Selection) -> Iterator[Path]:
 
 
 def require_replaceable(folder: Path) -> None:
-    """Refuse a folder that holds something else than a dataset of ours.
+    """Refuse a folder that is not a dataset of AOMGen.
 
     Raises:
-        ConfigError: It does.
+        ConfigError: The folder has other content.
     """
     empty = not folder.exists() or (folder.is_dir() and not any(folder.iterdir()))
     if not empty and not (folder / MARK).is_file():
@@ -139,20 +139,20 @@ def require_replaceable(folder: Path) -> None:
 
 
 def spread(count: int, wanted: int) -> set[int]:
-    """That many of the numbers 0..count-1, evenly spread: every asset and range has its part in both splits."""
+    """Choose `wanted` of the numbers 0..count-1, evenly spaced, so that both splits contain all assets and ranges."""
     return {int(number) for number in (np.arange(wanted) + 0.5) * count // max(wanted, 1)}
 
 
 def default_val(episodes: int) -> int:
-    """Default number of validation episodes: a tenth, at least one."""
+    """Return the default number of validation episodes: 10 %, at least one."""
     return max(1, round(VAL_SHARE * episodes))
 
 
 def parse_size(text: str) -> tuple[int, int]:
-    """Width and height of `128x96`, [px].
+    """Parse a width and height such as `128x96`, [px].
 
     Raises:
-        ConfigError: It is not of that form.
+        ConfigError: The text has another form.
     """
     width, _, height = text.partition("x")
     if not (width.isdecimal() and height.isdecimal() and int(width) and int(height)):
@@ -161,10 +161,10 @@ def parse_size(text: str) -> tuple[int, int]:
 
 
 def require_smaller(size: tuple[int, int], drawn: tuple[int, int], what: str) -> None:
-    """Refuse images larger than the rendered ones, both width and height, [px].
+    """Refuse images that are wider or higher than the rendered ones, sizes in [px].
 
     Raises:
-        ConfigError: They are.
+        ConfigError: The images are larger.
     """
     if not (size[0] <= drawn[0] and size[1] <= drawn[1]):
         raise ConfigError(
@@ -208,11 +208,11 @@ class StoredEpisode:
     """One episode of a dataset.
 
     Attributes:
-        source_index: Number of the episode that it was made from.
+        source_index: Number of the source episode in its run.
         split: "train" or "val".
         instruction: Language instruction.
         columns: Values (T, D) or (T,) by feature.
-        images: Frames (H, W, 3) uint8 by camera; to be read before the next episode.
+        images: Frames (H, W, 3) uint8 by camera; must be read before the next episode.
     """
 
     source_index: int
@@ -224,14 +224,14 @@ class StoredEpisode:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StoredDataset:
-    """A dataset that is being read.
+    """A dataset that is opened for reading.
 
     Attributes:
-        actions: Space of the feature `action`.
+        actions: Action space of the feature `action`.
         sizes: Width and height of the images by camera, [px].
-        video: Whether images were compressed as videos are.
-        images: Whether there are any.
-        episodes: One after the other; what is wrong with a file is raised when it is reached.
+        video: Whether images are compressed as videos.
+        images: Whether the dataset contains images.
+        episodes: Iterator of the episodes; errors in a file are raised when it is read.
     """
 
     actions: ActionSpace
@@ -242,7 +242,7 @@ class StoredDataset:
 
 
 def chosen_space(features: Mapping[str, Any], where: Path) -> ActionSpace:
-    """The action space that is no annotation.
+    """Return the action space that is not an annotation.
 
     Raises:
         MalformedFileError: There is no such space, or more than one.

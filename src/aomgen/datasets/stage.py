@@ -1,4 +1,4 @@
-"""A LeRobot v3.0 dataset of the committed episodes. [paper 5.2]"""
+"""Stage that writes a LeRobot v3.0 dataset of the committed episodes. [paper 5.2]"""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,10 +16,10 @@ from aomgen.results import Results
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DatasetParams:
-    """Options of a run's own dataset; `aomgen export` makes all others.
+    """Options of the dataset of a run; `aomgen export` writes other datasets.
 
     Attributes:
-        actions: Space of the actions that policies learn.
+        actions: Action space that policies learn.
     """
 
     actions: ActionSpace = "joint"
@@ -32,7 +32,7 @@ class DatasetParams:
 
 
 def run(results: Results, folder: Path, progress: Progress) -> dict[str, Any]:
-    """Write all episodes of the run that no review rejects."""
+    """Write all episodes of the run that are not rejected in the review."""
     params = results.params("dataset", DatasetParams())
     episodes = leave_out_rejected(results.out, list_committed(results.folders["episodes"]))
     selection = write_lerobot_v3(episodes, folder, Choices(actions=params.actions), progress)

@@ -1,4 +1,4 @@
-"""Files that a twin and its motions are exported to, by suffix."""
+"""Export a twin and its motions to a file in the format of its suffix."""
 
 import importlib.util
 from pathlib import Path
@@ -13,7 +13,7 @@ from aomgen.results import Results
 GAUSSIAN_SUFFIXES: Final = (".ply", ".splat", ".spz", ".glb")
 MJCF, RERUN, MCAP = ".xml", ".rrd", ".mcap"
 TWIN_SUFFIXES: Final = (*USD_SUFFIXES, MJCF, *GAUSSIAN_SUFFIXES, RERUN, MCAP)
-# Packages that a suffix needs: name of the module, and of the extra that brings it.
+# Packages required for a suffix: name of the module, and of the extra that installs it.
 PACKAGES: Final = {RERUN: ("rerun", "rerun"), MCAP: ("mcap", "mcap")}
 
 
@@ -25,22 +25,22 @@ def export_twin(
     joint: float | None = None,
     time_s: float | None = None,
 ) -> str:
-    """Write a twin and a motion to one file, in the format of its suffix; an existing file is replaced.
+    """Write a twin and a motion to one file in the format of its suffix; an existing file is replaced.
 
     Args:
         results: Results of a run.
-        path: With one of `TWIN_SUFFIXES`; an .xml gets a folder of meshes and a CSV of controls next to it.
-        episode: Number of an episode; None takes the recorded demonstration, and an .xml the first episode.
+        path: File with one of `TWIN_SUFFIXES`; a folder of meshes and a CSV of controls are written next to an .xml.
+        episode: Number of an episode; None selects the recorded demonstration, or the first episode for an .xml.
         joint: Value of the object's joint, [rad] or [m]; only for files of Gaussians.
         time_s: Time of the motion whose state is written; only for files of Gaussians.
 
     Returns:
-        What was written, in words.
+        Description of what was written.
 
     Raises:
-        UnknownNameError: Another suffix, or no such episode.
-        ConfigError: An option that the format does not have.
-        MissingFileError: A stage has not finished.
+        UnknownNameError: The suffix is unknown, or the episode does not exist.
+        ConfigError: The format does not support an option.
+        MissingFileError: A required stage has not finished.
         BackendError: A package is missing.
         StorageError: Writing to the disk failed.
     """

@@ -1,4 +1,4 @@
-"""Small objects that stand about on the table of labelled images: boxes and cans in the scene's light."""
+"""Clutter on the table of labeled images: boxes and cans in the light of the scene."""
 
 from collections.abc import Sequence
 from typing import Final
@@ -15,17 +15,17 @@ from aomgen.core.transforms import matrix_from_rotvec, transform
 from aomgen.core.values import Array
 from aomgen.splatting.surfels import Surfels, surfels_of
 
-# Number of different objects of an export, of which a scene shows up to MOST, and discs on each.
+# Number of different objects of an export, largest number in a scene, and number of discs per object.
 KINDS, MOST, DISCS = 24, 4, 900
-# Extents of a box and of a can, [m].
+# Ranges of the sides of a box, and of the radius and height of a can, [m].
 BOX_M, RADIUS_M, HEIGHT_M = (0.03, 0.16), (0.02, 0.05), (0.05, 0.2)
-# Range of their colors, sRGB; and width of the table's margin that stays free, [m].
+# Range of their colors, sRGB; and width of the empty margin of the table, [m].
 COLORS, MARGIN_M = (0.1, 0.95), 0.1
 SURFACES: Final = (textures.plastic, textures.make_speckles, textures.wood, textures.make_brushed_metal)
 
 
 def make_clutter(rng: np.random.Generator) -> list[Surfels]:
-    """Make small objects, each in a frame with z = 0 at its foot."""
+    """Make small objects, each in a frame with z = 0 at its bottom."""
     return [_make_item(rng) for _ in range(KINDS)]
 
 
@@ -55,8 +55,8 @@ def place_clutter(
         items: Result of `make_clutter`.
         light: Light on new objects.
         T_world_plane: Pose of the table's surface.
-        free: Low and high corner (2,) of the table, world frame, [m].
-        taken: Center (2,) and radius of a disc without clutter, world frame, [m].
+        free: Lower and upper corner (2,) of the table, world frame, [m].
+        taken: Center (2,) and radius of a disc that remains free, world frame, [m].
     """
     placed = []
     for _ in range(int(rng.integers(0, MOST + 1))):
@@ -65,7 +65,7 @@ def place_clutter(
         if np.linalg.norm(at - taken[0]) < taken[1]:
             continue
         R = T_world_plane[:3, :3] @ matrix_from_rotvec([0.0, 0.0, rng.uniform(0, 2 * np.pi)])
-        # The height of the surface at this point of the world.
+        # The height of the surface at this position.
         normal, origin = T_world_plane[:3, 2], T_world_plane[:3, 3]
         z = origin[2] - float((at - origin[:2]) @ normal[:2]) / normal[2]
         exitant = np.maximum(item.transfer @ light.view_from(R), 0) * item.albedo_linear

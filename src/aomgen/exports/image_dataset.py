@@ -1,7 +1,8 @@
-"""Labelled images without physics, as a WebDataset: a shard holds the images of one object.
+"""Export of labeled images without physics as a WebDataset; each shard contains the images of one object.
 
-`FOLDER/shard-000000.tar` holds for each image KEY.jpg, KEY.labels.png (part labels), KEY.depth.png (16 bit, [mm]) and
-KEY.json; `FOLDER/dataset.json` describes the set and appears last. `FOLDER/objects/` states what is done.
+`FOLDER/shard-000000.tar` contains KEY.jpg, KEY.labels.png (part labels), KEY.depth.png (16 bit, [mm]) and KEY.json of
+each image. `FOLDER/dataset.json` describes the dataset and is written last. `FOLDER/objects/` lists the finished
+shards.
 """
 
 import io
@@ -38,33 +39,33 @@ from aomgen.pipeline.stages import require_stage
 from aomgen.results import Results
 from aomgen.saved_units import REQUEST_FILE, SavedUnits
 
-# Raised when the files change.
+# Version of the file layout.
 VERSION: Final = 1
 DATASET_FILE: Final = "dataset.json"
 SHARD: Final = "shard-{:06d}.tar"
 OBJECTS: Final = "objects"
-# As in RLDS: at least 36 dB.
+# The same quality as in RLDS, at least 36 dB.
 JPEG_QUALITY: Final = 95
-# Compression of PNG: a few milliseconds an image are saved for a tenth more bytes.
+# Compression level of PNG; compared with higher levels it saves a few milliseconds per image at 10 % more bytes.
 PNG_LEVEL: Final = 1
-# Seeds of made objects of an export begin at this number times its seed plus one: seeds below are left to projects.
+# The seeds of an export's procedural objects begin at this number times (its seed + 1); projects use smaller seeds.
 SEEDS: Final = 10_000
-# Largest time for one shard, [s].
+# Time limit of one shard, [s].
 TIMEOUT_S: Final = 3600.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ImageSetRequest:
-    """Request for labelled images.
+    """Request for labeled images.
 
     Attributes:
         images: Number of images.
         size: Width and height, [px].
-        seed: Decides objects and scenes.
-        per_object: Number of images of each object, which are one shard.
-        categories: Categories of which every shard has another made object.
-        assets: Objects by name, as in a project; they and the categories take turns.
-        styles: Styles of made objects; empty for all.
+        seed: Random seed of objects and scenes.
+        per_object: Number of images of each object, which form one shard.
+        categories: Categories of procedural objects; each shard contains a different object.
+        assets: Objects by name, as in a project; shards alternate between these and the categories.
+        styles: Styles of procedural objects; empty for all.
     """
 
     images: int
@@ -77,15 +78,15 @@ class ImageSetRequest:
 
     @property
     def shards(self) -> int:
-        """Number of shards."""
+        """Return the number of shards."""
         return -(-self.images // self.per_object)
 
     def count_images(self, shard: int) -> int:
-        """Number of images in a shard; the last one may be smaller."""
+        """Return the number of images in a shard; the last shard may be smaller."""
         return min(self.per_object, self.images - shard * self.per_object)
 
     def check(self) -> None:
-        """Refuse a request that cannot be fulfilled.
+        """Refuse an invalid request.
 
         Raises:
             ConfigError, UnknownNameError: A number is too small, or a category or a style is unknown.
@@ -110,7 +111,7 @@ class ImageSetRequest:
             open_asset(spec)
 
     def open_object(self, shard: int) -> tuple[ArticulatedAsset, dict[str, Any]]:
-        """Open the object of a shard, and describe where it is from."""
+        """Open the object of a shard, and return it with a description of its source."""
         sources = [*self.categories, *self.assets]
         source = sources[shard % len(sources)]
         if source not in self.categories:
@@ -128,10 +129,10 @@ class ImageSetRequest:
 def export_images(
     results: Results, folder: Path, request: ImageSetRequest, progress: Progress
 ) -> list[dict[str, Any]]:
-    """Render labelled images into a folder; an interrupted export continues.
+    """Render labeled images into a folder; an interrupted export is continued.
 
     Args:
-        results: Results of a run; its number of workers or its Ray cluster is used.
+        results: Results of a run; defines the number of workers or the Ray cluster.
         folder: Folder of the dataset.
         request: Requested images; without categories and assets, the categories of the run's objects.
         progress: Called after each shard.
@@ -140,9 +141,9 @@ def export_images(
         The objects by shard.
 
     Raises:
-        ConfigError: The request is wrong, the folder holds something else, or an object has no room on the table.
+        ConfigError: The request is invalid, the folder has other content, or an object does not fit on the table.
         MissingFileError: The run has no result of the stage "replacement".
-        AomgenError: Whatever the rendering refuses.
+        AomgenError: Any error of the rendering.
     """
     require_stage(results, "replacement")
     if not (request.categories or request.assets):
@@ -160,13 +161,13 @@ def export_images(
 
 
 def open_room(results: Results, folder: Path, request: ImageSetRequest) -> Callable[[int], dict[str, Any]]:
-    """Open a worker function that renders a shard."""
+    """Return a worker function that renders a shard."""
     room = ImageRoom(results, request.size, request.seed)
     return lambda shard: write_shard(room, folder, request, shard)
 
 
 def write_shard(room: ImageRoom, folder: Path, request: ImageSetRequest, shard: int) -> dict[str, Any]:
-    """Render the images of a shard and write it; returns what it shows."""
+    """Render the images of a shard and write it; returns a description of its object."""
     asset, origin = request.open_object(shard)
     facts = {"asset": asset.name, "category": asset.category, **origin, "seed": request.seed, "shard": shard}
     rng = np.random.default_rng([request.seed, shard])
@@ -184,7 +185,7 @@ def write_shard(room: ImageRoom, folder: Path, request: ImageSetRequest, shard: 
 
 
 def encode_sample(sample: ImageSample) -> dict[str, bytes]:
-    """Files of an image by suffix."""
+    """Encode an image as files by suffix."""
     return {
         "jpg": encode_jpeg(sample.image_srgb, JPEG_QUALITY, halve_colors=False),
         "labels.png": encode_png(sample.labels, PNG_LEVEL),

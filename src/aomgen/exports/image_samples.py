@@ -1,4 +1,4 @@
-"""Labelled images of random scenes: rendered as episodes are, with part labels, depth and projected keypoints."""
+"""Labeled images of random scenes, rendered like episodes, with part labels, depth and projected keypoints."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
@@ -31,21 +31,21 @@ from aomgen.twin.twin import TwinModel
 from aomgen.twin.variation import change_appearance, light_gains, scale_object
 
 OUTPUTS: Final = ImageParams(depth=True, labels=True)
-# Clutter keeps this distance from the object's center, as a share of half the diagonal of its footprint.
+# Smallest distance of clutter from the object's center, relative to half the diagonal of its footprint.
 CLUTTER_GAP: Final = 1.1
-# Degree of the harmonics of all colors: higher ones show reflections better, and cost half of the time.
+# Degree of the spherical harmonics of colors; higher degrees render reflections better and double the time.
 SH_DEGREE: Final = 1
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ImageSample:
-    """One labelled image.
+    """One labeled image.
 
     Attributes:
         image_srgb: (H, W, 3) uint8.
-        labels: Visible part (H, W) uint8, see `conventions.PART_LABELS`.
-        depth_mm: Depth (H, W) uint16, 0 for none.
-        facts: Plain JSON values: camera, object, robot, keypoints.
+        labels: Label of the visible part (H, W) uint8, see `conventions.PART_LABELS`.
+        depth_mm: Depth (H, W) uint16, [mm]; 0 if unknown.
+        facts: JSON values of camera, object, robot and keypoints.
     """
 
     image_srgb: NDArray[np.uint8]
@@ -55,7 +55,7 @@ class ImageSample:
 
 
 class ImageRoom:
-    """A run's room without its object, in which assets are placed and rendered.
+    """Scene of a run without its object, in which assets are placed and rendered.
 
     Args:
         results: Results of a run with the stage "replacement".
@@ -77,10 +77,10 @@ class ImageRoom:
     def render(
         self, asset: ArticulatedAsset, facts: dict[str, Any], count: int, rng: np.random.Generator
     ) -> Iterator[ImageSample]:
-        """Render `count` labelled images of an asset in random scenes; `facts` are added to those of each.
+        """Render `count` labeled images of an asset in random scenes; `facts` are added to those of each image.
 
         Raises:
-            ConfigError: The table has no room for the asset.
+            ConfigError: The asset does not fit on the table.
         """
         scene, placed = self._results.episode_scene, self._scenes.put_in_place(asset)
         light = SceneLight(arriving=scene.light, tone=ToneCurve(), source=scene.light_source)
@@ -105,7 +105,7 @@ class ImageRoom:
         twin = scale_object(twin, variation.scale)
         for item in self._place_clutter(scene, rng):
             twin = twin.extend(item, 0, BACKGROUND)
-        # Brightness and color of the light are changed in the images, as a camera with fixed exposure sees them.
+        # Brightness and color of the light are changed in the images, for a camera with fixed exposure.
         turned = replace(LightChange(), turn=variation.light.turn)
         twin = change_appearance(twin, turned, variation.material)
         asset, T = scene.fitted.asset, scene.states.T_world_object

@@ -1,4 +1,4 @@
-"""Random scenes of labelled images: an object's pose, size and look, joint values, the robot's joints, and cameras."""
+"""Random scenes of labeled images: pose, size and appearance of the object, joint values, robot joints and cameras."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -25,11 +25,11 @@ from aomgen.lighting.episode_shadows import find_body_spheres
 from aomgen.results import Results
 from aomgen.robots.robot import RobotConfiguration, longest_reach
 
-# Half of the objects stand where episodes put them, the others anywhere on the table that the arm reaches.
+# Share of objects that are placed anywhere within reach on the table; the others are placed as in episodes.
 WIDE: Final = 0.5
-# Rotations of objects on the whole table, [deg].
+# Range of the yaw of objects on the whole table, [deg].
 YAW_DEG: Final = (-60.0, 60.0)
-# Sizes, appearances and lights, see `Ranges`: wider than a policy meets, so that it interpolates.
+# Ranges of sizes, appearances and lights, see `Ranges`; wider than those of a policy, so that it interpolates.
 LOOKS: Final = {
     "scale": (0.6, 1.0),
     "light_turn_deg": (-60.0, 60.0),
@@ -39,27 +39,29 @@ LOOKS: Final = {
     "saturation": (0.3, 1.6),
     "brightness": (0.5, 1.4),
 }
-# Share of closed objects, of the cameras exactly as recorded, and of materials as they were made.
+# Shares of closed objects, of cameras exactly as recorded, and of unchanged materials.
 CLOSED, RECORDED, AS_MADE = 0.5, 0.3, 0.4
-# Motion of the other cameras about the recorded handle, [deg] and factor; of mounted ones, [m] and [deg].
+# Rotation [deg] and distance factor of the other cameras about the recorded handle; offsets of mounted cameras, [m]
+# and [deg].
 TURN_DEG, TILT_DEG, DISTANCE = (-8.0, 8.0), (-8.0, 8.0), (0.9, 1.1)
 MOUNT_M, MOUNT_DEG = 0.004, 1.5
-# Distance of the gripper from the grasp along its approach, [m]; standard deviations across it, [m], and of its rotation, [deg].
+# Distance of the gripper from the grasp along its approach, [m]; standard deviations of its lateral offset, [m], and
+# of its rotation, [deg].
 BACK_M, ASIDE_M, TURNED_DEG = (0.0, 0.15), 0.015, 5.0
-# Poses near the handle that are tried, and residuals of the arm that is accepted, [mm] and [deg].
+# Number of poses near the handle that are tried, and accepted residuals of the arm, [mm] and [deg].
 NEAR_TRIES, RESIDUAL_MM, RESIDUAL_DEG = 12, 3.0, 2.0
-# Standard deviation of the arm's joints about those of the demonstration, [rad], and tries to keep it off the object.
+# Standard deviation of the arm's joints about the demonstration, [rad]; number of tries for a collision-free arm.
 JOINTS_RAD, FREE_TRIES = 0.25, 20
-# Bodies that no more than this number of joints move are the arm's foot, which may be below the table's level.
+# Bodies moved by at most this number of joints belong to the arm's base, which may be below the level of the table.
 FOOT_JOINTS: Final = 2
-# States of a scene; share of open grippers; chance that a grasp is not passed over for the next one, and that the gripper
-# has turned with the part.
+# Number of states of a scene; share of open grippers; probability that a grasp is chosen before the next one;
+# probability that the gripper has rotated with the part.
 STATES, OPEN, USUAL, WITH_PART = 8, 0.6, 0.4, 0.5
-# Draws of a pose before an object is refused.
+# Number of sampled poses before an object is refused.
 MAX_DRAWS: Final = 2000
 
 
-# Index of a body in the twin, center (3,) in its frame, and radius, [m].
+# Spheres: index of a body in the twin, center (3,) in the frame of the body, and radius, [m].
 Spheres = Sequence[tuple[int, Array, float]]
 
 
@@ -70,9 +72,9 @@ class ImageScene:
     Attributes:
         variation: Pose, size, light and material of the object.
         fitted: The object at its size.
-        states: States of robot and object, one after the other, and the object's pose.
+        states: States of robot and object, and the object's pose.
         cameras: Fixed cameras, world frame, by name.
-        paths: Cameras of the robot in the states, by name.
+        paths: Poses of the robot's cameras in the states, by name.
     """
 
     variation: Variation
@@ -83,7 +85,7 @@ class ImageScene:
 
 
 class SceneMaker:
-    """Draws scenes in a run's room.
+    """Sampler of scenes in the surroundings of a run.
 
     Args:
         results: Results of a run with the stage "replacement".
@@ -100,7 +102,7 @@ class SceneMaker:
         reach = longest_reach(self._robot)
         low = np.maximum(scene.support.low_xy, reach.shoulder_world[:2] - reach.reach_m)
         high = np.minimum(scene.support.high_xy, reach.shoulder_world[:2] + reach.reach_m)
-        # The known table as far as the arm reaches, corners (2,), world frame, [m].
+        # Lower and upper corner (2,) of the scanned table within the arm's reach, world frame, [m].
         self.table = low, high
         corners = ((low[0], low[1]), (high[0], low[1]), (high[0], high[1]), (low[0], high[1]))
         table = tuple((float(x), float(y)) for x, y in corners)
@@ -126,19 +128,19 @@ class SceneMaker:
 
     @cached_property
     def _spheres(self) -> Spheres:
-        """Spheres on the bodies that more than the first two joints move: the others stand on the table's level."""
+        """Return spheres on the bodies above the arm's base, which may touch the table; see `FOOT_JOINTS`."""
         zero = np.zeros(len(self._robot.joint_names))
         moved_by = RobotConfiguration(robot=self._robot, joints=zero, gripper=0.0).segments()
         return [item for item in find_body_spheres(self._robot) if moved_by[item[0] - 1] > FOOT_JOINTS]
 
     @cached_property
     def _arm_spheres(self) -> Spheres:
-        """Spheres on the arm without its gripper."""
+        """Return spheres on the arm without its gripper."""
         hand = {self._robot.body_names.index(name) for name in self._robot.hand_bodies}
         return [item for item in self._spheres if item[0] - 1 not in hand]
 
     def put_in_place(self, asset: ArticulatedAsset) -> FittedAsset:
-        """Put an asset at true size where the recorded object stood, handle at the recorded handle as seen from above."""
+        """Place an asset at true size like the recorded object, with the same horizontal handle position."""
         R = self._reference.T_world_asset[:3, :3]
         offset = self._recorded_handle - R @ asset.handle_point
         height = self._results.episode_scene.support.height
@@ -155,10 +157,10 @@ class SceneMaker:
         )
 
     def draw(self, placed: FittedAsset, rng: np.random.Generator) -> ImageScene:
-        """Draw a scene with an asset from `put_in_place`.
+        """Sample a scene with an asset from `put_in_place`.
 
         Raises:
-            ConfigError: The table has no room for the asset within the arm's reach.
+            ConfigError: The asset does not fit on the table within the arm's reach.
         """
         for _ in range(MAX_DRAWS):
             wide = int(rng.random() < WIDE)
@@ -182,11 +184,11 @@ class SceneMaker:
         )
 
     def draw_light(self, rng: np.random.Generator) -> LightChange:
-        """Draw the light of an image."""
+        """Sample the light of an image."""
         return draw_independently(rng, 0, 0, self._ranges[0]).light
 
     def _draw_cameras(self, rng: np.random.Generator) -> Iterator[tuple[str, Camera]]:
-        """Yield the fixed cameras, most of them moved a little."""
+        """Yield the fixed cameras, most of them slightly moved."""
         for name, camera in self.cameras.items():
             turn, tilt = (float(np.radians(rng.uniform(*span))) for span in (TURN_DEG, TILT_DEG))
             change = OrbitChange(turn=turn, tilt=tilt, distance=float(rng.uniform(*DISTANCE)))
@@ -196,7 +198,7 @@ class SceneMaker:
     def _draw_paths(
         self, states: SceneTrajectory, rng: np.random.Generator
     ) -> Iterator[tuple[str, CameraPath]]:
-        """Yield the robot's cameras, displaced as mounts differ from robot to robot."""
+        """Yield the robot's cameras, displaced by random errors of their mounts."""
         for name, path in self._robot.camera_paths(states.joints, states.gripper).items():
             turns = matrix_from_rotvec(np.radians(MOUNT_DEG) * rng.normal(size=(len(states), 3)))
             moves = transform(turns, MOUNT_M * rng.normal(size=(len(states), 3)))
@@ -204,7 +206,7 @@ class SceneMaker:
             yield name, CameraPath(camera=camera, Ts_world_cam=path.Ts_world_cam @ moves)
 
     def _draw_states(self, fitted: FittedAsset, T: Array, rng: np.random.Generator) -> SceneTrajectory:
-        """Draw states: in the first half the arm is anywhere, in the other one the gripper is near the handle."""
+        """Sample states: a random arm in the first half, a gripper near the handle in the second half."""
         thetas = [self._draw_theta(fitted, rng) for _ in range(STATES)]
         joints = [
             self._draw_near(fitted, theta, T, rng)
@@ -226,7 +228,7 @@ class SceneMaker:
         return float(share * fitted.asset.joint.upper)
 
     def _draw_free(self, fitted: FittedAsset, theta: float, T: Array, rng: np.random.Generator) -> Array:
-        """Draw joints (J,) near a random configuration of the demonstration, off the object."""
+        """Sample joints (J,) near a random configuration of the demonstration, without contact with the object."""
         demo = self._results.demonstration
         low, high = self._robot.joint_limits.T
         joints = demo.joints[rng.integers(len(demo))]
@@ -238,13 +240,13 @@ class SceneMaker:
         return joints
 
     def _draw_near(self, fitted: FittedAsset, theta: float, T: Array, rng: np.random.Generator) -> Array:
-        """Draw joints (J,) with the gripper near the handle; where the arm reaches none, the arm is anywhere."""
+        """Sample joints (J,) with the gripper near the handle; if no such pose is reachable, use `_draw_free`."""
         asset, Ts = fitted.asset, np.tile(np.eye(4), (NEAR_TRIES, 1, 1))
         R_front = self._motion.hand_at_closed(self._reference)
         choices = [R for _, R in orientations(R_front, asset.handle_axis, TILTS_DEG)]
         moved = asset.joint.motion(theta)
         for T_ee in Ts:
-            # The first orientations are those that episodes prefer.
+            # Episodes prefer the first orientations.
             R = choices[min(int(rng.geometric(USUAL)) - 1, len(choices) - 1)]
             R = R @ matrix_from_rotvec(np.radians(TURNED_DEG) * rng.normal(size=3))
             turned = moved[:3, :3] @ R if rng.random() < WITH_PART else R
@@ -261,7 +263,7 @@ class SceneMaker:
         return self._draw_free(fitted, theta, T, rng)
 
     def _is_free(self, joints: Array, fitted: FittedAsset, theta: float, T: Array, spheres: Spheres) -> bool:
-        """Return whether spheres on the robot's bodies are off the object and above the table."""
+        """Return whether spheres on the robot's bodies are outside the object and above the table."""
         bodies = self._robot.link_poses(joints[None], 0.0)[0]
         centers = np.stack([apply(bodies[body - 1], center) for body, center, _ in spheres])
         radii = np.array([radius for *_, radius in spheres])

@@ -1,4 +1,4 @@
-"""A motion as an MCAP recording that Foxglove opens: joints, poses, images and calibrations as JSON messages.
+"""Export of a motion as an MCAP recording for Foxglove: joints, poses, images and calibrations as JSON messages.
 
 Topics: `/joint_states` and `/joint_commands` (foxglove.JointStates), `/tf` (foxglove.FrameTransforms, every body and camera
 below the frame "world"), `/camera/<name>/image` (foxglove.CompressedImage, JPEG) and `/camera/<name>/calibration`
@@ -25,12 +25,12 @@ from aomgen.io.video import decode_frames
 
 WORLD_FRAME: Final = "world"
 JOINTS_TOPIC, COMMANDS_TOPIC, POSES_TOPIC = "/joint_states", "/joint_commands", "/tf"
-# A message of a recording: topic, time [s], content.
+# Message of a recording: topic, time [s], content.
 Message = tuple[str, float, dict[str, Any]]
 
 
 def _object(title: str, **properties: Any) -> dict[str, Any]:
-    """A JSON schema of an object all of whose properties are required."""
+    """Make the JSON schema of an object with only required properties."""
     return {"title": title, "type": "object", "properties": properties, "required": list(properties)}
 
 
@@ -104,13 +104,13 @@ def write_mcap(motion: SceneMotion, path: Path) -> None:
 
 
 def _list_states(motion: SceneMotion) -> Iterator[Message]:
-    """Joints, commands and poses of every frame."""
+    """Yield joints, commands and poses of every frame."""
     moved, names = motion.trajectory, [*motion.robot.joint_names, "gripper", "object"]
     reached = np.column_stack([moved.joints, moved.gripper, moved.thetas])
     for frame, time_s in enumerate(_times(motion)):
         stamp = _stamp(time_s)
         yield JOINTS_TOPIC, time_s, {"timestamp": stamp, "joints": _joints(names, reached[frame])}
-        # A frame's command is reached at the end of the frame.
+        # The command of a frame is the target at the end of the frame.
         commands = _joints(names[:-1], motion.commands[frame + 1])
         yield COMMANDS_TOPIC, time_s, {"timestamp": stamp, "joints": commands}
         bodies = dict(zip(motion.twin.body_names[1:], motion.Ts_world_body[frame, 1:], strict=True))
@@ -139,7 +139,7 @@ def _list_calibrations(motion: SceneMotion) -> Iterator[Message]:
 
 
 def _list_images(motion: SceneMotion) -> Iterator[Message]:
-    """Frames of all videos as JPEG; those before the start of the motion are left out."""
+    """Yield the frames of all videos as JPEG, without those before the start of the motion."""
     first = float(motion.trajectory.times_s[0])
     for name, file in motion.videos.items():
         for video_s, frame in decode_frames(file):

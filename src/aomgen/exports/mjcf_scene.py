@@ -1,4 +1,4 @@
-"""An episode as plain MJCF: one model with its meshes and textures next to it, and the controls that open the object.
+"""Export of an episode as MJCF: one model, its meshes and textures, and the controls that open the object.
 
 ```
 scene.xml            python -m mujoco.viewer --mjcf=scene.xml; its keyframe "start" is the begin of the episode
@@ -39,9 +39,9 @@ from aomgen.simulation.scene_spec import TABLE
 KEYFRAME: Final = "start"
 # Brightness of the directional light above the scene and of the viewer's headlight.
 DIFFUSE, AMBIENT = 0.5, 0.4
-# Colors of the sky above and at the horizon.
+# Colors of the sky at the zenith and at the horizon.
 SKY: Final = ((0.55, 0.65, 0.75), (0.9, 0.92, 0.95))
-# MuJoCo computes a camera's angles from lengths on a sensor; only ratios matter, [m].
+# Pixel size for MuJoCo's cameras, whose optics are lengths on a sensor, [m]; only ratios matter.
 PIXEL_M: Final = 1e-5
 
 
@@ -81,7 +81,7 @@ def write_mjcf(results: Results, motion: SceneMotion, path: Path) -> None:
 
 
 def list_controls(scene: Scene, commands: Array, fps: float, ticks: int) -> Array:
-    """Controls (N, nu) at every control tick: the arm stands at its first configuration, then follows (T + 1, J + 1)."""
+    """Compute controls (N, nu) at every control tick: first the initial configuration, then commands (T + 1, J + 1)."""
     still = np.repeat(commands[:1], round(SETTLE_S * fps * ticks), 0)
     resting = Commands(still[:, :-1], np.zeros_like(still[:, :-1]), still[:, -1])
     moving = [ramp(now, after, fps, ticks) for now, after in pairwise(commands)]
@@ -89,7 +89,7 @@ def list_controls(scene: Scene, commands: Array, fps: float, ticks: int) -> Arra
 
 
 def _take_over(spec: mujoco.MjSpec, model: mujoco.MjModel) -> None:
-    """Write what was changed in a compiled model into its description: contact bits, largest forces of the drives."""
+    """Copy changes of a compiled model to its description: contact bits and largest forces of the drives."""
     for geom in spec.geoms:
         geom.contype, geom.conaffinity = (
             int(bits[geom.id]) for bits in (model.geom_contype, model.geom_conaffinity)
@@ -124,10 +124,10 @@ def _add_surroundings(spec: mujoco.MjSpec, cameras: Mapping[str, Camera]) -> Non
 
 
 def _export_meshes(spec: mujoco.MjSpec, model: mujoco.MjModel) -> dict[str, bytes]:
-    """OBJ files of all meshes in their frames, by the name under which the description now has them."""
+    """Return OBJ files of all meshes in their frames, by their new names in the description."""
     files = {}
     for mesh in spec.meshes:
-        # Class defaults hold scales, so that the scale has to be written down.
+        # The scale is set explicitly, because class defaults contain scales.
         name, mesh.scale = f"{mesh.name}.obj", np.ones(3)
         files[name] = _format_obj(model, mesh.id).encode()
         mesh.file, mesh.content_type = name, "model/obj"
@@ -137,7 +137,7 @@ def _export_meshes(spec: mujoco.MjSpec, model: mujoco.MjModel) -> dict[str, byte
 
 
 def _format_obj(model: mujoco.MjModel, mesh: int) -> str:
-    """Vertices, texture coordinates and faces of a mesh; MuJoCo keeps them about its center of mass."""
+    """Format a mesh as OBJ; MuJoCo stores its vertices relative to the center of mass."""
 
     def part(values: NDArray[Any], first: NDArray[Any], count: NDArray[Any]) -> NDArray[Any]:
         return values[first[mesh] : first[mesh] + count[mesh]]
@@ -148,7 +148,7 @@ def _format_obj(model: mujoco.MjModel, mesh: int) -> str:
     lines = [f"v {x:.9g} {y:.9g} {z:.9g}" for x, y, z in vertices]
     if model.mesh_texcoordadr[mesh] >= 0:
         points = part(model.mesh_texcoord, model.mesh_texcoordadr, model.mesh_texcoordnum)
-        # Rows of an image count from its top in MuJoCo, from its bottom in OBJ.
+        # MuJoCo counts image rows from the top, OBJ from the bottom.
         lines += [f"vt {u:.9g} {1 - v:.9g}" for u, v in points]
         textured = part(model.mesh_facetexcoord, model.mesh_faceadr, model.mesh_facenum) + 1
         lines += [
@@ -161,7 +161,7 @@ def _format_obj(model: mujoco.MjModel, mesh: int) -> str:
 
 
 def _export_textures(spec: mujoco.MjSpec, model: mujoco.MjModel) -> dict[str, bytes]:
-    """PNG files of all textures that are images, by the name under which the description now has them."""
+    """Return PNG files of all image textures, by their new names in the description."""
     files = {}
     for texture in spec.textures:
         if texture.builtin != mujoco.mjtBuiltin.mjBUILTIN_NONE:

@@ -1,4 +1,4 @@
-"""A twin in one state as Gaussians, in any format of `io.gaussian_files`."""
+"""Export of a twin in one state as Gaussians, in any format of `io.gaussian_files`."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -12,20 +12,20 @@ from aomgen.io.gaussian_files import Y_UP_SUFFIXES, write_gaussians
 from aomgen.lighting.shadowed_twin import pose_with_shadow
 from aomgen.twin.twin import TwinState, interpolate_state
 
-# Turns the world, z up, to the axes of formats with y up and z towards the viewer.
+# Rotation from the world (z up) to the axes of formats with y up and z towards the viewer.
 Y_UP: Final = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])
 
 
 def write_posed_gaussians(
     motion: SceneMotion, path: Path, *, joint: float | None, time_s: float | None
 ) -> None:
-    """Write the twin of a motion in one state; without time and joint value as in the scan, or the first frame of an episode.
+    """Write the twin of a motion in one state; by default as in the scan, or as in the first frame of an episode.
 
     Args:
         motion: Twin and motion.
-        path: Its suffix chooses the format; `.spz` and `.glb` are y up, the others z up as the world is.
-        joint: Value of the object's joint, [rad] or [m]; None as the state has it.
-        time_s: Time of the motion; None for the state at rest.
+        path: Its suffix determines the format; `.spz` and `.glb` are y up, the others z up like the world.
+        joint: Value of the object's joint, [rad] or [m]; None keeps that of the state.
+        time_s: Time of the motion, [s]; None for the state at rest.
 
     Raises:
         LimitExceededError, StorageError: See `write_gaussians`.
@@ -35,7 +35,7 @@ def write_posed_gaussians(
 
 
 def choose_state(motion: SceneMotion, joint: float | None, time_s: float | None) -> TwinState:
-    """The state at a time, or at rest, with another joint value of the object where one is given."""
+    """Return the state at a time or at rest, with another joint value of the object if one is given."""
     if time_s is not None:
         state = interpolate_state(motion.trajectory, time_s)
     elif motion.fitted is None:
@@ -46,5 +46,5 @@ def choose_state(motion: SceneMotion, joint: float | None, time_s: float | None)
 
 
 def to_file_axes(gaussians: Gaussians, path: Path) -> Gaussians:
-    """Gaussians of the world in the axes of a file's format."""
+    """Convert Gaussians from the world frame to the axes of a file format."""
     return gaussians.transform(Y_UP) if path.suffix.lower() in Y_UP_SUFFIXES else gaussians

@@ -1,4 +1,4 @@
-"""A motion as a Rerun recording: Gaussians by body, poses over time, joints, cameras with videos, contacts."""
+"""Export of a motion as a Rerun recording: Gaussians by body, poses, joints, cameras with videos, contacts."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -18,18 +18,18 @@ from aomgen.exports.scene_motion import SceneMotion
 from aomgen.io.atomic import scratch_folder, write_bytes
 
 APPLICATION: Final = "aomgen"
-# The one time axis, from the start of the motion, [s].
+# Name of the time axis, which starts with the motion, [s].
 TIMELINE: Final = "time"
-# Contact forces are drawn as arrows of this length, [m/N].
+# Length of the arrows of contact forces, [m/N].
 FORCE_SCALE: Final = 0.005
-# Coefficients of lower degrees are stored as those of this one.
+# Degree of the stored spherical harmonics; lower degrees are padded.
 DEGREE: Final = 3
-# Distance of the image plane that the viewer shows before a camera, [m].
+# Distance of the displayed image plane from the camera, [m].
 IMAGE_PLANE_M: Final = 0.2
 
 
 def write_rerun(motion: SceneMotion, path: Path) -> None:
-    """Write a motion as .rrd, which `rerun FILE` opens; needs the package `rerun-sdk`.
+    """Write a motion as .rrd for `rerun FILE`; requires the package `rerun-sdk`.
 
     Entities: `world/<body>` with its Gaussians, `world/camera/<name>` with its video, `world/contacts/<finger>`,
     `joints/<name>`, `joints/gripper` and `joints/object`. Colors are those of the first frame.
@@ -37,9 +37,9 @@ def write_rerun(motion: SceneMotion, path: Path) -> None:
     Raises:
         StorageError: Writing to the disk failed.
     """
-    # Otherwise the package prints problems and leaves out what has them.
+    # Otherwise the package only prints errors and skips the affected data.
     rr.set_strict_mode(True)
-    # The same motion gives the same recording, so that a viewer replaces it.
+    # The identifier depends only on the motion, so that a viewer replaces an earlier export.
     recording = rr.RecordingStream(APPLICATION, recording_id=f"{path.stem}-{motion.name}")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -123,7 +123,7 @@ def _log_cameras(recording: Any, motion: SceneMotion) -> None:
 
 
 def _log_video(recording: Any, entity: str, file: Path, start_s: float) -> None:
-    """The video as it is, and a reference to a frame of it at the time of each."""
+    """Log a video file without changes, and a reference to each of its frames."""
     video = rr.AssetVideo(path=file)
     recording.log(f"{entity}/video", video, static=True)
     stamps_ns = np.asarray(video.read_frame_timestamps_nanos())
@@ -142,7 +142,7 @@ def _log_joints(recording: Any, motion: SceneMotion) -> None:
 
 
 def _log_contacts(recording: Any, motion: SceneMotion) -> None:
-    """Contact forces on the fingers as arrows; a frame without a contact clears them."""
+    """Log contact forces on the fingers as arrows; frames without contact clear them."""
     contacts = motion.contacts
     if contacts is None:
         return

@@ -1,4 +1,4 @@
-"""A motion of a twin: the recorded demonstration or one episode, with everything that a file may show of it."""
+"""Motion of a twin, the recorded demonstration or one episode, with all data that export formats use."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -32,20 +32,20 @@ from aomgen.twin.variation import change_appearance, scale_object
 
 @dataclass(frozen=True, kw_only=True)
 class SceneMotion:
-    """A twin and how robot and object move in it, T frames.
+    """A twin and the motion of its robot and object, T frames.
 
     Attributes:
         name: "demonstration" or the number of the episode.
-        twin: With the object that moves.
-        robot: The robot in it.
+        twin: Twin with the moving object.
+        robot: Robot of the twin.
         trajectory: Reached joints, gripper and joint values of the object.
-        commands: Commanded joints and gripper (T + 1, J + 1): at the begin of each frame and the end of the last.
+        commands: Commanded joints and gripper (T + 1, J + 1) at the start of each frame and the end of the last one.
         cameras: Fixed cameras of the motion, world frame, by name.
-        paths: Cameras that move, by name.
+        paths: Moving cameras, by name.
         videos: Recorded or rendered videos by camera name.
         video_starts_s: Time of the first frame of a video on the trajectory's clock, by name, [s].
         contacts: Contacts of the fingers; None for a recording.
-        fitted: The object as physics sees it; None for the recorded one.
+        fitted: Physical model of the object; None for the recorded object.
     """
 
     name: str
@@ -62,20 +62,20 @@ class SceneMotion:
 
     @property
     def fps(self) -> float:
-        """Frames a second."""
+        """Return the frame rate, [1/s]."""
         times = self.trajectory.times_s
         return round((len(times) - 1) / float(times[-1] - times[0]), 6)
 
     @cached_property
     def Ts_world_body(self) -> Array:
-        """Poses (T, B, 4, 4) of the twin's bodies."""
+        """Return the poses (T, B, 4, 4) of the twin's bodies."""
         moved = self.trajectory
         return trajectory_body_poses(
             self.twin, self.robot, moved.joints, moved.gripper, moved.thetas, moved.T_world_object
         )
 
     def body_gaussians(self) -> dict[str, Gaussians]:
-        """Gaussians of every body that has some, in the frame of the body; surfaces are lit as in the first frame."""
+        """Return the Gaussians of each body that has any, in the frame of the body, lit as in the first frame."""
         world = pose_bodies(self.twin, self.Ts_world_body[0])
         lit = self.twin.gaussians
         if self.twin.relit is not None:
@@ -90,7 +90,7 @@ def open_motion(results: Results, episode: int | None) -> SceneMotion:
     """Read an episode by its number, or the recorded demonstration.
 
     Raises:
-        MissingFileError, UnknownNameError: The run has no episodes, or none of that number.
+        MissingFileError, UnknownNameError: The run has no episodes, or none with this number.
     """
     if episode is None:
         return _open_demonstration(results)
@@ -105,7 +105,7 @@ def open_motion(results: Results, episode: int | None) -> SceneMotion:
         twin=change_appearance(twin, variation.light, variation.material),
         robot=results.robot,
         trajectory=made,
-        # Action t is reached at frame t + 1.
+        # Action t is the target of frame t + 1.
         commands=np.concatenate([states[:1], actions]),
         cameras={name: view for name, view in made.cameras.items() if name not in made.camera_poses},
         paths={
@@ -120,10 +120,10 @@ def open_motion(results: Results, episode: int | None) -> SceneMotion:
 
 
 def first_episode(results: Results) -> int:
-    """Number of the first committed episode.
+    """Return the number of the first committed episode.
 
     Raises:
-        MissingFileError: There is none.
+        MissingFileError: There is no committed episode.
     """
     folder = results.folders["episodes"]
     found = list_committed(folder)
@@ -135,7 +135,7 @@ def first_episode(results: Results) -> int:
 
 
 def _open_demonstration(results: Results) -> SceneMotion:
-    """The recorded motion; videos of cameras whose clock is unknown are left out."""
+    """Open the recorded motion, without videos of cameras with an unknown clock offset."""
     demo, twin, fixed = results.demonstration, results.twin, results.alignment.cameras
     clocks = {name: camera.clock for name, camera in fixed.items() if camera.clock is not None}
     first = fixed[results.demo_camera].require_clock().offset_s

@@ -1,4 +1,4 @@
-"""The physics of a motion's scene: robot, table, obstacles and object as MuJoCo simulates them."""
+"""MuJoCo scene of a motion: robot, table, obstacles and object."""
 
 import mujoco
 import numpy as np
@@ -19,14 +19,14 @@ from aomgen.simulation.scene_spec import TABLE, scene_spec
 
 
 def simulate_motion_scene(results: Results, motion: SceneMotion) -> Scene:
-    """Compile the scene in which a motion's object was verified; a recorded object is made of boxes."""
+    """Compile the scene in which the object of a motion was verified; a recorded object consists of boxes."""
     fitted = motion.fitted or fit_recorded_boxes(results)
     scene = EpisodeFactory(results, results.folders["episodes"]).build_scene(fitted)
     return scene.place_at(motion.trajectory.T_world_object)
 
 
 def describe_nominal(results: Results, scene: Scene, motion: SceneMotion, *, visual: bool) -> mujoco.MjSpec:
-    """Describe a scene from `simulate_motion_scene` for writing, with the resistance of the nominal setting."""
+    """Return the description of a scene from `simulate_motion_scene` with the resistance of the nominal setting."""
     damping, frictionloss = RESISTANCES[scene.asset.joint.type][0]
     recorded = results.episode_scene
     spec, _ = scene_spec(
@@ -40,19 +40,19 @@ def describe_nominal(results: Results, scene: Scene, motion: SceneMotion, *, vis
         visual=visual,
         bolted=scene.bolted,
     )
-    # The table of a scene may be lowered, and lies about the recorded object.
+    # The table is centered at the recorded object and may be lowered.
     table, compiled = spec.geom(TABLE), scene.model.geom(TABLE)
     table.pos, table.size = compiled.pos, compiled.size
     return spec
 
 
 def fit_recorded_boxes(results: Results) -> FittedAsset:
-    """The recorded object as boxes about the points of its parts, in the object frame of the twin."""
+    """Fit boxes to the points of the recorded object's parts, in the object frame of the twin."""
     twin, to_object = results.twin, invert(results.twin.T_world_object)
     points = (surface_points(results.scene, results.parts.labels, label) for label in (STATIC, MOVING))
     body, part = (np.quantile(apply(to_object, found), QUANTILES, axis=0) for found in points)
     if twin.joint.type == "revolute" and int(np.ptp(part, 0).argmin()) == 1:
-        # Through a door's window the scan shows what is behind it; -y points out of the front.
+        # Points behind the window of a door belong to the interior; -y points out of the front.
         part[1, 1] = min(part[1, 1], max(part[0, 1], body[0, 1]) + DOOR_M)
     pieces = {f"body_{number}": box for number, box in enumerate(subtract_box(body, part))}
     middle = part.mean(0)

@@ -1,4 +1,4 @@
-"""Collision shapes of a MuJoCo model as UsdPhysics colliders, with friction and pairs that do not collide."""
+"""Export of the collision shapes of a MuJoCo model as UsdPhysics colliders, with friction and excluded pairs."""
 
 from collections.abc import Mapping
 from typing import Any, Final
@@ -14,10 +14,10 @@ WORLD_COLLIDERS: Final = "/World/Surroundings"
 
 
 def add_colliders(stage: Any, model: mujoco.MjModel, bodies: Mapping[int, str]) -> None:
-    """Write the shapes that take part in contacts below the prims of their bodies; static ones below the surroundings.
+    """Write the colliding shapes below the prims of their bodies, and static ones below the surroundings.
 
-    Boxes, spheres, capsules and cylinders stay what they are, and other shapes become convex hulls. They have the
-    purpose "guide", so that they are not rendered.
+    Boxes, spheres, capsules and cylinders are kept, other shapes become convex hulls. All have the purpose "guide", so
+    that they are not rendered.
 
     Args:
         stage: The stage under construction.
@@ -38,7 +38,7 @@ def add_colliders(stage: Any, model: mujoco.MjModel, bodies: Mapping[int, str]) 
 
 
 def exclude_contacts(stage: Any, model: mujoco.MjModel, bodies: Mapping[int, str]) -> None:
-    """Filter pairs of bodies that the model excludes from contacts; the world's side is the surroundings."""
+    """Write the pairs of bodies that the model excludes from contacts; the world body is the surroundings."""
     from pxr import UsdPhysics
 
     for signature in model.exclude_signature:
@@ -88,7 +88,7 @@ def _place(shape: Any, model: mujoco.MjModel, geom: int, scale: list[float] | No
 
 
 def _add_hull(stage: Any, model: mujoco.MjModel, geom: int, path: str) -> Any:
-    """A mesh in the body's frame whose convex hull collides, as MuJoCo's does."""
+    """Define a mesh in the frame of the body; its convex hull is the collider, as in MuJoCo."""
     from pxr import UsdGeom, UsdPhysics, Vt
 
     surface = geom_surface(model, geom)
@@ -108,7 +108,7 @@ def _add_hull(stage: Any, model: mujoco.MjModel, geom: int, path: str) -> Any:
 
 
 def _bind_friction(stage: Any, prim: Any, friction: NDArray[np.float64]) -> None:
-    """Bind the physics material of a friction coefficient, which shapes of equal friction share."""
+    """Bind the physics material of a friction coefficient; shapes with equal friction share it."""
     from pxr import UsdPhysics, UsdShade
 
     sliding = float(friction[0])

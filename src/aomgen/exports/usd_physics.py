@@ -1,8 +1,8 @@
-"""A compiled MuJoCo scene as UsdPhysics: rigid bodies, articulations, joints with limits and drives.
+"""Export of a compiled MuJoCo scene as UsdPhysics: rigid bodies, articulations, joints with limits and drives.
 
-MuJoCo's tree becomes flat: every body is an Xform below the robot or the object, and a joint binds it to its parent. Properties
-that UsdPhysics does not define (self-collisions, gravity compensation, joint resistance) is written by the names of PhysX's schemas, which
-usd-core does not bring.
+MuJoCo's tree is flattened: every body is an Xform below the robot or the object, and a joint connects it to its parent.
+Properties that UsdPhysics does not define (self-collisions, gravity compensation, joint resistance) are written with
+the names of the PhysX schemas, which usd-core does not contain.
 """
 
 from collections.abc import Collection, Mapping
@@ -20,14 +20,14 @@ from aomgen.io.mujoco_model import LEAST_MASS
 from aomgen.simulation.scene import Scene
 
 ROBOT, OBJECT, PHYSICS_SCENE = "/World/Robot", "/World/Object", "/World/PhysicsScene"
-DEGREES: Final = 180 / np.pi  # USD counts angles in degrees
-# Smallest principal inertia that USD's validator accepts, [kg m^2].
+DEGREES: Final = 180 / np.pi  # USD uses degrees
+# Smallest principal inertia accepted by USD's validator, [kg m^2].
 LEAST_INERTIA: Final = 1e-7
 
 
 @dataclass(frozen=True, slots=True)
 class Drive:
-    """A joint's position servo: stiffness and damping [N m/rad, N m s/rad; N/m, N s/m], largest torque or force."""
+    """Position servo of a joint: stiffness and damping [N m/rad, N m s/rad; N/m, N s/m], largest torque or force."""
 
     stiffness: float
     damping: float
@@ -38,8 +38,8 @@ def add_physics(stage: Any, scene: Scene, bodies: Mapping[int, str]) -> dict[int
     """Write the physics of a scene onto the prims of its bodies.
 
     Args:
-        stage: Holds an Xform for every body.
-        scene: Compiled, the object at its pose.
+        stage: USD stage with an Xform for every body.
+        scene: Compiled scene with the object at its pose.
         bodies: Prim path of each body (id) except the world.
 
     Returns:
@@ -72,10 +72,10 @@ def add_physics(stage: Any, scene: Scene, bodies: Mapping[int, str]) -> dict[int
 
 
 def find_drives(scene: Scene) -> dict[int, Drive]:
-    """Position servos by joint (id): of the arm, of what closes the gripper, and springs of its links.
+    """Return the position servos of arm and gripper, and the springs of the gripper's links, by joint (id).
 
-    An actuator that pulls a tendon drives every joint of the tendon by the joint's coefficient. A joint that is coupled
-    to a driven one, as a gripper's second finger may be, has the same drive.
+    An actuator of a tendon drives every joint of the tendon, scaled by the joint's coefficient. A joint that is coupled
+    to a driven one, for example that of a gripper's second finger, has the same drive.
     """
     model, arm = scene.model, scene.arm
     drives = {}
@@ -101,7 +101,7 @@ def find_drives(scene: Scene) -> dict[int, Drive]:
 
 
 def actuated_joints(model: mujoco.MjModel, actuator: int) -> dict[int, float]:
-    """Joints (id) that an actuator moves, with their share of its length."""
+    """Return the joints (id) that an actuator moves, with the coefficients of its length."""
     target = int(model.actuator_trnid[actuator, 0])
     if model.actuator_trntype[actuator] != mujoco.mjtTrn.mjTRN_TENDON:
         return {target: 1.0}
@@ -111,7 +111,7 @@ def actuated_joints(model: mujoco.MjModel, actuator: int) -> dict[int, float]:
 
 
 def coupled_joints(model: mujoco.MjModel, driven: Collection[int]) -> dict[int, tuple[int, float, float]]:
-    """Joints (id) that equalities couple to driven ones: leader, offset and ratio of the values from the described pose."""
+    """Return leader, offset and ratio of each joint (id) that an equality couples to a driven joint."""
     found = {}
     for number in np.flatnonzero(model.eq_type == mujoco.mjtEq.mjEQ_JOINT):
         follower, leader = int(model.eq_obj1id[number]), int(model.eq_obj2id[number])
@@ -128,7 +128,7 @@ def _add_body(prim: Any, model: mujoco.MjModel, body: int) -> None:
 
     UsdPhysics.RigidBodyAPI.Apply(prim)
     mass = UsdPhysics.MassAPI.Apply(prim)
-    # A mass of zero means "unknown" to USD, and MuJoCo's models have links without mass.
+    # Zero mass means "unknown" in USD, but MuJoCo models contain links without mass.
     mass.CreateMassAttr(max(float(model.body_mass[body]), LEAST_MASS))
     mass.CreateCenterOfMassAttr(_vec3f(model.body_ipos[body]))
     mass.CreateDiagonalInertiaAttr(_vec3f(np.maximum(model.body_inertia[body], LEAST_INERTIA)))
@@ -141,7 +141,7 @@ def _add_body(prim: Any, model: mujoco.MjModel, body: int) -> None:
 def _bind_to_parent(
     stage: Any, model: mujoco.MjModel, body: int, bodies: Mapping[int, str], group: str
 ) -> dict[int, str]:
-    """Define the joint of a body; angles and limits count from the pose in which MuJoCo's model was described."""
+    """Define the joint of a body; its values are relative to the pose in the description of the MuJoCo model."""
     from pxr import UsdPhysics
 
     path, parent = bodies[body], bodies.get(int(model.body_parentid[body]), "")
@@ -180,7 +180,7 @@ def _bind_to_parent(
 
 
 def _close_loops(stage: Any, model: mujoco.MjModel, bodies: Mapping[int, str]) -> None:
-    """Points of two links that coincide, as in a gripper's linkage, become ball joints outside of the articulation."""
+    """Write coincident points of two links, as in a gripper's linkage, as ball joints outside the articulation."""
     from pxr import UsdPhysics
 
     for number in np.flatnonzero(model.eq_type == mujoco.mjtEq.mjEQ_CONNECT):
@@ -201,7 +201,7 @@ def _close_loops(stage: Any, model: mujoco.MjModel, bodies: Mapping[int, str]) -
 
 
 def _set_frames(item: Any, sides: Any) -> None:
-    """Write bodies and frames (position, quaternion wxyz) of both sides; a body without prim is the world."""
+    """Write bodies and frames (position, quaternion wxyz) of both sides of a joint; no prim means the world."""
     from pxr import Gf
 
     creators = (
@@ -218,7 +218,7 @@ def _set_frames(item: Any, sides: Any) -> None:
 
 
 def _add_drive(prim: Any, model: mujoco.MjModel, joint: int, drive: Drive) -> None:
-    """A drive whose target is where the joint's spring rests, until a motion sets another."""
+    """Add a drive whose initial target is the rest position of the joint's spring."""
     from pxr import UsdPhysics
 
     slides = model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_SLIDE
@@ -235,7 +235,7 @@ def _add_drive(prim: Any, model: mujoco.MjModel, joint: int, drive: Drive) -> No
 
 
 def drive_axis(prim: Any) -> str:
-    """Name of the drive of a revolute or prismatic joint."""
+    """Return the name of the drive of a revolute or prismatic joint."""
     from pxr import UsdPhysics
 
     return "linear" if prim.IsA(UsdPhysics.PrismaticJoint) else "angular"

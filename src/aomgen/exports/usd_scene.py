@@ -1,8 +1,8 @@
-"""A twin and a motion as one OpenUSD scene: Gaussians by body, an articulation of robot and object, cameras.
+"""Export of a twin and a motion as one OpenUSD scene: Gaussians by body, articulations of robot and object, cameras.
 
-Every body is an Xform that carries its Gaussians and its colliders, so that physics and animation move both. The
-variant set "motion" of the default prim holds two versions: "demonstration" plays the motion by time samples, its
-bodies being kinematic, and "physics" lets a simulator move the bodies from the first frame on.
+Every body is an Xform with its Gaussians and colliders, so that physics and animation move both. The variant set
+"motion" of the default prim has two variants: "demonstration" plays the motion as time samples of kinematic bodies, and
+in "physics" a simulator moves the bodies from the first frame on.
 """
 
 from collections.abc import Iterator, Mapping
@@ -34,19 +34,18 @@ from aomgen.twin.twin import WORLD as WORLD_BODY
 
 WORLD, BACKGROUND, CAMERAS = "/World", "/World/Background", "/World/Cameras"
 VARIANTS, DEMONSTRATION, PHYSICS = "motion", "demonstration", "physics"
-# Horizontal aperture of all cameras, 36 mm, in tenths of the scene's unit as USD has it; only its ratio to the focal length
-# matters.
+# Horizontal aperture of all cameras, 36 mm, in tenths of the scene unit; only its ratio to the focal length matters.
 APERTURE: Final = 0.36
-# A wrist camera sees the fingers from a few centimeters, [m].
+# Near and far clipping distance, [m]; a wrist camera is a few centimeters from the fingers.
 CLIPPING_M: Final = (0.01, 100.0)
-# USD's cameras look along -z with y up, ours along z with y down.
+# USD cameras have -z forward and y up, OpenCV cameras z forward and y down.
 FLIP: Final = np.diag([1.0, -1.0, -1.0, 1.0])
 
 
 def write_usd_scene(results: Results, motion: SceneMotion, path: Path) -> None:
-    """Write a motion's scene as one .usda, .usdc or .usdz: metres, Z up, a time code for every frame.
+    """Write the scene of a motion as one .usda, .usdc or .usdz: meters, Z up, one time code per frame.
 
-    Colors are those of the first frame; shadows that the twin casts while it moves are not in the file.
+    Colors are those of the first frame; shadows of moving bodies are not exported.
 
     Raises:
         StorageError: Writing to the disk failed.
@@ -103,26 +102,26 @@ def _add_bodies(stage: Any, path: Path, motion: SceneMotion) -> dict[str, str]:
 
 
 def _rigid_bodies(scene: Scene, prims: Mapping[str, str]) -> dict[int, str]:
-    """Prims of the simulated bodies by their number in the model."""
+    """Return the prims of the simulated bodies by their id in the model."""
     names = {name: name for name in scene.robot.body_names}
     names |= {scene.names.static_body: "object", scene.names.moving_body: "part"}
     return {scene.model.body(body).id: prims[name] for body, name in names.items()}
 
 
 def _animate(stage: Any, motion: SceneMotion, prims: Mapping[str, str], frames: range | None) -> None:
-    """Set the poses of all bodies: at every frame, or those of the first frame alone."""
+    """Set the poses of all bodies at every frame, or only those of the first frame."""
     for number, name in enumerate(motion.twin.body_names):
         if name != WORLD_BODY:
             _place(stage.GetPrimAtPath(prims[name]), motion.Ts_world_body[:, number], frames)
 
 
 def _place(prim: Any, Ts_world: Array, frames: range | None) -> None:
-    """Set the poses (T, 4, 4) of a prim whose operations are a translation and an orientation; by default the first."""
+    """Set the poses (T, 4, 4) of a prim as translations and orientations; the first pose is the default."""
     from pxr import Gf, Usd, UsdGeom
 
     translate, orient = UsdGeom.Xformable(prim).GetOrderedXformOps()
     quats = quat_from_matrix(Ts_world[:, :3, :3])
-    # Neighbouring quaternions of one sign are interpolated along the shorter arc.
+    # With continuous signs, neighboring quaternions are interpolated along the shorter arc.
     flips = np.cumprod(np.append(1.0, np.where((quats[1:] * quats[:-1]).sum(1) < 0, -1.0, 1.0)))
     for time in (Usd.TimeCode.Default(), *map(Usd.TimeCode, frames or ())):
         frame = 0 if time.IsDefault() else int(time.GetValue())
@@ -131,7 +130,7 @@ def _place(prim: Any, Ts_world: Array, frames: range | None) -> None:
 
 
 def _make_kinematic(stage: Any) -> None:
-    """Let the time samples move the bodies: no articulation, no joints, kinematic bodies."""
+    """Deactivate articulations and joints and make the bodies kinematic, so that time samples move them."""
     from pxr import Usd, UsdPhysics
 
     for group in (ROBOT, OBJECT):
@@ -145,7 +144,7 @@ def _make_kinematic(stage: Any) -> None:
 
 
 def _command(stage: Any, motion: SceneMotion, scene: Scene, joints: Mapping[int, str]) -> None:
-    """Write the commanded joint values as time samples of the drives' targets, with their velocities."""
+    """Write the commanded joint values and velocities as time samples of the drives' targets."""
     from pxr import UsdPhysics
 
     for joint, values in _commanded_joints(motion, scene):
@@ -163,7 +162,7 @@ def _command(stage: Any, motion: SceneMotion, scene: Scene, joints: Mapping[int,
 
 
 def _commanded_joints(motion: SceneMotion, scene: Scene) -> Iterator[tuple[int, Array]]:
-    """Commanded values (T + 1,) of every joint (id) that an actuator drives, from the pose of the description."""
+    """Yield the commanded values (T + 1,) of every actuated joint (id), relative to the pose of the description."""
     model, gripper = scene.model, scene.gripper
     for row, name in enumerate(scene.robot.joint_names):
         joint = model.joint(name)
@@ -193,13 +192,13 @@ def _add_cameras(stage: Any, cameras: Mapping[str, Camera], motion: SceneMotion)
 
 
 def _add_camera(stage: Any, path: str, camera: Camera) -> Any:
-    """Define a pinhole camera with a translation and an orientation that are still to be set."""
+    """Define a pinhole camera, whose translation and orientation are set later."""
     from pxr import Gf, UsdGeom
 
     item = UsdGeom.Camera.Define(stage, path)
     unit = APERTURE / camera.width
     focal = camera.fx * unit
-    # USD has one focal length: different ones along x and y become another vertical aperture.
+    # USD has one focal length; the vertical aperture represents different values along x and y.
     item.CreateFocalLengthAttr(focal)
     item.CreateHorizontalApertureAttr(APERTURE)
     item.CreateVerticalApertureAttr(camera.height / camera.fy * focal)

@@ -1,4 +1,4 @@
-"""Names of cameras, made from topics and features, and the choice among the videos of an episode."""
+"""Camera names derived from topics and features, and selection of the videos of an episode."""
 
 import re
 from collections.abc import Sequence
@@ -10,17 +10,17 @@ from aomgen.errors import ConfigError, IncompleteCaptureError, UnknownNameError
 from aomgen.importers.recorded import RecordedVideo
 from aomgen.importers.video_writing import copy_file
 
-# Parts of topics and features that name the kind of message and not the camera.
+# Components of topics and features that name the message type and not the camera.
 _GENERIC: Final = re.compile(
     r"^(observation|observations|images?|image_raw|image_color|image_rect|image_rect_color|raw|rgb|color|compressed|"
     r"video|h264|camera)$"
 )
-# Cameras with such names move with the arm; a capture needs fixed ones.
+# Cameras with these names move with the arm; a capture needs fixed cameras.
 _MOVING: Final = re.compile(r"wrist|hand|gripper|eef|end_effector", re.IGNORECASE)
 
 
 def make_camera_name(source: str) -> str:
-    """Name of a camera from a topic or a feature.
+    """Derive the name of a camera from a topic or a feature.
 
     Example:
         >>> make_camera_name("/front/color/image_raw/compressed"), make_camera_name("observation.images.top")
@@ -33,17 +33,17 @@ def make_camera_name(source: str) -> str:
 def choose_videos(
     videos: Sequence[RecordedVideo], stated: Sequence[str], where: object
 ) -> list[RecordedVideo]:
-    """The videos that become cameras of the capture.
+    """Choose the videos that become cameras of the capture.
 
     Args:
-        stated: Entries `NAME` or `NAME=SOURCE`; a source is a topic, a feature or a video file. Empty takes every
-            video of a camera that does not move with the arm.
+        stated: Entries `NAME` or `NAME=SOURCE`; a source is a topic, a feature or a video file. If empty, all videos of
+            cameras that do not move with the arm are chosen.
         where: The recording, for messages.
 
     Raises:
         IncompleteCaptureError: There is no video.
-        ConfigError: An entry that names a camera twice, or all cameras move with the arm.
-        UnknownNameError: An entry names no video; those that exist are listed.
+        ConfigError: An entry names a camera twice, or all cameras move with the arm.
+        UnknownNameError: An entry names an unknown video; the error lists the known ones.
     """
     if stated:
         chosen = [_find_stated(videos, entry) for entry in stated]

@@ -1,4 +1,4 @@
-"""The tables of `capture.toml` that a demonstration determines: a new file, or the demo tables of an existing one."""
+"""Tables of `capture.toml` that follow from a demonstration: a new file, or the demo tables of an existing file."""
 
 import re
 import tomllib
@@ -45,7 +45,7 @@ scan_state = "first_row"              # TODO: the joint values during the scan, 
 
 
 class _RobotTable(BaseModel):
-    """The part of a `capture.toml` that an import reads; the file may still lack all other parts."""
+    """The part of a `capture.toml` that an import reads; all other parts may be missing."""
 
     model_config = ConfigDict(extra="ignore", frozen=True)
 
@@ -54,13 +54,13 @@ class _RobotTable(BaseModel):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DemoTables:
-    """Facts about the demonstration that an import determines.
+    """Facts about the demonstration that an import finds.
 
     Attributes:
         cameras: Names of the cameras; each has the video `demo/NAME.mp4`.
-        clock_offset_s: Time of the first frame on the clock of the log by the stamps of the recording, [s]; None where
-            it is unknown. The latency of the camera is not part of it, so it becomes a comment.
-        robot_model: Robot known by name, or URDF or MJCF file in the capture, of a capture.toml without a table [robot].
+        clock_offset_s: Time of the first frame on the clock of the log according to the recording's time stamps, [s];
+            None if it is unknown. It does not include the latency of the camera, so it is written as a comment.
+        robot_model: Name of a known robot, or URDF or MJCF file in the capture; used if there is no table [robot].
         joints: Names of the robot's joints.
         instruction: Language instruction, or "".
         gripper: Column of the gripper.
@@ -77,7 +77,7 @@ class DemoTables:
 
 
 def read_robot_table(path: Path) -> RobotSection | None:
-    """The table [robot] of a capture.toml; None where it has none.
+    """Return the table [robot] of a capture.toml; None if there is none.
 
     Raises:
         MalformedFileError, LimitExceededError: See `io.schema.read_toml`.
@@ -86,7 +86,7 @@ def read_robot_table(path: Path) -> RobotSection | None:
 
 
 def write_new_capture(name: str, tables: DemoTables) -> str:
-    """Text of a capture.toml with what is known, and comments that begin with TODO for the rest."""
+    """Return the text of a capture.toml with the known values, and with TODO comments for the others."""
     known = "language instruction of the demonstration"
     return SKELETON.format(
         name=format_toml_value(name),
@@ -100,12 +100,12 @@ def write_new_capture(name: str, tables: DemoTables) -> str:
 
 
 def replace_demo_tables(path: Path, tables: DemoTables) -> str:
-    """Text of an existing capture.toml with other demo tables; all other bytes stay.
+    """Return the text of an existing capture.toml with other demo tables; all other bytes are kept.
 
     Cameras that keep their names keep their intrinsics and comments.
 
     Raises:
-        MalformedFileError: Its demo tables are written in a form that cannot be replaced.
+        MalformedFileError: The demo tables have a form that cannot be replaced.
     """
     text = read_manifest_text(path)
     blocks = split_tables(text)
@@ -140,7 +140,7 @@ def _is_demo(header: str) -> bool:
 
 
 def _read_camera(path: Path, block: str) -> dict[str, str]:
-    """Text of a table of a camera by the camera's name."""
+    """Return the text of a camera's table, by the name of the camera."""
     try:
         (camera,) = tomllib.loads(block)["demo"]["cameras"]
         return {str(camera["name"]): block.strip() + "\n"}

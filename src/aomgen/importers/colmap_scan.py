@@ -8,12 +8,12 @@ from aomgen.io.colmap_binary import read_cameras_bin, read_images_bin
 from aomgen.io.colmap_text import read_cameras_txt, read_images_txt
 from aomgen.io.paths import resolve_inside
 
-# Folders below the source that hold a model, in the order of preference.
+# Folders in the source that may contain a model, in the order of preference.
 MODEL_FOLDERS = ("", "sparse/0", "sparse", "colmap/sparse/0")
 
 
 def find_model(source: Path) -> Path | None:
-    """Return the folder of the model in a source, None where there is none."""
+    """Return the folder of the model in a source; None if there is none."""
     for name in MODEL_FOLDERS:
         for suffix in ("bin", "txt"):
             if all((source / name / f"{kind}.{suffix}").is_file() for kind in ("cameras", "images")):
@@ -22,7 +22,7 @@ def find_model(source: Path) -> Path | None:
 
 
 def read_colmap_scan(source: Path) -> ScanSource:
-    """Read the registered images of a COLMAP model; its points are triangulated again later.
+    """Read the registered images of a COLMAP model; its points are ignored, because they are triangulated again later.
 
     Raises:
         MissingFileError: There is no model, or an image is missing.
@@ -53,8 +53,8 @@ def read_colmap_scan(source: Path) -> ScanSource:
 
 
 def _find_images(source: Path, model: Path, first: str) -> Path:
-    """Return the folder that image names start from: that of the first image, else `images`."""
-    # A model in sparse/0 has its images beside sparse.
+    """Return the folder that image names are relative to: the one that contains the first image, else `images`."""
+    # For a model in sparse/0, the images are next to sparse.
     roots = dict.fromkeys([source, model, model.resolve().parent, model.resolve().parent.parent])
     folders = [folder for root in roots for folder in (root / "images", root)]
     found = [folder for folder in folders if (folder / first).is_file()]

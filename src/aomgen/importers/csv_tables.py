@@ -1,4 +1,4 @@
-"""Episodes in tables of text: CSV files of any layout, and recordings of Universal Robots' RTDE."""
+"""Episodes in text tables: CSV files of any layout, and RTDE recordings of Universal Robots."""
 
 from pathlib import Path
 from typing import Final
@@ -11,27 +11,27 @@ from aomgen.core.values import Array
 from aomgen.errors import IncompleteCaptureError, MalformedFileError
 from aomgen.importers.recorded import JointTable, RecordedEpisode
 
-# Measured joint angles in a recording of RTDE, in the order of the arm from base to flange, [rad].
+# Measured joint angles in an RTDE recording, from base to flange, [rad].
 RTDE_COLUMNS: Final = tuple(f"actual_q_{number}" for number in range(6))
-# Names that the ROS driver and the models of every Universal Robots arm give these joints.
+# Names of these joints in the ROS driver and the models of all Universal Robots arms.
 UR_JOINTS: Final = (
     "shoulder_pan_joint", "shoulder_lift_joint", "elbow_joint", "wrist_1_joint", "wrist_2_joint", "wrist_3_joint",
 )  # fmt: skip
 
 
 def read_episode(path: Path) -> RecordedEpisode:
-    """Read every numeric column of a table; columns of text are left out.
+    """Read all numeric columns of a table; text columns are ignored.
 
     Raises:
-        MissingFileError, LimitExceededError, MalformedFileError: See `capture.log_table.read_log_table`; or no
-            column of times or of numbers.
-        IncompleteCaptureError: No rows.
+        MissingFileError, LimitExceededError, MalformedFileError: See `capture.log_table.read_log_table`; or the table
+            has no column of times or of numbers.
+        IncompleteCaptureError: The table has no rows.
     """
     table = read_log_table(path, ())
     if not table.rows:
         raise IncompleteCaptureError(path, "has no rows", "export the log again")
     name, _ = find_time_column(table.header)
-    # A column that is named twice would be ambiguous.
+    # A column name that occurs twice is ambiguous.
     once = [column for column in table.header if column and table.header.count(column) == 1]
     numeric = [column for column in once if column != name and _is_number(table, column)]
     times, notes = read_times(table, numeric)
@@ -50,7 +50,7 @@ def read_episode(path: Path) -> RecordedEpisode:
 
 
 def _is_number(table: LogTable, column: str) -> bool:
-    """Return whether the first row has a number in a column; later rows without one are refused by name."""
+    """Return whether a column is numeric in the first row; later rows without a number are refused by name."""
     at = table.header.index(column)
     try:
         read_number(table.rows[0][at])

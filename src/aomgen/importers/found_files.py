@@ -1,4 +1,4 @@
-"""The files of a capture that has no capture.toml yet, what they contain about the robot, and a first capture.toml."""
+"""Files of a capture without capture.toml, the robot recognized from them, and a first capture.toml."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -19,15 +19,15 @@ SCAN_VIDEO: Final = "scan.mp4"
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FoundFiles:
-    """Files of a capture, and what was recognised.
+    """Files of a capture, and the recognized robot.
 
     Attributes:
-        scan: Folder of images or video, as capture.toml names it.
+        scan: Folder of images or video, as named in capture.toml.
         cameras: Names of the videos `demo/NAME.mp4`.
-        columns: Columns of numbers of the log, without the times.
-        robot: Known robot whose joints are columns; "" where there is none.
-        joints: Its joints; empty likewise.
-        gripper: Column of the gripper; "" where none or several have such a name.
+        columns: Numeric columns of the log, without the times.
+        robot: Known robot whose joint names are columns; "" if there is none.
+        joints: Joints of this robot; empty if there is none.
+        gripper: Column of the gripper; "" if no column or several columns have such a name.
     """
 
     scan: str
@@ -39,10 +39,10 @@ class FoundFiles:
 
 
 def find_capture_files(capture: Path) -> FoundFiles:
-    """Find scan, videos and log of a capture in their usual places.
+    """Find scan, videos and log of a capture at their usual paths.
 
     Raises:
-        MissingFileError: One is not there; the sentence names the import that makes it.
+        MissingFileError: One of them is missing; the message names the import that creates it.
         InputError: The log cannot be read.
     """
     scan = next((name for name in ("scan", SCAN_VIDEO) if (capture / name).exists()), "")
@@ -76,10 +76,10 @@ def find_capture_files(capture: Path) -> FoundFiles:
 def describe_capture(
     capture: Path, found: FoundFiles, robot: str, joints: Sequence[str], gripper: str
 ) -> Path:
-    """Write a capture.toml; category and instruction are left to be stated.
+    """Write a capture.toml; category and instruction are not filled in.
 
     Args:
-        robot: Known name, or URDF or MJCF file in the capture.
+        robot: Name of a known robot, or URDF or MJCF file in the capture.
         joints: Columns of the robot's joints, from base to flange.
         gripper: Column of the gripper.
 

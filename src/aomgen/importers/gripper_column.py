@@ -11,14 +11,14 @@ from aomgen.core.values import Array
 from aomgen.errors import ConfigError, MalformedFileError, UnitsError, UnknownNameError
 from aomgen.importers.recorded import JointTable
 
-# Names of columns that measure a gripper.
+# Column names of gripper measurements.
 _GRIPPER: Final = re.compile(r"gripper|finger|knuckle|driver_joint", re.IGNORECASE)
-# Names of joints that turn by an angle which is not 0 .. 1.
+# Names of joints whose value is an angle, not 0 .. 1.
 _ANGLE: Final = re.compile(r"finger|knuckle|driver", re.IGNORECASE)
-# Largest values of per cent and of counts of one byte, with the overshoot of drivers.
+# Largest values of percentages and of one-byte counts, with the overshoot of drivers.
 MAX_PERCENT, MAX_COUNT = 102.0, 260.0
-# Largest value of a column that is 0 with the gripper open, from and to, and its value with the gripper closed. Between
-# 1 and 90 the column may be per cent, counts or millimetres.
+# For columns that are 0 if the gripper is open: lower and upper bound of the largest value, and the value of the closed
+# gripper. Between 1 and 90 the unit may be per cent, counts or millimeters.
 _TOPS: Final = (
     (MAX_OPENING_M, 1.0 + STROKE_SLACK, 1.0),
     (90.0, MAX_PERCENT, 100.0),
@@ -33,14 +33,14 @@ def find_gripper(
     """Find the column of the gripper, first in the table of the arm, then in the others.
 
     Args:
-        taken: Columns that hold joints of the arm.
-        stated: Name of the column; empty to recognise it by its name.
+        taken: Columns that contain joints of the arm.
+        stated: Name of the column; if empty, it is recognized by its name.
         where: The source, for messages.
 
     Raises:
         UnknownNameError: No table has the stated column.
-        MalformedFileError: No column reads as a gripper.
-        ConfigError: Several columns do.
+        MalformedFileError: No column is recognized as the gripper.
+        ConfigError: Several columns are recognized.
     """
     ordered = [arm, *(table for table in tables if table is not arm)]
     free = [
@@ -74,14 +74,14 @@ def find_gripper(
 def read_share(
     values: Array, column: str, opened: float | None, closed: float | None, where: object
 ) -> tuple[Array, str]:
-    """Gripper values as shares of the stroke.
+    """Convert gripper values to shares of the stroke.
 
-    A unit is recognised where the values, and the open gripper that a demonstration starts with, leave no other
-    one: 0 .. 1, and counts of 0 .. 255, both with 0 open.
+    A unit is recognized if the values and the initially open gripper of a demonstration exclude all others. These are
+    0 .. 1, and counts of 0 .. 255, both with 0 for open.
 
     Args:
         values: (T,), in the unit of the recording.
-        opened, closed: Values with the gripper open and closed, where they are known.
+        opened, closed: Values of the open and the closed gripper, if they are known.
         where: The source, for messages.
 
     Returns:
@@ -89,7 +89,7 @@ def read_share(
 
     Raises:
         UnitsError: The unit or the direction is ambiguous, or values are outside the stated range.
-        ConfigError: The values of open and closed are equal, or only the closed one is known.
+        ConfigError: The values for open and closed are equal, or only the closed one is known.
     """
     low, high = float(values.min()), float(values.max())
     spans = f"'{column}' starts at {values[0]:.4g} and spans {low:.4g} to {high:.4g}"
@@ -139,7 +139,7 @@ def _recognise(values: Array, column: str, spans: str, where: object) -> tuple[f
 
 
 def _find_closed(opened: float, high: float, column: str, spans: str, where: object) -> float:
-    """The value of the closed gripper that follows from that of the open one and the largest value."""
+    """Return the value of the closed gripper, derived from the value of the open gripper and the largest value."""
     if opened > 0:
         return 0.0  # the width of the opening, or a reversed share
     for least, most, top in _TOPS:

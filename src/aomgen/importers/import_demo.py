@@ -1,4 +1,4 @@
-"""Importing one recorded episode as the demonstration of a capture."""
+"""Import of one recorded episode as the demonstration of a capture."""
 
 import csv
 import io
@@ -31,23 +31,23 @@ from aomgen.io.atomic import stage_folder, write_text
 from aomgen.robots.description import find_known_description, read_description
 from aomgen.robots.loading import load_robot
 
-# The robot of a capture that does not name one.
+# Robot of a capture that does not state one.
 DEFAULT_ROBOT: Final = "ur5e_2f85"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ImportOptions:
-    """Statements of a person about a recording; empty or None where the value is recognised.
+    """User's statements about a recording; empty or None if the value is to be recognized.
 
     Attributes:
-        robot: Robot known by name, of a capture that names none.
+        robot: Name of a known robot, for a capture that does not state one.
         unit: Unit of the joints: "rad", "deg" or "normalized".
-        gripper_open, gripper_closed: Values of the gripper's column.
-        gripper_column: Name of that column.
+        gripper_open, gripper_closed: Values of the gripper's column for the open and the closed gripper.
+        gripper_column: Name of this column.
         joint_map: Entries `JOINT=COLUMN` or `PREFIX*`.
         topic: Topic of the joint states.
         cameras: Entries `NAME` or `NAME=SOURCE`.
-        replace: Replace a demonstration that the capture has already.
+        replace: Whether an existing demonstration of the capture is replaced.
     """
 
     robot: str = ""
@@ -64,19 +64,19 @@ class ImportOptions:
 def import_demo(
     source: Path, capture: Path, episode: int = 0, options: ImportOptions = ImportOptions()
 ) -> tuple[str, ...]:
-    """Write `demo/` and the demo tables of `capture.toml`; nothing of it when anything fails.
+    """Write `demo/` and the demo tables of `capture.toml`; after an error, nothing is written.
 
     Args:
-        source: A LeRobot dataset, a bag, an MCAP file or a table of text.
-        capture: Folder of the capture; created where it is missing.
+        source: A LeRobot dataset, a bag, an MCAP file or a text table.
+        capture: Folder of the capture, which is created if it does not exist.
         episode: Number of the episode, from 0.
 
     Returns:
         Sentences about what was recognised, assumed or skipped.
 
     Raises:
-        ConfigError: An option is wrong or missing, or the capture has a demonstration already.
-        InputError: The source is damaged, incomplete, or in units that cannot be recognised.
+        ConfigError: An option is wrong or missing, or the capture already has a demonstration.
+        InputError: The source is damaged or incomplete, or its units cannot be recognized.
         BackendError: The library of the format is not installed.
         StorageError: The capture cannot be written.
     """
@@ -129,7 +129,7 @@ def import_demo(
 
 
 def _list_joints(robot: RobotSection | None, options: ImportOptions) -> list[str]:
-    """Names of the joints that the capture's log needs."""
+    """Return the names of the joints that the log of the capture needs."""
     if robot is not None:
         return list(robot.joints)
     return list(read_description(find_known_description(options.robot or DEFAULT_ROBOT)).joints)
@@ -143,7 +143,7 @@ def _write_log(
     capture: Path,
     source: Path,
 ) -> tuple[str, list[str]]:
-    """Text of joints.csv, on the clock of the recording, and sentences about units and columns."""
+    """Return the text of joints.csv, on the clock of the recording, and sentences about units and columns."""
     mapped = parse_joint_map(options.joint_map, names)
     arm, columns = choose_table(recorded.tables, names, mapped, options.topic, source)
     holder, column = find_gripper(recorded.tables, arm, columns, options.gripper_column, source)
@@ -181,7 +181,7 @@ def _check_finite(table: JointTable, column: str, source: Path) -> None:
 
 
 def _read_limits(robot: RobotSection | None, options: ImportOptions, capture: Path) -> Array:
-    """Limits (J, 2) of the robot's joints, [rad]."""
+    """Read the limits (J, 2) of the robot's joints, [rad]."""
     if robot is None:
         return load_robot(options.robot or DEFAULT_ROBOT).joint_limits
     file = robot.urdf or robot.mjcf
@@ -191,7 +191,7 @@ def _read_limits(robot: RobotSection | None, options: ImportOptions, capture: Pa
 def _write_videos(
     videos: Sequence[RecordedVideo], folder: Path, source: Path
 ) -> tuple[float | None, dict[str, float], list[str]]:
-    """Write all videos; time of the first one's first frame, lengths by camera, [s], and notes."""
+    """Write all videos; return the time of the first frame of the first one, lengths by camera, [s], and notes."""
     start_s: float | None = None
     lengths: dict[str, float] = {}
     notes: list[str] = []
@@ -207,10 +207,10 @@ def _write_videos(
 def _check_log(
     path: Path, names: Sequence[str], robot: RobotSection | None, lengths: dict[str, float], source: Path
 ) -> list[str]:
-    """Read the written log as a run does, and compare it with the videos.
+    """Read the written log in the same way as a run, and compare it with the videos.
 
     Raises:
-        InputError: The log cannot be one, in words that name the source.
+        InputError: The log is invalid; the message names the source.
     """
     gripper, stated = ("gripper", ()) if robot is None else (robot.gripper, tuple(robot.gripper_range or ()))
     with _name_source(source, path):
@@ -221,7 +221,7 @@ def _check_log(
 
 @contextmanager
 def _name_source(source: object, staged: Path) -> Iterator[None]:
-    """Errors about what is being written name the source instead.
+    """Replace the staged file by the source in all errors of the block.
 
     Raises:
         InputError: The block raised it, or the video library failed.

@@ -1,4 +1,4 @@
-"""The columns of a recording that hold the joints of the robot, and their conversion to radians."""
+"""Columns of a recording that contain the joints of the robot, and their conversion to radians."""
 
 import re
 from collections.abc import Callable, Mapping, Sequence
@@ -20,18 +20,18 @@ from aomgen.importers.recorded import JointTable
 
 Unit = Literal["rad", "deg", "normalized"]
 UNITS: Final[tuple[Unit, ...]] = get_args(Unit)
-# Joints of LeRobot's calibrated arms are -100 .. 100 over their range; drivers overshoot by some per cent.
+# Joints of LeRobot's calibrated arms are -100 .. 100 over their range; drivers overshoot by a few per cent.
 MAX_NORMALIZED: Final = 102.0
-# Degrees of a joint that turns by up to a whole turn; the same slack as for radians.
+# Largest angle of a joint that turns by up to one revolution, [deg]; with the same tolerance as in radians.
 MAX_ANGLE_DEG: Final = float(np.degrees(MAX_ANGLE_RAD))
-# Units that stand at the end of a column's name: `elbow [deg]`, `elbow_rad`, `q1 (degrees)`.
+# Units at the end of a column name: `elbow [deg]`, `elbow_rad`, `q1 (degrees)`.
 _UNIT_SUFFIX: Final = re.compile(r"[ _.]*[\[( _](deg|degs|degree|degrees|°|rad|rads|radian|radians)[\])]?$")
 # Suffixes that programs append to the name of a joint.
 _POSITION_SUFFIX: Final = re.compile(r"[ _./](pos|position|positions|joint|q|angle)$")
 
 
 def read_column_unit(column: str) -> str:
-    """Unit that a column's name states: "rad", "deg", or "" without one.
+    """Return the unit in a column name: "rad", "deg", or "" if there is none.
 
     Example:
         >>> read_column_unit("elbow [deg]"), read_column_unit("elbow_joint")
@@ -42,7 +42,7 @@ def read_column_unit(column: str) -> str:
 
 
 def _make_key(name: str) -> str:
-    """A name without case, unit and suffix, so that `Elbow.pos` and `elbow_joint [deg]` are equal."""
+    """Return a name without case, unit and suffix, so that `Elbow.pos` and `elbow_joint [deg]` are equal."""
     key = _UNIT_SUFFIX.sub("", name.strip().lower())
     while (shorter := _POSITION_SUFFIX.sub("", key)) != key:
         key = shorter
@@ -50,7 +50,7 @@ def _make_key(name: str) -> str:
 
 
 def find_columns(joint: str, columns: Sequence[str]) -> list[str]:
-    """Columns that may hold a joint: those of its name, or else those whose names end with it.
+    """Return the columns that may contain a joint: those with its name, or else those whose names end with it.
 
     Example:
         >>> find_columns("elbow_joint", ["left_elbow_joint", "right_elbow_joint", "wrist_1_joint"])
@@ -66,10 +66,10 @@ def find_columns(joint: str, columns: Sequence[str]) -> list[str]:
 
 
 def parse_joint_map(entries: Sequence[str], joints: Sequence[str]) -> dict[str, str]:
-    """Column by joint from entries `JOINT=COLUMN`, several of them with commas between, or `PREFIX*`.
+    """Return the column of each joint from entries `JOINT=COLUMN`, several of them separated by commas, or `PREFIX*`.
 
     Raises:
-        ConfigError: An entry of another form.
+        ConfigError: An entry has another form.
         UnknownNameError: The robot has no such joint.
     """
     mapped: dict[str, str] = {}
@@ -91,12 +91,12 @@ def parse_joint_map(entries: Sequence[str], joints: Sequence[str]) -> dict[str, 
 def choose_table(
     tables: Sequence[JointTable], joints: Sequence[str], mapped: Mapping[str, str], topic: str, where: object
 ) -> tuple[JointTable, tuple[str, ...]]:
-    """Find the table that holds every joint of the robot.
+    """Find the table that contains all joints of the robot.
 
     Args:
         joints: Names of the robot's J joints.
-        mapped: Columns by joint that were stated.
-        topic: Name of the table; empty where none was stated.
+        mapped: Stated columns by joint.
+        topic: Stated name of the table, or empty.
         where: The source, for messages.
 
     Returns:
@@ -104,8 +104,8 @@ def choose_table(
 
     Raises:
         UnknownNameError: `topic` is not one of the tables.
-        ConfigError: Two tables, or two columns of one table, fit.
-        MalformedFileError: No table holds all joints; near names are suggested.
+        ConfigError: Two tables, or two columns of one table, match.
+        MalformedFileError: No table contains all joints; the message suggests similar names.
     """
     if not tables:
         raise MalformedFileError(where, "holds no joint states", "choose a recording with the robot's joints")
@@ -160,11 +160,11 @@ def _refuse_incomplete(
 def read_joints(
     table: JointTable, columns: Sequence[str], stated: str, read_limits: Callable[[], Array], where: object
 ) -> tuple[Array, str]:
-    """Joint angles of a table in radians.
+    """Convert the joint values of a table to radians.
 
     Args:
         columns: Columns of the J joints.
-        stated: Their unit, one of `UNITS`; empty to recognise it.
+        stated: Unit of the columns, one of `UNITS`; if empty, it is recognized.
         read_limits: Returns the limits (J, 2) of the robot's joints, [rad]; called for normalized joints only.
         where: The source, for messages.
 
@@ -172,7 +172,7 @@ def read_joints(
         Angles (T, J), [rad], and a sentence about the unit.
 
     Raises:
-        IncompleteCaptureError: No rows.
+        IncompleteCaptureError: The table has no rows.
         UnitsError: The unit cannot be determined, or the values contradict it.
     """
     values = np.column_stack([table.columns[column] for column in columns])
@@ -204,7 +204,7 @@ def _name_largest(values: Array, columns: Sequence[str]) -> str:
 
 
 def _recognise(table: JointTable, values: Array, columns: Sequence[str], where: object) -> tuple[str, str]:
-    """Unit of joint values, and its evidence.
+    """Return the unit of joint values, and the evidence for it.
 
     Raises:
         UnitsError: Degrees and normalized joints explain the values equally well.

@@ -32,15 +32,15 @@ from aomgen.io.images import decode_image
 from aomgen.io.paths import resolve_inside
 
 INFO_FILE: Final = "meta/info.json"
-# v2.0 has the layout of v2.1; only its statistics differ.
+# v2.0 has the layout of v2.1; only the statistics differ.
 OLD_VERSIONS: Final = ("v2.0", "v2.1")
 NEW_VERSION: Final = "v3.0"
 REMEDY: Final = "download or export the dataset again"
-# Measured state of the robot; columns of other features have the name of the feature in front.
+# Measured state of the robot; the columns of other features have the feature name as a prefix.
 STATE: Final = "observation.state"
-# Largest text file that describes a dataset; a million episodes take less, [bytes].
+# Largest text file of a dataset's metadata, enough for a million episodes, [bytes].
 MAX_BYTES: Final = 512 << 20
-# Fields of a path template: `{episode_index:06d}`. `str.format` would also read attributes.
+# Fields of a path template, for example `{episode_index:06d}`; `str.format` would also evaluate attributes.
 _FIELD: Final = re.compile(r"\{(\w+)(?::0(\d)d)?\}")
 
 
@@ -48,7 +48,7 @@ def read_episode(folder: Path, number: int) -> RecordedEpisode:
     """Read the joints of one episode; its videos are copied later.
 
     Raises:
-        ConfigError: No such episode; its number is compared with how many there are.
+        ConfigError: The episode does not exist; the message states the number of episodes.
         MissingFileError, MalformedFileError, LimitExceededError: A file is missing, damaged, or too large.
     """
     try:
@@ -103,11 +103,11 @@ def _read_table(path: Path, **options: Any) -> pa.Table:
 
 
 def _resolve(folder: Path, template: str, values: dict[str, Any]) -> Path:
-    """A path inside the dataset whose fields are filled in.
+    """Return a path inside the dataset after substitution of the template's fields.
 
     Raises:
         MissingFileError, UnsafePathError: See `resolve_inside`.
-        KeyError, ValueError: An unknown field, or a value that is no number.
+        KeyError, ValueError: A field is unknown, or a value is not a number.
     """
 
     def fill(field: re.Match[str]) -> str:
@@ -118,7 +118,7 @@ def _resolve(folder: Path, template: str, values: dict[str, Any]) -> Path:
 
 
 def _read_row_v3(folder: Path, number: int) -> dict[str, Any]:
-    """Row of an episode in the tables of episodes, without its statistics."""
+    """Return the row of an episode in the tables of episodes, without its statistics."""
     for path in sorted((folder / "meta" / "episodes").rglob("*.parquet")):
         wanted = [name for name in _read_names(path) if not name.startswith("stats/")]
         table = _read_table(path, columns=wanted)
@@ -145,7 +145,7 @@ def _read_row_v21(folder: Path, info: dict[str, Any], number: int) -> dict[str, 
 
 
 def _read_rows(path: Path, number: int) -> pa.Table:
-    """Rows of one episode, in the order of its frames."""
+    """Return the rows of one episode in the order of its frames."""
     table = _read_table(path)
     table = table.filter(pc.equal(table["episode_index"], number))
     if not len(table):
@@ -154,7 +154,7 @@ def _read_rows(path: Path, number: int) -> pa.Table:
 
 
 def _read_joints(table: pa.Table, features: dict[str, Any], path: Path) -> JointTable:
-    """Columns of all measured features that are numbers; `action` is what was commanded and is left out."""
+    """Return the columns of all numeric measured features; the commanded values in `action` are excluded."""
     columns: dict[str, Array] = {}
     for feature, described in features.items():
         if feature.startswith("observation.") and described["dtype"] in ("float32", "float64"):
@@ -168,7 +168,10 @@ def _read_joints(table: pa.Table, features: dict[str, Any], path: Path) -> Joint
 
 
 def _list_names(names: Any, count: int, feature: str) -> list[str]:
-    """Names of a feature's elements: a list, a list in a table (`{"motors": [...]}`) or in a list, or none."""
+    """Return the names of a feature's elements; numbered names if the dataset has none.
+
+    Datasets store names as a list, a list in a list, or a list in a table (`{"motors": [...]}`).
+    """
     if isinstance(names, dict):
         names = next(iter(names.values()), None)
     elif isinstance(names, list) and len(names) == 1 and isinstance(names[0], list):

@@ -17,21 +17,22 @@ from aomgen.io.colmap_models import ColmapCamera
 from aomgen.io.heic import HEIC_SUFFIXES, open_heic
 from aomgen.io.images import image_size, open_image, read_image
 
-# Tag of the EXIF block that holds the focal length.
+# Tag of the EXIF block that contains the focal length.
 EXIF_BLOCK: Final = 0x8769
-# Tag of the equivalent focal length of a 35 mm camera.
+# Tag of the 35 mm equivalent focal length.
 FOCAL_35MM: Final = 0xA405
-# Diagonal of the image of a 35 mm camera, [mm].
+# Image diagonal of a 35 mm camera, [mm].
 DIAGONAL_35MM: Final = hypot(36.0, 24.0)
-# Equivalent focal lengths are whole millimetres; a larger ratio is another lens or another zoom.
+# Largest ratio of focal lengths of one lens: equivalent focal lengths are rounded to millimeters, and a larger ratio
+# means another lens or zoom.
 MAX_FOCAL_RATIO: Final = 1.08
-# Plausible 35 mm equivalents, [mm]; cameras write 0 or 1 where they do not know it.
+# Plausible 35 mm equivalents, [mm]; cameras write 0 or 1 for an unknown focal length.
 FOCAL_RANGE_35MM: Final = (8.0, 400.0)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PhotoHeader:
-    """Width and height of a photo as viewers show it, and its focal length; [px], 0 where it is unknown."""
+    """Displayed width and height of a photo, and its focal length; [px], 0 if it is unknown."""
 
     width: int
     height: int
@@ -39,11 +40,11 @@ class PhotoHeader:
 
 
 def list_photos(source: Path) -> list[Path]:
-    """Return the photos of a folder by name; of a JPEG or PNG and a HEIC of one name, the former.
+    """Return the photos of a folder by name; a JPEG or PNG is preferred to a HEIC of the same name.
 
     Raises:
-        MalformedFileError: A photo of another format, without a readable one of its name.
-        IncompleteCaptureError: There are none.
+        MalformedFileError: A photo has another format, and no readable photo has its name.
+        IncompleteCaptureError: The folder contains no photos.
     """
     files = sorted(item for item in source.iterdir() if item.is_file() and not item.name.startswith("."))
     plain = [item for item in files if item.suffix.lower() in IMAGE_SUFFIXES]
@@ -65,12 +66,12 @@ def list_photos(source: Path) -> list[Path]:
 def read_photos(source: Path) -> ScanSource:
     """Read the headers of a folder of photos.
 
-    The focal length is used where every photo states the same; a photo that was taken with another lens or zoom
-    is refused.
+    The focal length is used if all photos state the same one. Photos that were taken with different lenses or zooms
+    are refused.
 
     Raises:
         InputError: See `list_photos` and `read_header`.
-        SeveralCamerasError: Focal lengths differ.
+        SeveralCamerasError: The focal lengths differ.
     """
     paths = list_photos(source)
     headers = [read_header(path) for path in paths]
@@ -114,7 +115,7 @@ def read_header(path: Path) -> PhotoHeader:
 
 
 def read_photo(path: Path, *, upright: bool = True) -> NDArray[np.uint8]:
-    """Decode a photo (H, W, 3) uint8 sRGB, turned as EXIF says where `upright`; HEIC is always upright.
+    """Decode a photo (H, W, 3) uint8 sRGB, with EXIF's orientation applied if `upright`; HEIC is always upright.
 
     Raises:
         InputError, BackendError: See `read_image` and `open_heic`.
@@ -125,7 +126,7 @@ def read_photo(path: Path, *, upright: bool = True) -> NDArray[np.uint8]:
 
 
 def _focal_px(image: Image.Image) -> float:
-    """Focal length of a photo, [px], from its 35 mm equivalent; 0 where it states none."""
+    """Focal length of a photo, [px], from its 35 mm equivalent; 0 if the photo does not state it."""
     stated = image.getexif().get_ifd(EXIF_BLOCK).get(FOCAL_35MM, 0)
     try:
         focal_mm = float(stated)

@@ -1,4 +1,4 @@
-"""The one pinhole camera that a scan's images are resampled to, and the resampling."""
+"""The common pinhole camera of a scan's images, and the resampling of images to it."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -14,15 +14,15 @@ from aomgen.core.values import Array
 from aomgen.errors import CalibrationError, SeveralCamerasError
 from aomgen.io.colmap_models import ColmapCamera
 
-# Images whose pixels all lie this near to those of the pinhole camera are kept as they are, [px].
+# Images whose pixels all deviate less than this from the pinhole camera are not resampled, [px].
 SAME_PX: Final = 0.05
-# Points along each side of the image: distortion is smooth.
+# Number of points along each side of the image, sufficient because distortion is smooth.
 BORDER_SAMPLES: Final = 32
-# The focal length of the pinhole camera is searched within this factor of that of the lens.
+# The focal length of the pinhole camera is searched within this factor of the lens's focal length.
 FOCAL_SEARCH: Final = 5.0
-# Halvings of that range: to a thousandth of a pixel.
+# Number of bisections of this range, for a resolution of a thousandth of a pixel.
 BISECTIONS: Final = 40
-# Ratio of focal lengths beyond which images are not from one camera; autofocus changes less.
+# Largest ratio of focal lengths of images from one camera; autofocus changes the focal length less.
 MAX_FOCAL_RATIO: Final = 1.15
 
 
@@ -38,7 +38,7 @@ class PinholeTarget:
     height: int
 
     def resample_from(self, camera: ColmapCamera) -> Resample | None:
-        """Return the resampling of images of a lens, None where there is nothing to change."""
+        """Return the resampling of images of a lens; None if no resampling is needed."""
         return _make_resampler(self, camera)
 
     def rays(self, pixels: Array) -> Array:
@@ -47,7 +47,7 @@ class PinholeTarget:
 
 
 def rescale_camera(camera: ColmapCamera, width: int, height: int) -> ColmapCamera:
-    """Return the optics of an image at another size."""
+    """Return the camera model of an image after a change of its size."""
     if (width, height) == (camera.width, camera.height):
         return camera
     changed = _colmap(camera)
@@ -58,13 +58,13 @@ def rescale_camera(camera: ColmapCamera, width: int, height: int) -> ColmapCamer
 
 
 def choose_pinhole(cameras: Mapping[str, ColmapCamera], where: Path) -> PinholeTarget:
-    """Choose the pinhole camera that all of several lenses can be resampled to without empty borders.
+    """Choose the pinhole camera to which images of all lenses can be resampled without empty borders.
 
-    One undistorted lens is kept exactly. Otherwise the principal point is that of the lens with the median focal
-    length, and the focal length is the smallest at which every lens has photographed every pixel.
+    A single undistorted lens is kept exactly. Otherwise the principal point is that of the lens with the median focal
+    length, and the focal length is the smallest one at which every lens covers every pixel.
 
     Args:
-        cameras: Lenses at one image size by image name.
+        cameras: Lenses by image name, for the same image size.
         where: The source, for errors.
 
     Raises:
@@ -101,7 +101,7 @@ def choose_pinhole(cameras: Mapping[str, ColmapCamera], where: Path) -> PinholeT
 
 
 def measure_shift_px(target: PinholeTarget, lens: ColmapCamera) -> float:
-    """Largest distance between a pixel of the pinhole camera and the point where a lens shows it, [px]."""
+    """Largest distance between a pixel of the pinhole camera and its position in the image of a lens, [px]."""
     pixels = _border(target)
     shifts = np.linalg.norm(_project(lens, target.rays(pixels)) - pixels, axis=1)
     return float(np.nan_to_num(shifts, nan=np.inf).max())
@@ -130,7 +130,7 @@ def _zoom(target: PinholeTarget, share: float) -> PinholeTarget:
 def _covers(target: PinholeTarget, lenses: list[ColmapCamera]) -> bool:
     rays = target.rays(_border(target))
     size = np.array([target.width, target.height])
-    # The outermost half pixel is repeated by the resampling.
+    # Resampling repeats the outermost half pixel.
     return all(
         bool(((pixels >= -0.5) & (pixels <= size + 0.5)).all())
         for pixels in (_project(lens, rays) for lens in lenses)
@@ -146,7 +146,7 @@ def _border(target: PinholeTarget) -> Array:
 
 
 def _project(lens: ColmapCamera, rays: Array) -> Array:
-    """Image points (N, 2) of rays (N, 3), NaN where the lens shows none."""
+    """Image points (N, 2) of rays (N, 3), NaN outside the domain of the lens."""
     return np.asarray(_colmap(lens).img_from_cam(rays), np.float64).reshape(-1, 2)
 
 

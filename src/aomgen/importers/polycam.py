@@ -10,14 +10,14 @@ from aomgen.io.artifact import read_json
 from aomgen.io.colmap_models import ColmapCamera, check_camera
 from aomgen.io.images import image_size
 
-# Pairs of folders of images and cameras; the corrected ones exist after Polycam has adjusted the poses.
+# Pairs of folders of images and cameras; the corrected ones exist if Polycam has refined the poses.
 FOLDERS: Final = (("corrected_images", "corrected_cameras"), ("images", "cameras"))
 POSE_KEYS: Final = tuple(tuple(f"t_{row}{column}" for column in range(4)) for row in range(3))
 INTRINSIC_KEYS: Final = ("fx", "fy", "cx", "cy")
 
 
 def find_keyframes(source: Path) -> Path | None:
-    """Return the folder of keyframes in a source, None where there is none."""
+    """Return the folder of keyframes in a source; None if there is none."""
     for folder in (source, source / "keyframes"):
         if any((folder / images).is_dir() and (folder / cameras).is_dir() for images, cameras in FOLDERS):
             return folder
@@ -29,7 +29,7 @@ def read_polycam(source: Path) -> ScanSource:
 
     Raises:
         MissingFileError: There are no keyframes.
-        MalformedFileError, CalibrationError, NonFiniteError, ScanPoseError: A camera's file is not usable.
+        MalformedFileError, CalibrationError, NonFiniteError, ScanPoseError: The file of a camera is invalid.
     """
     keyframes = find_keyframes(source)
     if keyframes is None:

@@ -1,4 +1,4 @@
-"""Record3D's export: a folder of numbered frames (JPEG or PNG, with EXR depth beside them) and metadata.json."""
+"""Record3D's export: a folder of numbered frames (JPEG or PNG, with EXR depth files) and metadata.json."""
 
 from pathlib import Path
 from typing import Annotated, Final
@@ -16,17 +16,17 @@ from aomgen.io.schema import complaint
 
 METADATA_FILES: Final = ("metadata.json", "metadata")
 FRAME_FOLDERS: Final = ("rgb", "EXR_RGBD/rgb", "rgbd", ".")
-# Largest number of frames that are used: they are recorded at video rate, and the sharpest of each of equal spans is taken.
+# Largest number of used frames: frames are recorded at video rate, and the sharpest one of each of equal spans is used.
 MAX_FRAMES: Final = 120
 
 
 class RecordMetadata(BaseModel):
-    """Content of Record3D's metadata that is used.
+    """Fields of Record3D's metadata that are used.
 
     Attributes:
         K: Intrinsic matrix, 9 numbers by columns.
         poses: Quaternion xyzw and position of every frame, OpenGL axes, [m].
-        intrinsics: fx, fy, cx, cy of every frame, where they differ.
+        intrinsics: fx, fy, cx, cy of every frame, if they differ.
     """
 
     model_config = ConfigDict(extra="ignore", frozen=True)
@@ -41,7 +41,7 @@ class RecordMetadata(BaseModel):
 
 
 def find_metadata(source: Path) -> Path | None:
-    """Return the metadata of Record3D in a source, None where there is none."""
+    """Return the path of Record3D's metadata in a source; None if there are none."""
     for name in METADATA_FILES:
         for folder in (source, source / "EXR_RGBD"):
             if (folder / name).is_file():
@@ -53,9 +53,9 @@ def read_record3d(source: Path) -> ScanSource:
     """Read frames, poses and intrinsics of a Record3D export; depth is not used.
 
     Raises:
-        MissingFileError: There is no metadata, or there are no frames.
-        MalformedFileError, NonFiniteError, CalibrationError: The metadata are not usable.
-        IncompleteCaptureError: Frames and poses differ in number, so that it is unknown which belong together.
+        MissingFileError: The metadata or the frames are missing.
+        MalformedFileError, NonFiniteError, CalibrationError: The metadata are invalid.
+        IncompleteCaptureError: The numbers of frames and poses differ, so that they cannot be associated.
     """
     path = find_metadata(source)
     if path is None:
@@ -95,7 +95,7 @@ def _find_frames(folder: Path) -> list[Path]:
 
 
 def _choose_sharp(files: list[Path]) -> list[int]:
-    """Numbers of the least blurred frame of each of at most `MAX_FRAMES` equal spans."""
+    """Return the numbers of the sharpest frames of at most `MAX_FRAMES` equal spans."""
     if len(files) <= MAX_FRAMES:
         return list(range(len(files)))
     spans = np.array_split(np.arange(len(files)), MAX_FRAMES)

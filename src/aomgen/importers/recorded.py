@@ -1,4 +1,4 @@
-"""One recorded episode as every source yields it: joint tables by column name, and videos."""
+"""Common form of a recorded episode from any source: joint tables by column name, and videos."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -13,10 +13,10 @@ class JointTable:
     """Measured values by column name, on the clock of the recording.
 
     Attributes:
-        name: Topic, feature or file that holds them.
+        name: Topic, feature or file of the values.
         times_s: (T,), in the order of the recording, [s].
         columns: Values (T,) by column name, in the units of the recording.
-        unit: "rad" where the format defines the unit of joints; "" otherwise.
+        unit: "rad" if the format defines the unit of joints, else "".
     """
 
     name: str
@@ -32,8 +32,8 @@ class WrittenVideo:
     """Result of writing one video.
 
     Attributes:
-        start_s: Time of the first frame on the clock of the joint tables, [s]; None where it is unknown.
-        times_s: (T,), times of the frames in the written file, [s].
+        start_s: Time of the first frame on the clock of the joint tables, [s]; None if it is unknown.
+        times_s: Times (T,) of the frames in the written file, [s].
         notes: Sentences about frames that were dropped or re-encoded.
     """
 
@@ -46,12 +46,12 @@ class WrittenVideo:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RecordedVideo:
-    """A video of the episode that is not decoded yet.
+    """A video of the episode that is not yet decoded.
 
     Attributes:
         name: Proposed name of the camera; letters, digits, `_` and `-`.
-        source: Topic, feature or file that holds it.
-        write: Writes it to a new MP4 file in which the frames keep their distances in time.
+        source: Topic, feature or file of the video.
+        write: Function that writes the video to a new MP4 file and keeps the time intervals between frames.
     """
 
     name: str
@@ -61,14 +61,14 @@ class RecordedVideo:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RecordedEpisode:
-    """Everything that a source holds of one episode.
+    """All data of one episode from a source.
 
     Attributes:
         kind: Format of the source, for messages.
         tables: Joint tables.
         videos: Videos.
-        instruction: Language instruction, "" where the source has none.
-        notes: Sentences about what the reader assumed or skipped.
+        instruction: Language instruction, or "" if the source has none.
+        notes: Sentences about assumptions of the reader and skipped data.
     """
 
     kind: str

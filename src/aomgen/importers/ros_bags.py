@@ -1,7 +1,7 @@
 """Episodes of ROS 1 bags, ROS 2 bags (SQLite and MCAP) and MCAP files, read with `rosbags`.
 
-Messages are decoded by the definitions that `rosbags` ships, and not by those in the file, which it would turn into
-code.
+Messages are decoded with the definitions of `rosbags`, not with those in the file, because `rosbags` would generate and
+execute code from the latter.
 """
 
 from collections.abc import Callable, Iterator
@@ -31,14 +31,14 @@ BagKind = Literal["ROS 1 bag", "ROS 2 bag", "MCAP", "ROS 2 database"]
 JOINT_STATE: Final = "sensor_msgs/msg/JointState"
 IMAGES: Final = ("sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage")
 H264: Final = "foxglove_msgs/msg/CompressedVideo"
-# Messages of one number, as some grippers publish.
+# Messages with a single number, as some grippers publish.
 NUMBERS: Final = tuple(
     f"std_msgs/msg/{kind}"
     for kind in ("Float32", "Float64", "Int16", "Int32", "Int64", "UInt8", "UInt16", "UInt32")
 )
-# Foxglove's message; it belongs to no ROS distribution.
+# Definition of Foxglove's message, which is not part of any ROS distribution.
 _H264_DEFINITION: Final = "builtin_interfaces/Time timestamp\nstring frame_id\nuint8[] data\nstring format\n"
-# Half an hour at 1 kHz, far above any demonstration.
+# Largest number of rows: half an hour at 1 kHz, far longer than any demonstration.
 MAX_ROWS: Final = 2_000_000
 
 
@@ -48,9 +48,9 @@ class OpenBag:
 
     Attributes:
         reader: Reader of `rosbags`.
-        decode: Message of its bytes and type.
-        topics: Type by topic, of the topics that hold messages.
-        empty: The same of the topics without any.
+        decode: Function that returns the message for its bytes and type.
+        topics: Types by topic, for topics with messages.
+        empty: Types by topic, for topics without messages.
     """
 
     reader: Any
@@ -59,9 +59,9 @@ class OpenBag:
     empty: dict[str, str]
 
     def read_messages(self, *topics: str) -> Iterator[tuple[str, float, float, Any]]:
-        """Topic, time stamp and time of recording, [s], and message of each message of some topics.
+        """Yield topic, time stamp and recording time, [s], and message of every message of some topics.
 
-        The time stamp is that of the header; 0 where the type has none.
+        The time stamp is that of the header; it is 0 if the type has no header.
         """
         wanted = [item for item in self.reader.connections if item.topic in topics]
         for connection, recorded_ns, data in self.reader.messages(connections=wanted):
@@ -74,7 +74,7 @@ class OpenBag:
 
 @cache
 def _load_types(ros1: bool) -> Any:
-    """The message types of ROS 1 or ROS 2, whose definitions take a second to compile."""
+    """Load the message types of ROS 1 or ROS 2; the compilation of their definitions takes a second."""
     from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
     types = get_typestore(Stores.ROS1_NOETIC if ros1 else Stores.ROS2_HUMBLE)
@@ -84,12 +84,12 @@ def _load_types(ros1: bool) -> Any:
 
 @contextmanager
 def open_bag(path: Path, kind: BagKind) -> Iterator[OpenBag]:
-    """Open a bag; what goes wrong inside `rosbags` becomes one error.
+    """Open a bag; all errors of `rosbags` are converted to one type.
 
     Raises:
         BackendError: `rosbags` is not installed.
-        MalformedFileError: The bag is damaged, also when it is noticed while the block reads.
-        IncompleteCaptureError: It has no messages.
+        MalformedFileError: The bag is damaged; also raised if the damage is found while the block reads.
+        IncompleteCaptureError: The bag has no messages.
     """
     try:
         from rosbags.rosbag1 import Reader as Reader1
@@ -98,7 +98,7 @@ def open_bag(path: Path, kind: BagKind) -> Iterator[OpenBag]:
         raise BackendError("rosbags", "is not installed", "pip install 'aomgen[ros]'") from error
     ros1 = kind == "ROS 1 bag"
     types = _load_types(ros1)
-    # The kind is known from the content, and a file may have another suffix.
+    # The kind is recognized from the content, because a file may have any suffix.
     plugin: Any = {
         "ROS 1 bag": Reader1,
         "ROS 2 bag": Reader2.STORAGE_PLUGINS["dir"],
@@ -123,7 +123,7 @@ def open_bag(path: Path, kind: BagKind) -> Iterator[OpenBag]:
             reader.close()
     except (AomgenError, GeneratorExit, PermissionError):
         raise
-    # Damaged bags make the library raise whatever its parsers, SQLite and the decompressors raise.
+    # For damaged bags the library does not catch the errors of its parsers, SQLite and the decompressors.
     except Exception as error:
         raise MalformedFileError(
             path, f"is not readable as {kind} ({quote_error(error)})", "copy or record it again"
@@ -135,7 +135,7 @@ def read_episode(path: Path, kind: BagKind) -> RecordedEpisode:
 
     Raises:
         BackendError, MalformedFileError, IncompleteCaptureError: See `open_bag`.
-        LimitExceededError: More joint states than are read without asking.
+        LimitExceededError: The bag has more joint states than `MAX_ROWS`.
     """
     with open_bag(path, kind) as bag:
         tables, notes = _read_tables(bag, path)
@@ -154,7 +154,7 @@ def read_episode(path: Path, kind: BagKind) -> RecordedEpisode:
 
 
 def _list_videos(topics: dict[str, str], path: Path, kind: BagKind) -> tuple[RecordedVideo, ...]:
-    """Videos of some topics; one without messages is refused when it is written."""
+    """List the videos of some topics; a video without messages is refused when it is written."""
     return tuple(
         RecordedVideo(
             name=make_camera_name(topic), source=topic, write=partial(_write_video, path, kind, topic)
@@ -165,7 +165,7 @@ def _list_videos(topics: dict[str, str], path: Path, kind: BagKind) -> tuple[Rec
 
 
 def _read_tables(bag: OpenBag, path: Path) -> tuple[list[JointTable], list[str]]:
-    """A table for each topic and each set of joint names on it: arm and gripper may share a topic."""
+    """Return a table for each topic and each set of joint names in it, because arm and gripper may share a topic."""
     groups: dict[tuple[str, ...], list[tuple[float, float, list[float]]]] = {}
     wanted = [topic for topic, kind in bag.topics.items() if kind in (JOINT_STATE, *NUMBERS)]
     for count, (topic, stamp_s, recorded_s, message) in enumerate(
@@ -181,7 +181,7 @@ def _read_tables(bag: OpenBag, path: Path) -> tuple[list[JointTable], list[str]]
                 np.asarray(message.position, np.float64).tolist(),
             )
             if not names or not values:
-                continue  # a message of velocities or efforts alone
+                continue  # a message with only velocities or efforts
             if len(set(names)) != len(names) or len(names) != len(values):
                 raise MalformedFileError(
                     path,
@@ -204,10 +204,10 @@ def _read_tables(bag: OpenBag, path: Path) -> tuple[list[JointTable], list[str]]
 
 
 def _choose_times(times: Array) -> tuple[Array, bool]:
-    """Time stamps of messages where they have some, and otherwise the times of recording.
+    """Choose the time stamps of messages if they are set, else the recording times; also return whether they are set.
 
     Args:
-        times: (T, 2), time stamps and times of recording, [s].
+        times: Time stamps and recording times (T, 2), [s].
     """
     stamped = bool(np.ptp(times[:, 0]) > 0)
     return times[:, 0 if stamped else 1], stamped
@@ -217,7 +217,7 @@ def _write_video(path: Path, kind: BagKind, topic: str, target: Path) -> Written
     """Write the images or H.264 packets of a topic."""
     with open_bag(path, kind) as bag:
         source = f"{path}, {topic}"
-        # Drivers stamp either all of their messages or none.
+        # Drivers stamp either all or none of their messages.
         messages = (
             (stamp_s if stamp_s > 0 else recorded_s, message)
             for _, stamp_s, recorded_s, message in bag.read_messages(topic)

@@ -1,4 +1,4 @@
-"""Pixels of ROS image messages."""
+"""Decoding of ROS image messages."""
 
 from pathlib import Path
 from typing import Any, Final
@@ -10,25 +10,25 @@ from numpy.typing import NDArray
 from aomgen.errors import LimitExceededError, MalformedFileError
 from aomgen.io.images import MAX_PIXELS, decode_image
 
-# Bytes of a pixel by encoding, and the order of red, green and blue in it.
+# Bytes per pixel by encoding, and the indices of red, green and blue.
 _ORDERS: Final[dict[str, tuple[int, tuple[int, int, int]]]] = {
     "rgb8": (3, (0, 1, 2)), "bgr8": (3, (2, 1, 0)), "8UC3": (3, (2, 1, 0)),
     "rgba8": (4, (0, 1, 2)), "bgra8": (4, (2, 1, 0)), "8UC4": (4, (2, 1, 0)),
     "mono8": (1, (0, 0, 0)), "8UC1": (1, (0, 0, 0)),
 }  # fmt: skip
-# Encodings of two bytes a pixel, as FFmpeg names them.
+# Encodings with two bytes per pixel, by FFmpeg's names.
 _SHARED_COLORS: Final = {"yuv422": "uyvy422", "uyvy": "uyvy422", "yuv422_yuy2": "yuyv422", "yuyv": "yuyv422"}
 
 
 def read_image_message(message: Any, source: str) -> NDArray[np.uint8]:
-    """Image (H, W, 3) uint8 sRGB of a `sensor_msgs` Image or CompressedImage.
+    """Decode a `sensor_msgs` Image or CompressedImage to an image (H, W, 3) uint8 sRGB.
 
     Args:
         source: Recording and topic, for messages.
 
     Raises:
-        MalformedFileError: An unknown encoding, or fewer bytes than the header states.
-        LimitExceededError: More pixels than are read without asking.
+        MalformedFileError: The encoding is unknown, or there are fewer bytes than the header states.
+        LimitExceededError: The image has more pixels than the limit.
     """
     if not hasattr(message, "encoding"):
         return decode_image(bytes(message.data), Path(source))

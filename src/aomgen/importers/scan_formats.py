@@ -26,7 +26,7 @@ def read_scan_source(source: Path, scratch: Path, progress: Progress) -> ScanSou
         scratch: Folder for the frames of a video.
 
     Raises:
-        MissingFileError: There is no such file or folder.
+        MissingFileError: The file or folder does not exist.
         InputError: The scan is not usable; see the readers of the formats.
     """
     if not source.exists():
@@ -37,7 +37,7 @@ def read_scan_source(source: Path, scratch: Path, progress: Progress) -> ScanSou
         if source.suffix.lower() in (".jpg", ".jpeg", ".png", ".heic", ".txt", ".bin"):
             raise MalformedFileError(source, "is one file of a scan", "give the folder that holds all of it")
         return _read_video(source, scratch, progress)
-    # A folder of several formats is read as the one that knows most of it.
+    # If a folder matches several formats, the format with the most information is read.
     if find_keyframes(source):
         return read_polycam(source)
     if (source / TRANSFORMS_FILE).is_file():
@@ -50,7 +50,7 @@ def read_scan_source(source: Path, scratch: Path, progress: Progress) -> ScanSou
 
 
 def _read_video(source: Path, scratch: Path, progress: Progress) -> ScanSource:
-    """Sample sharp frames that show something new, as for the scan video of a capture."""
+    """Sample sharp frames with new content, as for the scan video of a capture."""
     frames = extract_frames(source, set(), scratch, progress)
     images = tuple(ScanImage(name=f"{path.stem}.jpg", path=path) for path in frames.values())
     return ScanSource(kind="video", images=images)

@@ -1,4 +1,4 @@
-"""Bringing a scan into a capture: images, poses and the `[scan]` table of capture.toml."""
+"""Import of a scan into a capture: images, poses and the `[scan]` table of capture.toml."""
 
 import tempfile
 from dataclasses import dataclass
@@ -15,17 +15,17 @@ from aomgen.io.atomic import stage_folder, write_text
 
 SCAN_FOLDER: Final = "scan"
 CAPTURE_FILE: Final = "capture.toml"
-# Fewer images leave sides of the object that no three views see; a capture with fewer is refused.
+# Smallest number of images: with fewer, some sides of the object are seen by less than three views.
 MIN_IMAGES: Final = 12
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ImportedScan:
-    """A scan that was brought into a capture.
+    """A scan after its import into a capture.
 
     Attributes:
         kind: Name of the format.
-        is_new: Whether capture.toml was made, which then lacks everything but the scan.
+        is_new: Whether capture.toml was created; a new one contains only the scan.
     """
 
     kind: str
@@ -36,17 +36,17 @@ class ImportedScan:
 def import_scan(source: Path, capture: Path, long_side: int, progress: Progress) -> ImportedScan:
     """Write a scan of another program into the folder `scan` of a capture, and describe it in capture.toml.
 
-    Nothing is written unless every image could be decoded. Only the keys of `[scan]` change in a capture.toml; other
-    lines and comments stay.
+    Nothing is written unless every image can be decoded. Only the keys of `[scan]` in capture.toml are changed; other
+    lines and comments are kept.
 
     Args:
         source: See `read_scan_source`.
-        capture: Folder of the capture; made if it does not exist.
+        capture: Folder of the capture, which is created if it does not exist.
         long_side: See `write_scan`.
 
     Raises:
-        ConfigError: The capture has a scan, or its capture.toml cannot be changed line by line.
-        InputError: The source is not usable.
+        ConfigError: The capture already has a scan, or its capture.toml cannot be changed line by line.
+        InputError: The source is invalid.
         StorageError: Writing to the disk failed.
     """
     folder, file = capture / SCAN_FOLDER, capture / CAPTURE_FILE

@@ -1,4 +1,4 @@
-"""A scan that another program or a phone made: images, their optics, and poses where they are known."""
+"""A scan from another program or a phone: images, camera models, and poses if they are known."""
 
 from collections import Counter
 from collections.abc import Sequence
@@ -13,7 +13,7 @@ from aomgen.core.values import Array, Matrix4, freeze_arrays
 from aomgen.errors import MalformedFileError
 from aomgen.io.colmap_models import ColmapCamera
 
-# Signs of the columns of a pose that turn OpenGL's camera axes (x right, y up, z backward) into OpenCV's (x right,
+# Signs of the columns of a pose that convert OpenGL's camera axes (x right, y up, z backward) to OpenCV's (x right,
 # y down, z forward).
 OPENCV_FROM_OPENGL = np.array([1.0, -1.0, -1.0, 1.0])
 
@@ -23,9 +23,9 @@ class ScanImage:
     """One image of a scan.
 
     Attributes:
-        name: File name that the image gets in the capture; its suffix may still change.
-        camera: Optics of the image, None where they are unknown.
-        T_scan_cam: Pose (4, 4), OpenCV axes, None where it is unknown.
+        name: File name of the image in the capture; its suffix may still change.
+        camera: Camera model of the image; None if it is unknown.
+        T_scan_cam: Pose (4, 4), OpenCV axes; None if it is unknown.
     """
 
     name: str
@@ -38,12 +38,12 @@ class ScanImage:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ScanSource:
-    """A scan as it was found.
+    """A scan as provided by its source.
 
     Attributes:
         kind: Name of the format, for example "COLMAP model".
-        metric: Whether poses are in metres.
-        warnings: Sentences about what the reader left out.
+        metric: Whether poses are in meters.
+        warnings: Sentences about data that the reader ignored.
     """
 
     kind: str
@@ -60,7 +60,7 @@ def read_opengl_pose(matrix: ArrayLike, path: Path, image: str) -> Array:
         path, image: File and image of the pose, for errors.
 
     Raises:
-        MalformedFileError: Another shape.
+        MalformedFileError: The matrix has another shape.
         NonFiniteError, ScanPoseError: See `require_pose`.
     """
     try:
@@ -75,12 +75,12 @@ def read_opengl_pose(matrix: ArrayLike, path: Path, image: str) -> Array:
 
 
 def name_images(references: Sequence[str], path: Path) -> list[str]:
-    """Return names without folders for images that a file names by their paths.
+    """Return names without folders for images that a file references by their paths.
 
-    Images of one name in several folders keep their folders as a part of the name.
+    If images in several folders have the same name, the folders become part of their names.
 
     Raises:
-        MalformedFileError: Two are the same.
+        MalformedFileError: Two names are equal.
     """
     parts = [
         [part for part in PurePosixPath(item).parts if part not in (".", "..", "/")] for item in references
@@ -94,7 +94,7 @@ def name_images(references: Sequence[str], path: Path) -> list[str]:
 
 
 def describe_missing_poses(images: Sequence[ScanImage]) -> tuple[str, ...]:
-    """A warning that names images without a pose, where others have one."""
+    """Return a warning that names the images without a pose, if others have one."""
     without = [image.name for image in images if image.T_scan_cam is None]
     if not without or len(without) == len(images):
         return ()

@@ -1,4 +1,4 @@
-"""The `[scan]` table of a capture.toml that an imported scan determines."""
+"""The `[scan]` table of a capture.toml, derived from an imported scan."""
 
 from pathlib import Path
 from typing import Any
@@ -10,7 +10,7 @@ from aomgen.io.schema import format_toml_value
 
 
 def change_scan_table(text: str, images: str, intrinsics: Intrinsics | None, path: Path) -> str:
-    """Return the text of a capture.toml with another scan; comments of the table stay.
+    """Return the text of a capture.toml with another scan; comments of the table are kept.
 
     Args:
         text: TOML.
@@ -32,7 +32,7 @@ def change_scan_table(text: str, images: str, intrinsics: Intrinsics | None, pat
             _replace_keys(block, lines) if name == "scan" else block for name, block in split_tables(text)
         )
     else:
-        # Tables may have any order, but lines before the first header belong to the whole file.
+        # Tables may have any order, but lines before the first header are top-level keys.
         gap = "" if not text or text.endswith("\n\n") else "\n" if text.endswith("\n") else "\n\n"
         changed = f"{text}{gap}[scan]\n{''.join(lines)}"
     if parse_manifest_text(changed, path) != before | {"scan": table}:
@@ -43,7 +43,7 @@ def change_scan_table(text: str, images: str, intrinsics: Intrinsics | None, pat
 
 
 def _replace_keys(block: str, keys: list[str]) -> str:
-    """Replace all keys of a table; its header, comments and empty lines stay."""
+    """Replace all keys of a table; its header, comments and empty lines are kept."""
     lines = block.splitlines(keepends=True)
     header = next(number for number, line in enumerate(lines) if line.lstrip().startswith("["))
     kept = [line for line in lines[header + 1 :] if not line.strip() or line.strip().startswith("#")]

@@ -1,4 +1,4 @@
-"""Writing the images of a scan upright and as those of one pinhole camera."""
+"""Writing of the images of a scan, upright and resampled to one pinhole camera."""
 
 import shutil
 from collections import defaultdict
@@ -20,21 +20,21 @@ from aomgen.importers.scan_source import ScanImage, ScanSource
 from aomgen.io.atomic import write_json
 from aomgen.io.images import encode_jpeg, encode_png, exif_orientation, open_image, resize
 
-# The compression of an image that was decoded once already has to stay invisible.
+# Quality at which a second compression of an image is not visible.
 JPEG_QUALITY: Final = 98
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class WrittenScan:
-    """Images that were written.
+    """Images written into a capture.
 
     Attributes:
         names: File names, in the order of the source.
-        width, height: Their size, [px].
+        width, height: Size of the images, [px].
         intrinsics: Intrinsics of their pinhole camera; None if unknown.
-        resampled: Number of images that a lens was removed from.
-        poses: Poses that came with them, None where there are none.
-        warnings: Sentences about what was changed.
+        resampled: Number of images whose distortion was removed by resampling.
+        poses: Poses from the source; None if there are none.
+        warnings: Sentences about changes.
     """
 
     names: tuple[str, ...]
@@ -48,13 +48,13 @@ class WrittenScan:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Layout:
-    """Description of how an image becomes one of the scan.
+    """Description of how a source image is converted to a scan image.
 
     Attributes:
         upright: Whether EXIF's orientation is applied.
-        quarter_turn: Whether it is turned by 90 degrees afterwards, so that all have one size.
-        width, height: Size after that, [px].
-        camera: Optics at that size.
+        quarter_turn: Whether the image is rotated by 90 degrees afterwards, so that all images have one size.
+        width, height: Size after these rotations, [px].
+        camera: Camera model at this size.
     """
 
     upright: bool
@@ -67,18 +67,18 @@ class Layout:
 def write_scan(
     source: ScanSource, folder: Path, long_side: int, where: Path, progress: Progress
 ) -> WrittenScan:
-    """Write images, and `scan_poses.json` where there are poses, into a folder.
+    """Write images, and `scan_poses.json` if there are poses, into a folder.
 
-    Every image is decoded, so that a damaged one is found. One that needs no change is copied byte by byte.
+    Every image is decoded to detect damage. An image that needs no change is copied byte by byte.
 
     Args:
-        folder: Receives the files; has to be discarded when this raises.
+        folder: Folder for the files; it has to be discarded after an error.
         long_side: Largest side of an image, [px]; larger images are reduced. 0 keeps their size.
         where: The source, for errors.
 
     Raises:
         InputError: An image cannot be decoded, or images are not from one camera.
-        StorageError, OSError: The disk refuses.
+        StorageError, OSError: Writing to the disk failed.
     """
     layouts = [_lay_out(image) for image in source.images]
     layouts, warnings = _agree_on_size(layouts, where)
@@ -121,7 +121,7 @@ def write_scan(
 
 
 def _lay_out(image: ScanImage) -> Layout:
-    """Choose whether EXIF's orientation applies: optics say so where they are known, else it does."""
+    """Decide whether EXIF's orientation applies, by the image size of the camera model; without a model, it applies."""
     header = read_header(image.path)
     upright = (header.width, header.height)
     camera = image.camera
@@ -131,10 +131,10 @@ def _lay_out(image: ScanImage) -> Layout:
     if image.path.suffix.lower() in IMAGE_SUFFIXES:
         with open_image(image.path) as opened:
             stored = opened.size
-    # Other programs ignore an orientation that keeps the size.
+    # Other programs ignore an orientation that does not change the size.
     keeps = stored == upright and image.T_scan_cam is None
     for size, is_upright in ((stored, keeps), (upright, True)):
-        # The image may be a smaller or larger copy of the one that the optics belong to.
+        # The image may be a reduced or enlarged copy of the image of the camera model.
         if abs(size[0] * camera.height - size[1] * camera.width) <= 1.01 * max(camera.width, camera.height):
             return Layout(
                 upright=is_upright,
@@ -151,10 +151,10 @@ def _lay_out(image: ScanImage) -> Layout:
 
 
 def _agree_on_size(layouts: list[Layout], where: Path) -> tuple[list[Layout], tuple[str, ...]]:
-    """Turn upright and sideways photos of one camera alike; refuse images of several sizes.
+    """Rotate upright and sideways photos of one camera to one size; refuse images of other sizes.
 
     Raises:
-        SeveralCamerasError: Sizes differ otherwise.
+        SeveralCamerasError: The sizes differ by more than this rotation.
     """
     groups: dict[tuple[int, int], list[Layout]] = defaultdict(list)
     for layout in layouts:
@@ -202,7 +202,7 @@ def _decode(layout: Layout) -> NDArray[np.uint8]:
 
 
 def _write(layout: Layout, pixels: NDArray[np.uint8], folder: Path, taken: set[str], *, copy: bool) -> str:
-    """Write one image; its name, with the suffix of what was written."""
+    """Write one image; return its name with the suffix of the written format."""
     path, name = layout.image.path, Path(layout.image.name)
     suffix = name.suffix.lower()
     if suffix not in IMAGE_SUFFIXES:

@@ -8,7 +8,7 @@ from aomgen.importers import csv_tables, lerobot, ros_bags
 from aomgen.importers.recorded import RecordedEpisode
 from aomgen.importers.ros_bags import BagKind
 
-# First bytes of the files that hold an episode.
+# First bytes of files that contain an episode.
 _MAGICS: Final[dict[bytes, BagKind]] = {
     b"#ROSBAG V2.0": "ROS 1 bag",
     b"\x89MCAP0\r\n": "MCAP",
@@ -21,11 +21,11 @@ def read_source(source: Path, number: int) -> RecordedEpisode:
     """Read one episode of a recording.
 
     Args:
-        number: Number of the episode, from 0; bags and tables hold one.
+        number: Number of the episode, from 0; bags and tables contain one.
 
     Raises:
-        MissingFileError: Nothing is there.
-        ConfigError: No such episode.
+        MissingFileError: The source does not exist.
+        ConfigError: The episode does not exist.
         AomgenError: The reader of the format failed.
     """
     if not source.exists():
@@ -41,7 +41,7 @@ def read_source(source: Path, number: int) -> RecordedEpisode:
 
 
 def _recognise(source: Path) -> BagKind | None:
-    """Kind of a bag; None for a table of text."""
+    """Return the kind of a bag; None for a text table."""
     if source.is_dir():
         if (source / "metadata.yaml").is_file():
             return "ROS 2 bag"

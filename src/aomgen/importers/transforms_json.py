@@ -21,9 +21,10 @@ from aomgen.io.paths import resolve_inside
 from aomgen.io.schema import complaint
 
 TRANSFORMS_FILE: Final = "transforms.json"
-# Exports lose images when people take blurred ones out; with more missing the file belongs to other images.
+# Largest share of missing images: users remove blurred images from exports; if more are missing, the file belongs to
+# other images.
 MAX_MISSING_SHARE: Final = 0.5
-# Names of images may lack their suffix, as in the synthetic scenes of NeRF.
+# Suffixes that are tried; image names may lack theirs, as in the synthetic scenes of NeRF.
 SUFFIXES: Final = ("", ".png", ".jpg", ".jpeg")
 # Distortion coefficients of each camera model, in COLMAP's order after fx, fy, cx, cy.
 COEFFICIENTS: Final = {
@@ -35,14 +36,14 @@ COEFFICIENTS: Final = {
     "FULL_OPENCV": ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6"),
     "OPENCV_FISHEYE": ("k1", "k2", "k3", "k4"),
 }
-# COLMAP's name of the model that has these coefficients.
+# COLMAP's name of the model with these coefficients.
 COLMAP_NAMES: Final = {(): "PINHOLE"} | {
     coefficients: name for name, coefficients in COEFFICIENTS.items() if "RADIAL" not in name and coefficients
 }
 
 
 class CameraFields(BaseModel):
-    """Optics of a whole file, or of one frame."""
+    """Camera model of a whole file, or of one frame."""
 
     model_config = ConfigDict(extra="allow", frozen=True)
 
@@ -80,7 +81,7 @@ def read_transforms(path: Path) -> ScanSource:
     Raises:
         MalformedFileError: The file does not follow its format.
         MissingFileError, UnsafePathError: Most images are missing, or one lies outside the file's folder.
-        UnknownCameraModelError, CalibrationError: Its optics cannot be used.
+        UnknownCameraModelError, CalibrationError: The camera model is unknown or invalid.
         NonFiniteError, ScanPoseError: A pose is not rigid.
     """
     data = read_json(path)
@@ -114,7 +115,7 @@ def read_transforms(path: Path) -> ScanSource:
 def _leave_out_missing(
     frames: list[TransformsFrame], path: Path
 ) -> tuple[list[TransformsFrame], tuple[str, ...]]:
-    """Frames whose image is there, and a warning about the others.
+    """Return the frames with an existing image, and a warning about the others.
 
     Raises:
         MissingFileError: Most images are missing.
@@ -135,7 +136,7 @@ def _leave_out_missing(
 
 
 def _list_fields(fields: CameraFields) -> dict[str, Any]:
-    """The optics that are stated."""
+    """Return the stated fields of the camera model."""
     return fields.model_dump(include=set(CameraFields.model_fields), exclude_none=True)
 
 
@@ -178,7 +179,7 @@ def _read_camera(stated: dict[str, Any], path: Path, image: Path) -> ColmapCamer
 
 
 def _read_size(stated: dict[str, Any], path: Path, image: Path) -> tuple[int, int]:
-    """Width and height that the optics belong to; the image's own where none are stated."""
+    """Return width and height for which the camera model is valid; the size of the image if none is stated."""
     if "w" not in stated or "h" not in stated:
         return image_size(image)
     try:

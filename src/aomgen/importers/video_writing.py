@@ -1,4 +1,4 @@
-"""MP4 files whose frames keep the times of the recording; encoded streams are copied where that is possible."""
+"""MP4 files whose frames keep the times of the recording; encoded streams are copied if possible."""
 
 import io
 from collections.abc import Iterable, Iterator, Sequence
@@ -20,17 +20,17 @@ from aomgen.errors import AomgenError, IncompleteCaptureError, MalformedFileErro
 from aomgen.importers.recorded import WrittenVideo
 from aomgen.io.video import decode_frames, open_stream
 
-# Clock of the frames that are written: recordings are stamped to a millisecond or better, [1/s].
+# Clock rate of written frames; recordings have time stamps with a resolution of a millisecond or better, [1/s].
 TICKS: Final = 1_000_000
-# Near the visually lossless limit of x264: 45 dB and more on images of a lab.
+# Close to the visually lossless limit of x264: 45 dB or more for images of a lab.
 CRF: Final = "8"
-# Codecs that MP4 holds and FFmpeg decodes everywhere.
+# Codecs that MP4 supports and FFmpeg decodes on all platforms.
 COPIED: Final = ("h264", "hevc", "av1", "mpeg4", "vp9")
-# Stamps of an episode's ends are rounded; a quarter of the distance of two frames cannot hide one, [frames].
+# Tolerance of an episode's start and end, whose time stamps are rounded; too small to include another frame, [frames].
 SPAN_SLACK: Final = 0.25
-# Type of the sequence parameter set, which a decoder needs first.
+# NAL type of the sequence parameter set, which a decoder needs first.
 SPS: Final = 7
-# The lower five bits of a NAL header.
+# Mask of the type in a NAL header: the lower five bits.
 NAL_TYPE: Final = 0x1F
 
 
@@ -39,14 +39,14 @@ def encode_frames(
 ) -> WrittenVideo:
     """Encode frames (H, W, 3) uint8 with their times, [s], as H.264.
 
-    A frame whose time is not later than that of the frame before is dropped and counted.
+    A frame whose time is not later than that of the previous frame is dropped and counted.
 
     Args:
         source: Name of the recording and its topic, for messages.
 
     Raises:
-        IncompleteCaptureError: No frames.
-        MalformedFileError: Frames of different sizes.
+        IncompleteCaptureError: There are no frames.
+        MalformedFileError: The frames have different sizes.
     """
     times: list[float] = []
     dropped, stream, size = 0, None, None
@@ -81,10 +81,10 @@ def encode_frames(
 
 
 def _add_encoder(container: OutputContainer, image: NDArray[np.uint8]) -> VideoStream:
-    # The rate is a hint for the encoder; frames carry their own times.
+    # The rate is only a hint for the encoder; each frame has a time stamp.
     stream = cast(VideoStream, container.add_stream("libx264", rate=30))
     stream.height, stream.width = image.shape[:2]
-    # Halved colors need even sides.
+    # Chroma subsampling needs even sides.
     stream.pix_fmt = "yuv420p" if not any(side % 2 for side in image.shape[:2]) else "yuv444p"
     stream.codec_context.time_base = Fraction(1, TICKS)
     stream.time_base = Fraction(1, TICKS)
@@ -94,7 +94,7 @@ def _add_encoder(container: OutputContainer, image: NDArray[np.uint8]) -> VideoS
 
 
 def copy_file(source: Path, target: Path) -> WrittenVideo:
-    """Copy a video file; its container is changed to MP4 where it is another one.
+    """Copy a video file; a container other than MP4 is converted.
 
     Raises:
         MissingFileError, MalformedFileError, LimitExceededError: See `io.video.decode_frames`.
@@ -113,11 +113,11 @@ def copy_file(source: Path, target: Path) -> WrittenVideo:
 def copy_span(source: Path, target: Path, start_s: float, end_s: float) -> WrittenVideo:
     """Copy the frames of a file from `start_s` until before `end_s`, [s], so that the first one is at 0.
 
-    Packets are copied where the span begins with a key frame; else its frames are encoded again.
+    Packets are copied if the span begins with a key frame; otherwise its frames are encoded again.
 
     Raises:
         MissingFileError, MalformedFileError: The file is missing or damaged.
-        IncompleteCaptureError: It has no frames in the span.
+        IncompleteCaptureError: The file has no frames in the span.
     """
     with open_stream(source) as (container, stream):
         half_s = SPAN_SLACK / float(stream.average_rate or 30)
@@ -129,7 +129,7 @@ def copy_span(source: Path, target: Path, start_s: float, end_s: float) -> Writt
                 times = _check_written(target, len(packets), source)
                 return WrittenVideo(start_s=0.0, times_s=times)
         except (av.error.FFmpegError, MalformedFileError, ValueError):
-            # Packets that cannot be copied may still be decoded; a damaged file is refused below.
+            # Packets that cannot be copied may still be decodable; a damaged file is refused below.
             target.unlink(missing_ok=True)
     frames = (
         (time_s, np.asarray(frame.to_ndarray(format="rgb24", threads=1), np.uint8))
@@ -141,7 +141,7 @@ def copy_span(source: Path, target: Path, start_s: float, end_s: float) -> Writt
 
 
 def _read_span(container: InputContainer, stream: VideoStream, span: tuple[float, float]) -> list[Packet]:
-    """Packets of the frames in a span of time, in the order in which they are decoded."""
+    """Return the packets of the frames in a span of time, in decoding order."""
     unit = stream.time_base or Fraction(1)
     if np.isfinite(span[0]) and span[0] > 0:
         container.seek(int(span[0] / float(unit)), stream=stream)
@@ -157,12 +157,12 @@ def _read_span(container: InputContainer, stream: VideoStream, span: tuple[float
 
 
 def _starts_alone(packets: Sequence[Packet]) -> bool:
-    """Return whether the first packet is a key frame and the first one that is shown."""
+    """Return whether the first packet is a key frame and is displayed first."""
     return packets[0].is_keyframe and all((packet.pts or 0) >= (packets[0].pts or 0) for packet in packets)
 
 
 def _mux(packets: Sequence[Packet], stream: VideoStream, target: Path) -> None:
-    """Write packets to an MP4 file; the first one is shown at 0."""
+    """Write packets to an MP4 file in which the first one is displayed at time 0."""
     unit = stream.time_base or Fraction(1)
     options = {"video_track_timescale": str(unit.denominator)} if unit.numerator == 1 else {}
     with av.open(str(target), "w", format="mp4", options=options) as container:
@@ -176,13 +176,13 @@ def _mux(packets: Sequence[Packet], stream: VideoStream, target: Path) -> None:
 
 
 def write_h264(packets: Iterable[tuple[float, bytes]], target: Path, source: object) -> WrittenVideo:
-    """Write H.264 packets in Annex B form with their times, [s]; each holds one frame.
+    """Write H.264 packets in Annex B form with their times, [s]; each contains one frame.
 
     Packets before the first key frame cannot be decoded; they are dropped and counted.
 
     Raises:
-        IncompleteCaptureError: No key frame.
-        MalformedFileError: Packets that are not H.264, or times that do not increase.
+        IncompleteCaptureError: There is no key frame.
+        MalformedFileError: The packets are not H.264, or the times do not increase.
     """
     kept: list[tuple[float, bytes]] = []
     dropped = 0
@@ -215,7 +215,7 @@ def write_h264(packets: Iterable[tuple[float, bytes]], target: Path, source: obj
             _mux(found, stream, target)
     except (av.error.FFmpegError, IndexError) as error:
         raise MalformedFileError(source, f"is not readable as H.264 ({error})", "record it again") from error
-    # Frames in another order than their packets are noticed here, as times that do not increase.
+    # If the display order differs from the packet order, the times do not increase, which is detected here.
     written = _check_written(target, len(found), source)
     return WrittenVideo(start_s=float(times[0]), times_s=written, notes=notes)
 
@@ -239,7 +239,7 @@ def _stamp(packets: Sequence[Packet], times_s: Array) -> None:
 
 
 def _check_written(target: Path, count: int, source: object) -> Array:
-    """Times of a written file's frames, [s], after each of them was decoded.
+    """Return the times of a written file's frames, [s], after decoding each of them.
 
     Raises:
         MalformedFileError: The frames cannot be decoded, or their number differs.

@@ -1,8 +1,8 @@
-"""The front of the moving part as a rectangle in space, from where the video shows it after the gripper has moved it.
+"""Estimate the front of the moving part as a 3D rectangle, from the video region that it covers after its motion.
 
-Doors, lids and drawers have flat fronts. A rectangle behind the grasp is carried along with the end effector, which the
-joint log gives in metric units, and has to cover the region of the video to which the part has come. A drawer that was
-pulled out shows its sides as well, so its region is what the rectangle sweeps.
+Doors, lids and drawers have flat fronts. A rectangle behind the grasp moves with the end effector, whose metric path is
+known from the joint log, and has to cover the video region that the part covers after its motion. A drawer that was
+pulled out also shows its sides, so its region is the one that the rectangle sweeps.
 """
 
 from collections.abc import Callable
@@ -23,25 +23,25 @@ from aomgen.parts.panel_terms import iou
 from aomgen.prompting.video_regions import REMEDY
 from aomgen.segmentation.interface import Mask
 
-# Regions are compared in images of this width, [px]: a pixel is some 4 mm at a table's distance.
+# Regions are compared in images of this width, [px]; a pixel is about 4 mm at the distance of a table.
 WIDTH: Final = 320
-# Sides of a rectangle, [m]: a handle is narrower, and no single arm opens what is larger.
+# Limits of the sides of a rectangle, [m]; handles are narrower, and a single arm cannot open larger fronts.
 MIN_SIDE_M, MAX_SIDE_M = 0.03, 1.2
-# Handles stand this far off the front: mean and standard deviation, [m].
+# Distance of handles from the front: mean and standard deviation, [m].
 DEPTH_M, DEPTH_SD_M = 0.03, 0.03
-# A gripper approaches a front squarely, and turns in the grasp little, standard deviations, [rad].
+# Standard deviations of the yaw between approach and front, and of the part's rotation in the grasp, [rad].
 YAW_SD, SLIP_SD = 0.15, 0.2
-# Loss of agreement for one standard deviation in each of these three.
+# Loss of agreement for a deviation of one standard deviation in depth, yaw or slip.
 PRIOR_WEIGHT: Final = 0.005
-# Loss of agreement for a grasp that is 1 m beside its rectangle.
+# Loss of agreement for a grasp at a distance of 1 m from its rectangle.
 OUTSIDE_WEIGHT: Final = 2.0
-# Rectangles that are drawn at random first, their largest reach from the grasp [m], and those that are improved.
+# Number of initial random rectangles, their largest extent from the grasp [m], and number of those that are refined.
 DRAWS, REACH_M, STARTS = 3000, 0.6, 8
-# First steps of the improvement: four sides and depth [m], yaw and slip [rad].
+# Initial steps of the refinement: four sides and depth [m], yaw and slip [rad].
 STEPS: Final = (0.08, 0.08, 0.08, 0.08, 0.02, 0.1, 0.1)
-# Least overlap of a rectangle and the region; doors and drawers reach 95 %.
+# Smallest accepted overlap of a rectangle and the region; doors and drawers reach 95 %.
 MIN_AGREEMENT: Final = 0.6
-# A normal that is steeper than this cosine belongs to a lid.
+# A front is a lid if the vertical component of its unit normal is larger than this.
 LYING: Final = 0.7
 
 Model = Literal["carried", "swept"]
@@ -62,11 +62,11 @@ class Grip:
 
     @property
     def contact(self) -> Vector3:
-        """Position (3,) of the end effector before the motion, [m]."""
+        """Return the position (3,) of the end effector before the motion, [m]."""
         return self.T_world_first[:3, 3]
 
     def carry(self, slip_rad: float) -> Array:
-        """Transform (4, 4) of the part, which turns by an angle about the vertical in the grasp."""
+        """Compute the motion (4, 4) of the part, which also rotates in the grasp by an angle about the vertical."""
         T_slip = np.eye(4)
         T_slip[:3, :3] = matrix_from_rotvec([0.0, 0.0, slip_rad])
         middle = self.T_world_last[:3, 3]
@@ -76,11 +76,11 @@ class Grip:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Panel:
-    """A rectangle before the motion, and how well it explains what the images show.
+    """Rectangle before the motion, with its confidence.
 
     Attributes:
-        corners_world: (4, 3), [m]: lower left, lower right, upper right, upper left of whoever looks along the approach.
-        confidence: 0..1.
+        corners_world: Corners (4, 3), [m]: lower left, lower right, upper right, upper left as seen along the approach.
+        confidence: Agreement with the images, 0..1.
     """
 
     corners_world: Annotated[Array, "4 3"]
@@ -90,26 +90,26 @@ class Panel:
 
     @property
     def center(self) -> Vector3:
-        """(3,), [m]."""
+        """Return the center (3,), [m]."""
         return self.corners_world.mean(0)
 
     @property
     def axes(self) -> Array:
-        """Unit vectors (3, 3) in rows: along the lower side, up, and into the object."""
+        """Return unit vectors (3, 3) in rows: along the lower side, upwards, and into the object."""
         along, up = (self.corners_world[k] - self.corners_world[0] for k in (1, 3))
         along, up = along / np.linalg.norm(along), up / np.linalg.norm(up)
         return np.stack([along, up, np.cross(up, along)])
 
     @property
     def front(self) -> Array:
-        """Corners (8, 3) of the space in front of the rectangle that a handle may take."""
+        """Return the corners (8, 3) of the space in front of the rectangle that may contain a handle."""
         return np.concatenate(
             [self.corners_world, self.corners_world - (DEPTH_M + DEPTH_SD_M) * self.axes[2]]
         )
 
 
 def place_corners(grip: Grip, x: Array) -> Array:
-    """Corners (4, 3) of a rectangle, see `Panel`.
+    """Compute the corners (4, 3) of a rectangle, see `Panel`.
 
     Args:
         x: Distance of left, right, lower and upper side from the contact, and depth of the rectangle behind it, [m];
@@ -118,7 +118,7 @@ def place_corners(grip: Grip, x: Array) -> Array:
     left, right, lower, upper, depth, yaw, _ = x
     normal = matrix_from_rotvec([0.0, 0.0, yaw]) @ grip.T_world_first[:3, 2]
     lies = abs(normal[2]) > LYING
-    # The upper side of a lid is the farther one of whoever stands at the robot.
+    # The upper side of a lid is the one farther from the robot.
     up = grip.T_world_first[:3, 0] if lies else np.array([0.0, 0.0, 1.0])
     normal = np.array([0.0, 0.0, np.sign(normal[2])]) if lies else normal - (normal @ up) * up
     normal = normal / np.linalg.norm(normal)
@@ -131,7 +131,7 @@ def place_corners(grip: Grip, x: Array) -> Array:
 
 
 def fill_hull(points_px: Array, width: int, height: int) -> Mask:
-    """Mask (height, width) of the convex hull of pixels (N, 2); empty for less than a triangle."""
+    """Fill the convex hull of pixels (N, 2); the mask (height, width) is empty for less than three points."""
     image = Image.new("1", (width, height))
     try:
         outline = points_px[ConvexHull(points_px).vertices]
@@ -142,10 +142,10 @@ def fill_hull(points_px: Array, width: int, height: int) -> Mask:
 
 
 class RegionAgreement:
-    """Agreement of rectangles with the region to which the part has come."""
+    """Agreement of rectangles with the region that the part covers after the motion."""
 
     def __init__(self, region: Mask, hidden: Mask, camera: Camera, grip: Grip) -> None:
-        """Reduce the region (H, W) and the pixels that the robot hides (H, W) of the video's camera."""
+        """Reduce the region (H, W) and the mask of the robot (H, W) in images of the video's camera."""
         self.grip, self._camera = grip, camera.narrow(WIDTH)
         size = self._camera.width, self._camera.height
         self._region, hides = (
@@ -154,7 +154,7 @@ class RegionAgreement:
         self._seen = ~hides
 
     def measure(self, x: Array, model: Model) -> float:
-        """IoU of the drawn rectangle and the region, 0..1; 0 for a rectangle behind the camera."""
+        """Compute the IoU of the projected rectangle and the region, 0..1; 0 for a rectangle behind the camera."""
         corners = place_corners(self.grip, x)
         placed = apply(self.grip.carry(float(x[6])), corners)
         if model == "swept":
@@ -166,7 +166,7 @@ class RegionAgreement:
         return float(iou(drawn & self._seen, self._region & self._seen))
 
     def score(self, x: Array, model: Model) -> float:
-        """IoU less what is implausible about the rectangle; minus infinity beyond the sides' limits."""
+        """Compute the IoU minus penalties for implausible rectangles; minus infinity beyond the side limits."""
         left, right, lower, upper, depth, yaw, slip = x
         sides = left + right, lower + upper
         if min(sides) < MIN_SIDE_M or max(sides) > MAX_SIDE_M:
@@ -177,10 +177,10 @@ class RegionAgreement:
 
 
 def fit_region(agreement: RegionAgreement, rng: np.random.Generator) -> tuple[Array, Model]:
-    """Find the rectangle (7,), see `place_corners`, that explains the region best, and how it explains it.
+    """Find the rectangle (7,), see `place_corners`, that explains the region best, and its model of the region.
 
     Raises:
-        NoMotionError: None explains most of the region.
+        NoMotionError: No rectangle explains most of the region.
     """
     models: tuple[Model, ...] = ("carried", "swept")
     draws = np.column_stack([
@@ -208,7 +208,7 @@ def fit_region(agreement: RegionAgreement, rng: np.random.Generator) -> tuple[Ar
 def improve(
     score: Callable[[Array], float], draws: Array, steps: tuple[float, ...]
 ) -> tuple[float, NDArray[np.float64]]:
-    """Improve the best of some vectors (N, D) by the method of Nelder and Mead; the largest score, and its vector."""
+    """Refine the best of some vectors (N, D) by the Nelder-Mead method; return the largest score and its vector."""
     scores = np.array([score(x) for x in draws])
     fits = [
         minimize(

@@ -1,4 +1,4 @@
-"""The body of an object behind its moving front: a box in space whose depth the segmenter confirms in scan images."""
+"""Estimate the body of an object behind its moving front as a 3D box; segments of scan images determine its depth."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -22,27 +22,27 @@ from aomgen.segmentation.interface import Mask, Segmenter
 
 # Sparse points within this distance of the front may belong to the object, [m].
 NEIGHBORHOOD_M: Final = 1.0
-# Points of an object are at most this far apart: they lie on the edges of plain faces, [m].
+# Largest distance between neighboring points of an object, [m]; they are on the edges of textureless faces.
 LINK_M: Final = 0.06
-# Error of sparse points, and height above the support from which on points belong to the object, [m].
+# Error of sparse points, and height above the support above which points belong to the object, [m].
 SUPPORT_M, ABOVE_M = 0.01, 0.02
-# Steepest support, [deg]: the base of the robot is mounted to about a degree.
+# Largest tilt of the support, [deg]; the tilt of a robot's base is about a degree.
 MAX_TILT_DEG: Final = 5.0
-# Triples of points that are tried; the support holds a tenth of them or more.
+# Number of sampled triples of points; at least a tenth of the points are on the support.
 TRIALS: Final = 500
-# Least number of points on a support.
+# Smallest number of points on a support.
 MIN_SUPPORT: Final = 30
-# Outermost points that may be wrong, as a share.
+# Share of outermost points that are treated as outliers.
 STRAYS: Final = 0.02
-# Depths of a body, [m], a tenth apart.
+# Tested depths of a body, [m], in steps of about 10 %.
 DEPTHS_M: Final = np.geomspace(0.08, 0.8, 25)
-# Views that decide on the depth, and the angle between them, [deg].
+# Number of views that determine the depth, and the angle between them, [deg].
 VIEWS, APART_DEG = 3, 30.0
-# Views nearer to one another than this show the same, [deg].
+# Views at a smaller angle to each other are redundant, [deg].
 LEAST_APART_DEG: Final = 3.0
 # Views from the front show more of the moving part than of the body.
 MAX_FACING: Final = 0.6
-# The robot may hide this share of a body, which leaves so much room in the image, as a share of its width.
+# Largest share of a body that the robot hides, and smallest margin to the image border as a share of its width.
 MAX_HIDDEN, BORDER = 0.02, 1 / 30
 
 
@@ -51,8 +51,8 @@ class BodyView:
     """The static part in one scan image.
 
     Attributes:
-        mask: (H, W), without the moving part where the view shows it.
-        agreement: IoU of the segment and the box in space, 0..1.
+        mask: Mask (H, W) without the visible moving part.
+        agreement: IoU of the segment and the projected box, 0..1.
     """
 
     view: ScanView
@@ -63,13 +63,13 @@ class BodyView:
 
 
 def find_object_points(points_world: Array, panel: Panel, rng: np.random.Generator) -> tuple[Array, float]:
-    """Find the sparse points (M, 3) of the object, and the height of what it stands on, [m].
+    """Find the sparse points (M, 3) of the object, and the height of its support, [m].
 
     Args:
         points_world: Sparse points (P, 3) without those of the robot.
 
     Raises:
-        ReconstructionError: There are too few points on anything below the moving part.
+        ReconstructionError: No surface below the moving part has enough points.
     """
     near = points_world[np.linalg.norm(points_world - panel.center, axis=1) < NEIGHBORHOOD_M]
     below = near[near[:, 2] < panel.corners_world[:, 2].min() + ABOVE_M]
@@ -103,7 +103,7 @@ def find_object_points(points_world: Array, panel: Panel, rng: np.random.Generat
 
 
 def make_body(points_world: Array, support_z: float, panel: Panel, depth_m: float) -> Array:
-    """Corners (8, 3) of a body of some depth behind a panel, as wide and high as its points (M, 3), on its support."""
+    """Compute the corners (8, 3) of a body of a given depth behind a panel, as wide and high as its points (M, 3)."""
     local = (points_world - panel.center) @ panel.axes.T
     sides = (panel.corners_world - panel.center) @ panel.axes.T
     low, high = np.quantile(local, [STRAYS, 1 - STRAYS], axis=0)
@@ -122,7 +122,7 @@ def find_body(
     views: Sequence[ScanView],
     segmenter: Segmenter,
 ) -> list[BodyView]:
-    """Segment the body in views that show it, and choose its depth by the segments that fill its outline best.
+    """Segment the body in views that show it, and choose the depth whose outline agrees best with the segments.
 
     Args:
         points_world, support_z: See `find_object_points`.
@@ -164,7 +164,7 @@ def find_body(
 
 
 def choose_side_views(views: Sequence[ScanView], panel: Panel, corners: Array) -> list[ScanView]:
-    """Choose views that show a body (8, 3) whole, unhidden, not from the front, from different sides; best first."""
+    """Choose views from different sides, not from the front, that show a body (8, 3) completely; best first."""
     shown: list[tuple[float, ScanView]] = []
     for view in views:
         camera = view.camera
@@ -177,7 +177,7 @@ def choose_side_views(views: Sequence[ScanView], panel: Panel, corners: Array) -
             continue
         region = fill_hull(pixels, camera.width, camera.height)
         if (region & view.robot).sum() <= MAX_HIDDEN * region.sum():
-            # The more a view faces the front, the less it shows of the body.
+            # The smaller the angle between view and front, the less of the body is visible.
             shown.append((float(region.sum()) * (1.0 - facing), view))
     ordered = [view for _, view in sorted(shown, key=lambda item: -item[0])]
     return choose_apart(ordered, corners.mean(0), VIEWS, APART_DEG)
@@ -186,7 +186,7 @@ def choose_side_views(views: Sequence[ScanView], panel: Panel, corners: Array) -
 def choose_apart(views: Sequence[ScanView], target: Array, count: int, apart_deg: float) -> list[ScanView]:
     """Choose the first views, at most `count`, whose directions to a target (3,) differ by an angle, [deg].
 
-    The angle is halved until there are enough; the first ones come first.
+    The angle is halved until there are enough views; their order is kept.
     """
     while True:
         chosen = _keep_apart(views, target, count, apart_deg)

@@ -1,4 +1,4 @@
-"""Refinement of the moving part's rectangle on its edges in scan images that show it from the front."""
+"""Refine the rectangle of the moving part with its edges in scan images that show it from the front."""
 
 from collections.abc import Sequence
 from typing import Final
@@ -21,28 +21,28 @@ from aomgen.prompting.moved_panel import (
 )
 from aomgen.prompting.video_regions import REMEDY
 
-# Views that are used: the largest of those that see the front at a smaller angle than 60 degrees.
+# Number of views, which are those with the largest front, and smallest cosine between view and front (60 degrees).
 VIEWS, MIN_COSINE = 8, 0.5
-# The robot may hide this share of the front.
+# Largest share of the front that the robot hides.
 MAX_HIDDEN: Final = 0.1
-# Room around the front, as a share of the image's width.
+# Margin around the front, as a share of the image's width.
 BORDER: Final = 1 / 50
-# Points along a side, without its ends: corners are round.
+# Sampled points along a side, without its ends, because corners are round.
 SAMPLES: Final = np.linspace(0.04, 0.96, 40)
-# Standard deviation of the blur before gradients, [px]; a luma gradient that counts in full, [1/px].
+# Standard deviation of the blur before gradients, [px]; smallest luma gradient of a clear edge, [1/px].
 BLUR_PX, CLEAR_EDGE = 1.2, 6 / 255
-# Edges against the region: both are at most 1, and an edge of another object is as clear as the right one.
+# Weight of edges relative to the region; it is below 1 because edges of other objects can be equally clear.
 EDGE_WEIGHT: Final = 0.7
-# Rectangles drawn around the first one, and their standard deviations: sides and depth [m], yaw and slip [rad].
+# Rectangles sampled around the first one, and standard deviations: sides and depth [m], yaw and slip [rad].
 DRAWS, SPREAD = 6000, (0.04, 0.04, 0.03, 0.03, 0.02, 0.05, 0.05)
 STEPS: Final = (0.02, 0.02, 0.02, 0.02, 0.01, 0.03, 0.03)
 
 
 class EdgeClearness:
-    """Clearness of the edges that scan images show at the sides of rectangles."""
+    """Contrast of the edges in scan images at the sides of rectangles."""
 
     def __init__(self, views: Sequence[ScanView], grip: Grip) -> None:
-        """Blur the views, which have one size, and take their luma gradients; there are none on the robot."""
+        """Compute the luma gradients of the blurred views, which have one size; gradients on the robot are zero."""
         self._grip = grip
         cameras = [view.camera for view in views]
         self._size = np.array([cameras[0].width, cameras[0].height])
@@ -51,9 +51,9 @@ class EdgeClearness:
         self._slopes = np.stack(slopes)
 
     def measure(self, x: Array) -> float:
-        """Mean clearness of the edges at the sides of a rectangle (7,), 0..1.
+        """Compute the mean contrast of the edges at the sides of a rectangle (7,), 0..1.
 
-        Gradients are averaged along a side with their sign, so that texture cancels out.
+        Signed gradients are averaged along a side, so that texture cancels out.
         """
         corners = place_corners(self._grip, x)
         ends = np.roll(corners, -1, axis=0)
@@ -72,14 +72,14 @@ class EdgeClearness:
 
 
 def _measure_gradients(view: ScanView) -> Array:
-    """Luma gradients (H, W, 2) along x and y, 0 on the robot."""
+    """Compute luma gradients (H, W, 2) along x and y, 0 on the robot."""
     luma = ndimage.gaussian_filter(luma_from_srgb(view.image_srgb), BLUR_PX)
     along_y, along_x = np.gradient(luma)
     return np.where(view.robot[..., None], 0.0, np.stack([along_x, along_y], -1))
 
 
 def choose_front_views(views: Sequence[ScanView], panel: Panel) -> list[ScanView]:
-    """Choose the views that show a panel largest, from the front and unhidden; largest first."""
+    """Choose the views that show a panel largest, from the front and without occlusion; largest first."""
     shown: list[tuple[int, ScanView]] = []
     for view in views:
         camera = view.camera
@@ -108,7 +108,7 @@ def refine_panel(
     """Move the sides of a rectangle (7,) to edges in scan images, without leaving the region of the video.
 
     Raises:
-        ReconstructionError: No view shows it from the front.
+        ReconstructionError: No view shows the part from the front.
     """
     grip = agreement.grip
     chosen = choose_front_views(views, Panel(corners_world=place_corners(grip, x), confidence=0.0))[:VIEWS]

@@ -1,4 +1,4 @@
-"""Write what a person states about a capture into its capture.toml; every other byte of the file stays as it is."""
+"""Write prompts and other statements of a person into a capture.toml; all other bytes of the file remain unchanged."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -12,22 +12,22 @@ from aomgen.errors import MalformedFileError
 from aomgen.io.atomic import write_text
 from aomgen.io.schema import format_toml_value
 
-# Decimals of a coordinate, [px]: a mouse is not more precise.
+# Decimals of a coordinate in pixels; a mouse is not more precise.
 DECIMALS = 1
 
 
 def save_prompts(path: Path, prompts: Sequence[PromptSection], stated: Mapping[str, str]) -> None:
-    """Replace all `[[prompts]]` tables of a capture.toml by these, and the stated top-level values, atomically.
+    """Replace all `[[prompts]]` tables and the stated top-level values of a capture.toml, atomically.
 
     Raises:
-        MissingFileError, MalformedFileError: The file is missing, or is no TOML.
+        MissingFileError, MalformedFileError: The file is missing or not valid TOML.
     """
     text = read_manifest_text(path)
     try:
         changed = replace_prompts(text, prompts, stated)
     except TOMLKitError as error:
         raise MalformedFileError(path, f"is not valid TOML ({error})", "correct that line") from error
-    # A guard against a library that moves what it should keep.
+    # Guards against changes of other tables by the TOML library.
     kept, before = (parse_manifest_text(item, path, without=["prompts"]) for item in (changed, text))
     if kept != before | dict(stated):
         raise MalformedFileError(
@@ -40,7 +40,7 @@ def replace_prompts(text: str, prompts: Sequence[PromptSection], stated: Mapping
     """Return the text of a capture.toml with other `[[prompts]]` tables, which come last, and other top-level values.
 
     Raises:
-        TOMLKitError: The text is no TOML.
+        TOMLKitError: The text is not valid TOML.
 
     Example:
         >>> print(replace_prompts('format = 1', [PromptSection(part="moving", image="0.jpg", box=[1, 2, 30, 40])], {}))

@@ -1,7 +1,7 @@
-"""Propose the prompts of a capture from its demonstration: the robot, what it has moved, and the body of that.
+"""Propose the prompts of a capture from its demonstration: robot, moving part, and body of the object.
 
-The scan is reconstructed with few features, and the robot is aligned from the box of what leaves its position in the
-video. Its model then gives the robot in every image, and its log the motion of the gripper in metric units.
+The scan is reconstructed with few features, and the robot is aligned with a box around the region that moves in the
+video. Then the robot model gives the robot's mask in every image, and the joint log the metric motion of the gripper.
 """
 
 import tempfile
@@ -44,11 +44,11 @@ from aomgen.segmentation.segmenter import choose_segmenter
 from aomgen.structure import stage as structure_stage
 
 SEED: Final = 0
-# Features of an image: a scan of 64 images of 640 px is mapped in half a minute.
+# Number of features per image; the reconstruction of 64 images of 640 px takes half a minute.
 MAX_FEATURES: Final = 1024
-# Images up to this long side are doubled before features are sought, [px], as small ones have too few.
+# Images whose long side is at most this are enlarged twofold for the features, [px]; otherwise they have too few.
 SMALL_PX: Final = 480
-# Sparse points within this distance of the robot's surface are the robot's, [m].
+# Sparse points within this distance of the robot's surface belong to the robot, [m].
 ROBOT_M: Final = 0.03
 # Angle between the two images on which the robot and the moving part are proposed, [deg].
 ROBOT_APART_DEG, MOVING_APART_DEG = 40.0, 35.0
@@ -74,13 +74,13 @@ class _Unprompted(Results):
 
 
 def write_proposals(capture: Path, progress: Progress) -> list[PromptSection]:
-    """Add prompts of the parts that have none to a capture.toml, marked as proposals; these prompts.
+    """Add prompts, marked as proposals, for all parts without prompts to a capture.toml, and return them.
 
-    Nothing is written unless all of them were found; other bytes of the file stay.
+    Nothing is written unless all of them were found; other bytes of the file remain unchanged.
 
     Raises:
-        ConfigError: The capture has prompts of all parts.
-        InputError, BackendError, EstimationError: The capture, the machine, or what the video shows does not allow it.
+        ConfigError: The capture already has prompts of all parts.
+        InputError, BackendError, EstimationError: The capture, the machine or the video is not sufficient.
     """
     path = capture / "capture.toml"
     recorded = read_capture(capture, complete=False)
@@ -109,26 +109,26 @@ def write_proposals(capture: Path, progress: Progress) -> list[PromptSection]:
 
 
 def locate_robot(results: Results, progress: Progress) -> None:
-    """Reconstruct the scan and align the robot, by its prompts or else by what leaves its position in the video.
+    """Reconstruct the scan and align the robot, with its prompts or else with the moving region of the video.
 
     Raises:
-        InputError, EstimationError: The scan or the video does not allow it.
+        InputError, EstimationError: The scan or the video is not sufficient.
     """
     for camera in results.recorded.cameras:
         check_demo_video(results.recorded_videos[camera.name], camera.video)
     structure_stage.run(results, results.folders["structure"], part(progress, 0.0, 0.6))
     found = _align(results, part(progress, 0.6, 0.9))
-    # The poses by the scan suffice for boxes; without frames only the clock is estimated.
+    # Camera poses from the scan are sufficient for boxes; without frames only the clock is estimated.
     calibrate_cameras(
         results, found, results.folders["alignment"], part(progress, 0.9, 1.0), BundleParams(frames=0)
     )
 
 
 def _align(results: Results, progress: Progress) -> Alignment:
-    """Align the robot by its prompts, or by the first box of the video that the images confirm.
+    """Align the robot with its prompts, or with the first box of the video that the images confirm.
 
     Raises:
-        AlignmentError: They confirm none; the error is that of the likeliest box.
+        AlignmentError: The images confirm no box; the error is that of the likeliest box.
     """
     if any(prompt.part == "robot" for prompt in results.recorded.prompts):
         return align_scan(results, progress)
@@ -149,11 +149,11 @@ def _align(results: Results, progress: Progress) -> Alignment:
 def propose_prompts(
     results: Results, segmenter: Segmenter, parts: Sequence[str], progress: Progress
 ) -> list[Proposal]:
-    """Propose boxes of parts on two images each, for a capture whose structure and alignment are known.
+    """Propose a box of each part on two images, for a capture whose structure and alignment are known.
 
     Args:
-        segmenter: Finds the moved part in the video, and the body in the scan.
-        parts: Some of `PARTS`.
+        segmenter: Segmenter of the moved part in the video and of the body in the scan.
+        parts: Parts to propose, of `PARTS`.
 
     Raises:
         EstimationError: The video shows no part that moves with the gripper, or the scan does not show it.
@@ -198,7 +198,7 @@ def find_panel(
             Ts_world_ee=Ts_world_ee,
             speeds_m_s=np.zeros(len(times)),
             gripper=gripper,
-            # The distance to the part is not known yet, so the first grasp counts.
+            # The distance to the part is still unknown, so the first grasp is used.
             distances_m=np.zeros(len(times)),
         )
     )
@@ -221,12 +221,12 @@ def find_panel(
 
 
 def _propose_robot(results: Results, views: Sequence[ScanView]) -> list[Proposal]:
-    """The two images that show the largest robot from different sides, with as little of it cut off as possible."""
+    """Choose two images that show the robot as large and complete as possible, from different sides."""
     center = results.configuration.points_world().mean(0)
     sizes = [view.robot.sum() / (1 + _count_cut_sides(view)) for view in views]
     ordered = [views[k] for k in np.argsort(sizes)[::-1] if sizes[k] > 0]
     alignment = results.alignment
-    # Support of the outline beyond chance and beyond the best other pose.
+    # The support of the outline minus that by chance or of the second-best pose.
     confidence = alignment.support - max(alignment.chance, alignment.runner_up_support)
     return [
         Proposal(part="robot", view=view, box=np.array(box_of_mask(view.robot)), confidence=confidence)
@@ -252,7 +252,7 @@ def _propose_moving(panel: Panel, views: Sequence[ScanView]) -> list[Proposal]:
 
 
 def as_section(proposal: Proposal, lens: Lens | None, size: tuple[int, int]) -> PromptSection:
-    """A proposal in pixels of the image as recorded, of a lens and a size (width, height), [px]."""
+    """Convert a proposal to pixels of the recorded image, which has a lens and a size (width, height), [px]."""
     box, camera = proposal.box, proposal.view.camera
     if lens is not None:
         share = np.linspace(0, 1, 16)

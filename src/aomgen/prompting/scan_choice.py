@@ -1,4 +1,4 @@
-"""The images of a scan that a person is shown for prompting: sharp ones, spread over the walk."""
+"""Choose sharp scan images for prompting, distributed over the camera path."""
 
 from pathlib import Path
 from typing import Final
@@ -11,22 +11,22 @@ from aomgen.core.recording import frame_name
 from aomgen.io.images import read_image
 from aomgen.io.video import decode_frames, probe_video
 
-# Frames of a scan video that are offered: about every second of a walk of half a minute.
+# Number of frames of a scan video that can be chosen, for example one per second of a video of 40 s.
 VIDEO_FRAMES: Final = 40
-# Images proposed first: one of each sixth of the walk shows every side that a person can reach.
+# Number of images proposed first; one image per sixth of the camera path shows every accessible side.
 PROPOSED: Final = 6
 
 
 class ScanImages:
-    """Images of a scan by number, in the order of the walk.
+    """Images of a scan by number, in the order of the camera path.
 
     Attributes:
         names: Names of the images in `[[prompts]]`.
-        blurs: (N,) blur of each, 0 sharp .. 1; see `scan_images.blur`.
+        blurs: Blur of each image (N,), 0 (sharp) .. 1; see `scan_images.blur`.
     """
 
     def __init__(self, images: tuple[Path, ...], video: Path | None) -> None:
-        """Decode a video's offered frames, or the images at a small size.
+        """Decode the selectable frames of a video, or the images at a small size.
 
         Raises:
             InputError: An image or the video is damaged.
@@ -47,17 +47,17 @@ class ScanImages:
         self.names, self.blurs = list(self._frames), np.array(blurs)
 
     def read(self, index: int) -> NDArray[np.uint8]:
-        """Image (H, W, 3), sRGB, upright."""
+        """Return an image (H, W, 3), sRGB, upright."""
         name = self.names[index]
         return self._frames[name] if name in self._frames else read_image(self._paths[name])
 
 
 def propose_images(blurs: NDArray[np.floating], count: int = PROPOSED) -> list[int]:
-    """The sharpest image of each of several equal stretches of the walk, in its order.
+    """Choose the sharpest image of each of several equal sections of the camera path, in order.
 
     Args:
-        blurs: (N,) blur of each image.
-        count: Number of stretches.
+        blurs: Blur of each image (N,).
+        count: Number of sections.
 
     Example:
         >>> propose_images(np.array([0.5, 0.4, 0.6, 0.3, 0.3, 0.9]), 3)

@@ -1,4 +1,4 @@
-"""A page on 127.0.0.1 on which a person marks the parts of a capture."""
+"""Web page on 127.0.0.1 on which a person marks the parts of a capture."""
 
 import base64
 
@@ -23,7 +23,7 @@ class ImageRequest(RequestFields):
 
 
 class MaskRequest(RequestFields):
-    """Points and box of the prompt whose mask is requested."""
+    """Request of the mask of a prompt with points and box."""
 
     image: int
     part: str
@@ -32,7 +32,7 @@ class MaskRequest(RequestFields):
 
 
 class SaveRequest(RequestFields):
-    """All prompts of a capture, and what a person states about it."""
+    """Request to save all prompts and other statements about a capture."""
 
     prompts: list[PromptSection]
     category: str
@@ -40,7 +40,7 @@ class SaveRequest(RequestFields):
 
 
 class PromptServer(PageServer):
-    """Serves one session until a person presses "Done"; see `PageServer`."""
+    """Server of one session until the person presses "Done"; see `PageServer`."""
 
     def __init__(self, session: PromptSession, port: int) -> None:
         self.session = session

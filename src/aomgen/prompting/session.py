@@ -1,4 +1,4 @@
-"""Mark robot and object parts on scan images: what is marked, masks of it, and what is still missing."""
+"""Session in which a person marks robot and object parts on scan images: prompts, masks and missing prompts."""
 
 import threading
 from collections.abc import Mapping, Sequence
@@ -22,22 +22,22 @@ from aomgen.prompting.scan_choice import ScanImages, propose_images
 from aomgen.segmentation.interface import Mask, PreparedImage, Segmenter
 from aomgen.segmentation.segmenter import choose_segmenter
 
-# With boxes of a part on two images, a run continues where the camera of one of them is not found.
+# Required images per part; with two, a run continues if the camera of one of them is not found.
 WANTED_IMAGES: Final = 2
-# A box from a mask leaves so much room around it, [px]: masks end a little inside the part.
+# Margin of a box around a mask, [px]; masks end slightly inside the part.
 MARGIN_PX: Final = 2.0
 
 
 class PromptSession:
-    """The prompts of one capture while a person marks them.
+    """Prompts of one capture while a person edits them.
 
     Attributes:
         capture: Folder with a capture.toml.
         images: Images of the scan.
-        size: Their width and height, [px].
+        size: Width and height of the images, [px].
         prompts: The last saved prompts.
-        stated: Category of the object and language instruction, as saved last; "" where they are missing.
-        no_masks: Why there are no masks, or empty.
+        stated: Last saved category of the object and language instruction; "" if they are missing.
+        no_masks: Reason for which masks are not available; empty if they are.
     """
 
     def __init__(self, capture: Path) -> None:
@@ -65,7 +65,7 @@ class PromptSession:
         self._encoded: dict[int, Future[PreparedImage]] = {}
 
     def describe(self) -> dict[str, Any]:
-        """Describe the session to the page: image names, size, proposals in the order of the walk, prompts, and why there are no masks."""
+        """Return the values of the page: image names, size, proposed images, prompts, and `no_masks`."""
         return {
             "capture": self.capture.name,
             "images": self.images.names,
@@ -81,7 +81,7 @@ class PromptSession:
         }
 
     def encode(self, index: int) -> "Future[PreparedImage] | None":
-        """Begin to encode an image, once; None without a segmenter."""
+        """Start to encode an image if it is not encoded yet; returns None without a segmenter."""
         segmenter = self._segmenter
         if segmenter is None:
             return None
@@ -96,13 +96,13 @@ class PromptSession:
     def segment(
         self, index: int, part: str, points: Sequence[Sequence[float]], box: Sequence[float]
     ) -> Mask | None:
-        """Mask (H, W) of what points and box mark; None without a segmenter or where they mark nothing.
+        """Compute the mask (H, W) of a prompt; None without a segmenter, or if points and box mark nothing.
 
         Args:
             index: Index of the image.
             part: One of `PARTS`.
-            points: Rows of x, y [px] and 1 on the part or 0 off it.
-            box: x0, y0, x1, y1 [px]; or empty.
+            points: Rows of x, y [px] and 1 on the part or 0 outside.
+            box: Box x0, y0, x1, y1 [px], or empty.
         """
         encoded = self.encode(index)
         if encoded is None or not (len(box) or any(row[2] == 1 for row in points)):
@@ -112,12 +112,12 @@ class PromptSession:
         )
 
     def save(self, prompts: Sequence[PromptSection], stated: Mapping[str, str]) -> None:
-        """Check all prompts, and write them and the stated values to capture.toml; incomplete ones are saved as well.
+        """Check all prompts, and write them and the stated values to capture.toml, also if prompts are missing.
 
-        Saved prompts are a person's: proposals among them are confirmed.
+        Proposals become confirmed prompts.
 
         Raises:
-            InputError: One is invalid; nothing is written.
+            InputError: A prompt is invalid; nothing is written.
         """
         prompts = [prompt.model_copy(update={"proposed": False, "confidence": None}) for prompt in prompts]
         for prompt in prompts:
@@ -128,7 +128,7 @@ class PromptSession:
 
 
 def find_missing(prompts: Sequence[PromptSection]) -> dict[str, int]:
-    """Number of images on which each part still needs a box, without the parts that need none.
+    """Count the images on which each part still needs a box; complete parts are omitted.
 
     Example:
         >>> find_missing([PromptSection(part="robot", image="0.jpg", box=[0, 0, 9, 9])])
@@ -139,7 +139,7 @@ def find_missing(prompts: Sequence[PromptSection]) -> dict[str, int]:
 
 
 def box_of_mask(mask: NDArray[np.bool_]) -> list[float]:
-    """Box x0, y0, x1, y1 [px] around a mask (H, W) with a margin, inside the image; empty for an empty mask.
+    """Compute the box x0, y0, x1, y1 [px] of a mask (H, W) with a margin, inside the image; empty for an empty mask.
 
     Example:
         >>> mask = np.zeros((40, 60), bool)

@@ -1,4 +1,4 @@
-"""Regions of a demonstration video that change: the robot in the first frame, and what the gripper has moved."""
+"""Find changing regions of a demonstration video: the robot in the first frame, and the part that it has moved."""
 
 from dataclasses import dataclass
 from typing import Annotated, Final
@@ -12,38 +12,38 @@ from aomgen.core.values import Array, freeze_arrays
 from aomgen.errors import NoMotionError
 from aomgen.segmentation.interface import Mask, PreparedImage
 
-# Color difference of a pixel that shows something else, above compression and soft shadows, 8 bit.
+# Color difference of a changed pixel, above the effect of compression and soft shadows, 8 bit.
 CHANGED: Final = 25.0
-# Side of the window over which differences are averaged, [px]: compression blocks are 8 px.
+# Side of the window over which differences are averaged, [px]; compression blocks have 8 px.
 WINDOW: Final = 5
-# An arm that leaves its first position early differs from the first frame in at least this share of the video.
-# A part that it opens later differs for less than that.
+# Pixels that an arm leaves early differ from the first frame in at least this share of the video; pixels of a part
+# that it opens later differ for a shorter time.
 LEFT_SHARE: Final = 0.6
-# Least size of the robot, as a share of the image.
+# Smallest size of the robot, as a share of the image.
 MIN_ROBOT: Final = 0.005
-# Frames that make each of the two images before and after the motion.
+# Number of frames that are combined to the images before and after the motion.
 STATE_FRAMES: Final = 24
-# Margin around the robot's masks, [px]: the model's outline is accurate to a pixel or two before the refinement.
+# Margin around the robot's masks, [px]; before the refinement the outline is accurate to one or two pixels.
 ROBOT_MARGIN_PX: Final = 3
-# Probability that a pixel shows something else where a part has come to, and where none has: shadows move as well.
+# Probability of a change in a pixel that the part newly covers, and in other pixels (moving shadows).
 CAME, STAYED = 0.9, 0.1
 # Distance between the points that are segmented, and their reach around the gripper, as shares of the image's width.
 STEP, REACH = 1 / 40, 1 / 8
-# Smaller segments are pieces of a part, and larger ones are rooms, as shares of the image.
+# Smallest and largest segment, as shares of the image; smaller ones are pieces of a part, larger ones the room.
 SIZES: Final = (0.002, 0.4)
-# A part is this near to the gripper that holds it, as a share of the image's width: half a handle's length.
+# Largest distance of a part from the gripper that holds it, as a share of the image's width (half a handle's length).
 NEAR: Final = 1 / 20
 REMEDY: Final = "mark the parts with `aomgen prompts`"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class VideoChange:
-    """The scene of a video after the motion, without the robot where frames show it, and what has changed.
+    """Image of the scene after the motion, without the robot where possible, and the changed pixels.
 
     Attributes:
-        after_srgb: (H, W, 3) uint8.
-        changed: (H, W) pixels that show something else than before the motion.
-        seen: (H, W) pixels at which the robot hides neither state.
+        after_srgb: Image (H, W, 3) uint8.
+        changed: Mask (H, W) of the pixels that changed between the states before and after the motion.
+        seen: Mask (H, W) of the pixels at which the robot hides neither state.
     """
 
     after_srgb: Annotated[NDArray[np.uint8], "H W 3"]
@@ -56,12 +56,12 @@ class VideoChange:
 def find_robot_boxes(frames_srgb: NDArray[np.uint8]) -> list[Array]:
     """Find boxes x0, y0, x1, y1 (4,), [px], that may hold the robot in the first of the frames (T, H, W, 3).
 
-    The image border, or an object before it, may divide the robot; shadows leave their positions as well. So the
-    likeliest box holds the largest region that differs from the first frame, and others hold the next ones, too. The
-    base, which does not move, may be outside.
+    The image border or an object in front of the robot may divide it, and its shadow also moves. Therefore the
+    likeliest box contains the largest region that differs from the first frame, and each further box also the next
+    region. The base does not move and may be outside.
 
     Raises:
-        NoMotionError: Nothing leaves its first position.
+        NoMotionError: No region leaves its first position.
 
     Not checked: that the robot moves first, and that it leaves the region that it covers.
     """
@@ -91,11 +91,11 @@ def _bound(mask: Mask) -> Array:
 def compare_states(
     frames_srgb: NDArray[np.uint8], robot: NDArray[np.bool_], first: int, last: int
 ) -> VideoChange:
-    """Compare the scene after a frame with that before another one, without the robot.
+    """Compare the scene before the first frame with that after the last frame of a motion, without the robot.
 
     Args:
         frames_srgb, robot: Frames (T, H, W, 3) and the robot's masks (T, H, W) in them.
-        first, last: Frames between which the part moves.
+        first, last: First and last frame of the motion.
     """
     cross = ndimage.generate_binary_structure(2, 1)[None]
     (before, before_seen), (after, after_seen) = (
@@ -113,7 +113,7 @@ def compare_states(
 
 
 def _spread(first: int, end: int) -> NDArray[np.int64]:
-    """At most `STATE_FRAMES` indices from first to end - 1."""
+    """Choose at most `STATE_FRAMES` indices from first to end - 1, evenly spaced."""
     return np.unique(np.linspace(first, end - 1, STATE_FRAMES).astype(np.int64))
 
 
@@ -122,10 +122,10 @@ def _differ(a: NDArray[np.float32], b: NDArray[np.float32]) -> Mask:
 
 
 def find_moved_region(image: PreparedImage, change: VideoChange, gripper_px: Array) -> Mask:
-    """Choose the segment (H, W) at the gripper that the change of the video makes likeliest.
+    """Choose the segment (H, W) at the gripper with the largest likelihood, given the change of the video.
 
-    The part is sought where it has come to: there it covers something else, while a door that opens may reveal an
-    inside as dark as itself.
+    The part is searched at its final position, where it covers the background; at its initial position, a door may
+    reveal an interior as dark as itself.
 
     Args:
         image: `change.after_srgb`, encoded.
@@ -157,7 +157,7 @@ def _fits(mask: Mask, gripper_px: Array) -> bool:
 
 
 def _log_likelihood_ratio(mask: Mask, change: VideoChange) -> float:
-    """Logarithm of the likelihood ratio of a part that has come to a segment over one that was there before."""
+    """Compute the log-likelihood ratio of the hypotheses that a segment is the moved part and that it is unchanged."""
     changed = int((mask & change.changed).sum())
     same = int((mask & change.seen).sum()) - changed
     return float(changed * np.log(CAME / STAYED) + same * np.log((1 - CAME) / (1 - STAYED)))

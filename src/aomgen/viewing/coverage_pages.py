@@ -1,4 +1,4 @@
-"""Coverage of the requested ranges by the episodes of a run, and where its holes are."""
+"""Coverage of the requested ranges by the episodes of a run, and the largest areas without an episode."""
 
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
@@ -24,29 +24,29 @@ from aomgen.results import Results
 from aomgen.viewing.draw_list import Draw, DrawList
 from aomgen.web.page_server import PageRequest, RequestFields, Response, Route, send_file, send_json
 
-# Positions along each axis of the requested area at which holes are searched: some 9 mm apart for usual ranges.
+# Positions along each axis of the requested area at which holes are searched: about 9 mm apart for usual ranges.
 HOLE_NODES: Final = 40
-# Holes that are listed for an asset.
+# Number of holes that are listed for an asset.
 HOLES: Final = 3
-# A circle without an episode is a hole from this radius on, in mean distances of evenly spread episodes: an even grid
-# leaves 0.7, some hundred independent positions leave 1.3 to 1.5.
+# Smallest radius of a hole, in mean distances of evenly spread episodes: a regular grid leaves 0.7, about a hundred
+# independent positions leave 1.3 to 1.5.
 LEAST_HOLE: Final = 2.0
 
 
 class CoverageRequest(RequestFields):
-    """Request of the coverage of one asset by its number, or of all."""
+    """Request of the coverage of one asset by its number, or of all assets."""
 
     asset: int | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Hole:
-    """A circle in the requested area in which no episode is.
+    """A circle in the requested area without an episode.
 
     Attributes:
-        x, y: Its center, world frame, [m].
-        radius_m: Distance to the nearest episode.
-        draws: Draws inside that gave no episode.
+        x, y: Center, world frame, [m].
+        radius_m: Distance from the center to the nearest episode.
+        draws: Number of samples in the circle without an episode.
         reasons: Number of rejections by reason.
     """
 
@@ -58,7 +58,7 @@ class Hole:
 
 
 class CoverageRoutes:
-    """Routes of the coverage of the run in a folder; the draws are shared with its review."""
+    """Routes of the coverage of the run in a folder; the samples are shared with its review."""
 
     def __init__(self, out: Path, draws: DrawList) -> None:
         self.out, self.draws = out, draws
@@ -73,7 +73,7 @@ class CoverageRoutes:
         }
 
     def send_state(self, request: PageRequest) -> Response:
-        """Send the map, the draws on it, histograms and holes; empty before the run has fitted its assets."""
+        """Send the map with its samples, histograms and holes; empty before the run has fitted its assets."""
         asked, results = request.parse(CoverageRequest), self._open()
         if results is None:
             return send_json({"assets": [], "shapes": [], "draws": [], "histograms": [], "holes": []})
@@ -89,7 +89,7 @@ class CoverageRoutes:
         )
 
     def _open(self) -> Results | None:
-        """Results of the run, read again when the assets have been fitted again; None before that, or for a capture."""
+        """Return the results of the run, read again after a new fit; None before the fit, or for a capture."""
         if self.out.is_dir() and not (self.out / PROJECT_FILE).is_file():
             return None
         results = results_of(find_project(self.out), STAGES)
@@ -105,9 +105,9 @@ class CoverageRoutes:
 def measure_coverage(
     results: Results, draws: Sequence[Draw], reviews: dict[int, Review], assets: Sequence[int]
 ) -> dict[str, Any]:
-    """Map, draws, histograms and holes of some assets of a run.
+    """Compute map, samples, histograms and holes of some assets of a run.
 
-    An episode that a person has rejected does not cover anything.
+    Rejected episodes do not count as coverage.
     """
     params = results.params("episodes", GenerationParams())
     fits, ranges = results.fitted_assets, params.ranges
@@ -136,7 +136,7 @@ def measure_coverage(
 
 
 def outline_request(ranges: Ranges, fitted: FittedAsset) -> Array:
-    """Corners (N, 2) of the area in which the middle of an object is requested, world frame, [m]."""
+    """Corners (N, 2) of the area in which the center of an object is requested, world frame, [m]."""
     if ranges.polygon:
         return np.array(ranges.polygon)
     (x0, x1), (y0, y1) = ranges.place_bounds
@@ -147,13 +147,13 @@ def outline_request(ranges: Ranges, fitted: FittedAsset) -> Array:
 
 
 def find_holes(area: Array, episodes: Array, others: Array, reasons: Sequence[str]) -> Iterator[Hole]:
-    """Find the largest circles about positions of an area that hold no episode, the largest first.
+    """Find the largest circles without an episode that are centered in an area; largest first.
 
     Args:
         area: Corners (N, 2) of the requested area, [m].
-        episodes: Positions (E, 2) of the episodes.
-        others: Positions (D, 2) of draws without an episode.
-        reasons: Their reasons.
+        episodes: Positions (E, 2) of the episodes, [m].
+        others: Positions (D, 2) of the samples without an episode, [m].
+        reasons: Reasons of these samples.
     """
     low, high = area.min(0), area.max(0)
     axes = [np.linspace(*bounds, HOLE_NODES) for bounds in zip(low, high, strict=True)]
@@ -189,9 +189,9 @@ def _find_holes(
 
 
 def locate_draws(fitted: FittedAsset, variations: Sequence[Mapping[str, Any]]) -> Array:
-    """Middle of an object's footprint and direction of its front (N, 4) in stored variations, world frame, [m].
+    """Center of an object's footprint and direction of its front (N, 4) in stored variations, world frame, [m].
 
-    `reach_map.front_line` gives the same for one variation.
+    `reach_map.front_line` computes the same for one variation.
     """
     R, T = fitted.T_world_asset[:3, :3], fitted.T_world_asset
     pivot, front = apply(T, fitted.middle_asset), R @ [0.0, -LINE_M, 0.0]
@@ -206,7 +206,7 @@ def locate_draws(fitted: FittedAsset, variations: Sequence[Mapping[str, Any]]) -
 
 
 def _locate(draws: Sequence[Draw], fits: Sequence[FittedAsset]) -> Array:
-    """`locate_draws` for draws of several assets (N, 4)."""
+    """Apply `locate_draws` to samples of several assets (N, 4)."""
     assets, rows = np.array([unit_of(draw.number).asset for draw in draws]), np.zeros((len(draws), 4))
     for number in np.unique(assets):
         mine = assets == number
@@ -217,7 +217,7 @@ def _locate(draws: Sequence[Draw], fits: Sequence[FittedAsset]) -> Array:
 
 
 def _describe(draw: Draw, place: Array, review: Review) -> dict[str, Any]:
-    """A draw on the map; an episode that a person has rejected is a rejected draw."""
+    """Describe a sample on the map; an episode that the review rejects is a rejected sample."""
     rejected = (
         draw.outcome == "committed" and review.decision == "rejected" and review.content == draw.content
     )

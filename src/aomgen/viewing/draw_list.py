@@ -30,7 +30,7 @@ class Draw:
     """One sample (draw) for an asset and its outcome.
 
     Attributes:
-        number: Number of its episode.
+        number: Number of the episode.
         asset: Name of the object.
         outcome: See `Outcome`.
         reason, detail: Reason and detail of a rejection; for an episode, the nearest limit and the metric in words.

@@ -1,4 +1,4 @@
-"""One episode or rejected draw for its page: what the robot and the object did, and every limit."""
+"""Data of the page of one episode or rejected sample: motion of robot and object, and all limits."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
@@ -15,16 +15,16 @@ from aomgen.report.episodes import place_words, reasons
 from aomgen.viewing.draw_list import Draw
 from aomgen.viewing.limit_readings import read_limits, read_rejected
 
-# Digits of plotted values, below what a plot can show.
+# Number of digits of plotted values, finer than the resolution of a plot.
 DIGITS: Final = 4
 
 
 def describe_episode(folder: Path) -> dict[str, Any]:
-    """Values of an episode's page: cameras, series over its frames, and its limits.
+    """Collect the data of an episode's page: cameras, series over the frames, and limits.
 
     Returns:
-        `series` is a list of plots, each with a title, a unit, and lines of T values; `phases` a list of name, first and
-        last frame; `limits` see `LimitReading`.
+        `series` is a list of plots, each with a title, a unit, and lines of T values; `phases` is a list of names with
+        first and last frame; for `limits` see `LimitReading`.
 
     Raises:
         CorruptArtifactError, MalformedFileError: A file of the episode is missing or damaged.
@@ -52,7 +52,7 @@ def describe_episode(folder: Path) -> dict[str, Any]:
 
 
 def describe_rejected(draw: Draw) -> dict[str, Any]:
-    """Values of the page of a draw that gave no episode, or a damaged one."""
+    """Collect the data of the page of a sample without an episode, or of a damaged episode."""
     return {
         "asset": draw.asset,
         "meaning": reasons().get(draw.reason, ""),
@@ -64,7 +64,7 @@ def describe_rejected(draw: Draw) -> dict[str, Any]:
 
 
 def list_phases(phases: NDArray[np.int64]) -> list[dict[str, Any]]:
-    """Runs of equal phases (T,): name, first and last frame."""
+    """List the runs of equal phases (T,): name, first and last frame."""
     starts = np.flatnonzero(np.diff(phases, prepend=-1))
     ends = [*(starts[1:] - 1).tolist(), len(phases) - 1]
     return [
@@ -74,7 +74,7 @@ def list_phases(phases: NDArray[np.int64]) -> list[dict[str, Any]]:
 
 
 def list_series(episode: Episode) -> list[dict[str, Any]]:
-    """Plots of an episode: joint value of the object, finger forces, gripper, arm joints, tracking error."""
+    """List the plots of an episode: joint value of the object, finger forces, gripper, arm joints, tracking error."""
     turning = episode.joint.type == "revolute"
     verdict, factor = episode.verdict, (np.degrees(1.0) if turning else 1000.0)
     goal = [(factor * verdict[name], name.removesuffix("_theta")) for name in ("start_theta", "target_theta")]
@@ -104,7 +104,7 @@ def finger_forces(episode: Episode) -> dict[str, Array]:
 
 
 def describe_variation(variation: Mapping[str, Any]) -> dict[str, str]:
-    """Differences of a draw from the recording in words, by their names; those that are zero are left out."""
+    """Describe the nonzero differences of a sample from the recording in words, by their names."""
     if not variation:
         return {}
     light, material = variation["light"], variation["material"]

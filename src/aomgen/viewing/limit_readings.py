@@ -1,4 +1,4 @@
-"""Distance of an episode's figures to their limits, comparable between figures."""
+"""Margins of an episode's metrics to their limits, normalized so that metrics can be compared."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -12,14 +12,14 @@ _INTERNAL: Final = ("in_contact", "path_share")
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LimitReading:
-    """One figure against its limit, in words.
+    """One metric and its limit, in words.
 
     Attributes:
-        figure: Name with unit, for example "torque_share".
-        name: In words.
-        value, limit: With their unit; the limit with the sign of the inequality.
-        room: Distance to the limit over that of the best value: 1 is the best value, 0 the limit.
-        setting: Simulated resistance of the object in which the figure is worst; empty for figures of the plan.
+        figure: Name of the metric with unit, for example "torque_share".
+        name: Name in words.
+        value, limit: Value and limit with their unit; the limit with its inequality sign.
+        room: Margin to the limit, divided by the margin of the best value: 1 at the best value, 0 at the limit.
+        setting: Simulated setting of the object in which the metric is worst; empty for metrics of the plan.
     """
 
     figure: str
@@ -31,10 +31,10 @@ class LimitReading:
 
 
 def read_limits(verdict: Mapping[str, Any]) -> list[LimitReading]:
-    """All figures of a stored `Verdict` against their limits, the one nearest to its limit first.
+    """List all metrics of a stored `Verdict` with their limits, the smallest margin first.
 
     Raises:
-        KeyError, TypeError, ValueError: It is no verdict of an episode.
+        KeyError, TypeError, ValueError: The values are not a verdict of an episode.
     """
     found = [
         _read(name, item["value"], item["limit"], item["margin"], "")
@@ -48,7 +48,7 @@ def read_limits(verdict: Mapping[str, Any]) -> list[LimitReading]:
 
 
 def _read(name: str, value: float, limit: float, margin: float, setting: str) -> LimitReading:
-    # A limit from below is that of a share, whose best value is 1.
+    # Only shares have a lower limit; their best value is 1.
     least = value - limit == margin and value != limit
     group = "verdict" if setting else "plan"
     shown, stated = (read_figure(group, name, number) for number in (value, limit))
@@ -63,7 +63,7 @@ def _read(name: str, value: float, limit: float, margin: float, setting: str) ->
 
 
 def read_rejected(metrics: Mapping[str, float]) -> dict[str, str]:
-    """Figures of a rejection in words, by their names in words."""
+    """Describe the metrics of a rejection in words, by their names in words."""
     found = {}
     for name, value in metrics.items():
         group = next((group for group in ("plan", "verdict") if name in FIGURES[group]), "")

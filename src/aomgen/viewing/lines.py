@@ -12,16 +12,16 @@ from aomgen.core.transforms import apply
 from aomgen.core.values import Array
 from aomgen.io.geom_surface import find_colliding_geoms
 
-# Points of a circle; a collider's outline at arm's length is smooth enough.
+# Points of a circle, sufficient for the outline of a collider at arm's length.
 SIDES: Final = 24
-# Edges of a mesh between faces that meet at a smaller angle are not drawn: they belong to one smooth face, [rad].
+# Edges between faces that meet at a smaller angle are omitted, because the faces approximate one smooth surface, [rad].
 SHARP_RAD: Final = 0.6
-# Lines are cut at this depth before the camera, [m].
+# Lines are clipped at this depth in front of the camera, [m].
 NEAR: Final = 0.02
 
 
 def project_segments(camera: Camera, segments: ArrayLike) -> Array:
-    """Project segments (N, 2, 3), world frame, to pixels (M, 4) x0, y0, x1, y1; what is behind the camera is cut off."""
+    """Project segments (N, 2, 3), world frame, to pixels (M, 4) x0, y0, x1, y1, clipped in front of the camera."""
     points = apply(camera.T_cam_world, np.asarray(segments, np.float64).reshape(-1, 3)).reshape(-1, 2, 3)
     points = points[(points[..., 2] > NEAR).any(1)]
     a, b = points[:, 0], points[:, 1]
@@ -35,14 +35,14 @@ def project_segments(camera: Camera, segments: ArrayLike) -> Array:
 
 
 def join_points(points: ArrayLike, *, closed: bool = False) -> Array:
-    """Segments (N - 1, 2, 3) that join points (N, 3) in order; N when closed."""
+    """Segments (N - 1, 2, 3) that join points (N, 3) in order; (N, 2, 3) if closed."""
     points = np.asarray(points, np.float64)
     following = np.roll(points, -1, 0)
     return np.stack([points, following], 1)[: None if closed else -1]
 
 
 def outline_camera(camera: Camera, size: float) -> Array:
-    """Segments (8, 2, 3) of a camera's pyramid, `size` deep."""
+    """Segments (8, 2, 3) of a camera's viewing pyramid with depth `size`, world frame."""
     u = (np.array([0, camera.width, camera.width, 0]) - camera.cx) / camera.fx
     v = (np.array([0, 0, camera.height, camera.height]) - camera.cy) / camera.fy
     corners = apply(camera.T_world_cam, size * np.stack([u, v, np.ones(4)], 1))
@@ -54,7 +54,7 @@ def outline_geoms(model: mujoco.MjModel) -> list[tuple[int, Array]]:
     """Outline the colliding shapes of a model.
 
     Returns:
-        Index of each shape, and its segments (N, 2, 3) in the shape's own frame.
+        Index of each shape, and its segments (N, 2, 3) in the frame of the shape.
     """
     meshes = {
         int(number): outline_hull(_mesh_vertices(model, int(number)))
@@ -62,7 +62,7 @@ def outline_geoms(model: mujoco.MjModel) -> list[tuple[int, Array]]:
     }
     found = []
     for geom in np.flatnonzero(find_colliding_geoms(model)):
-        # Not the number itself: it is not found among members of the enumeration.
+        # A plain number is not found among the members of the enumeration.
         kind, size = mujoco.mjtGeom(int(model.geom_type[geom])), model.geom_size[geom]
         if kind == mujoco.mjtGeom.mjGEOM_MESH:
             found.append((int(geom), meshes[int(model.geom_dataid[geom])]))
@@ -101,7 +101,7 @@ def _circle(radius: float, height: float) -> Array:
 
 
 def _outline_tube(radius: float, half: float, cap: float) -> Array:
-    """Two circles and four lines between them along z, and half circles of a round cap."""
+    """Two circles, four lines between them along z, and half circles of round caps."""
     rings = [_circle(radius, height) for height in (-half, half)]
     lines = np.stack([rings[0][:: SIDES // 4], rings[1][:: SIDES // 4]], 1)
     parts = [*(join_points(ring, closed=True) for ring in rings), lines]

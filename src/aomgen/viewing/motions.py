@@ -17,7 +17,7 @@ from aomgen.io.images import encode_jpeg
 from aomgen.io.video import decode_frames
 from aomgen.results import Results
 
-# Videos whose frames are kept as JPEG: those that a person switches between.
+# Number of videos whose frames are cached as JPEG, so that switching between them is fast.
 KEPT_VIDEOS: Final = 4
 
 
@@ -47,13 +47,14 @@ class MotionVideo:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ShownMotion:
-    """A motion of the timeline.
+    """A motion on the timeline.
 
     Attributes:
-        title: Name for a person.
-        times_s: (T,), rising, [s].
+        title: Displayed name.
+        times_s: Increasing times (T,), [s].
         trajectory: States at these times; None before the motion is estimated.
-        cameras: Cameras of the videos, each at one pose or at T poses.
+        cameras: Cameras of the videos, each with one pose or T poses.
+        videos: Videos by camera.
         videos: Videos by camera.
     """
 
@@ -64,7 +65,7 @@ class ShownMotion:
     videos: Mapping[str, MotionVideo]
 
     def describe(self) -> dict[str, Any]:
-        """Describe the motion to the page: times, states, cameras and names of the videos."""
+        """Return the data of the motion for the page: times, states, cameras and names of the videos."""
         path = self.trajectory
         states = None if path is None else {
             "joints": path.joints.round(5).tolist(),
@@ -100,13 +101,13 @@ def _read_frames_jpeg(file: Path, lens: Lens | None, changed_ns: int) -> tuple[A
 
 
 def read_frames_jpeg(file: Path, lens: Lens | None = None) -> tuple[Array, tuple[bytes, ...]]:
-    """Return the times (T,) [s] of a video's frames and their JPEG bytes; a video that has not changed is kept."""
+    """Return the times (T,) [s] of a video's frames and their JPEG bytes, cached while the video does not change."""
     changed_ns = file.stat().st_mtime_ns if file.is_file() else 0
     return _read_frames_jpeg(file, lens, changed_ns)
 
 
 def read_recording(results: Results, done: Collection[str]) -> ShownMotion:
-    """Read the recorded demonstration, as far as the stages in `done` know it.
+    """Read the recorded demonstration, as far as the stages in `done` have processed it.
 
     Raises:
         InputError: The capture is missing or damaged.
@@ -118,7 +119,7 @@ def read_recording(results: Results, done: Collection[str]) -> ShownMotion:
     for item in results.recorded.cameras:
         fixed = results.alignment.cameras.get(item.name) if aligned else None
         clock = fixed.clock if fixed else None
-        # Both clocks relate a video to the same joint log.
+        # Both clock offsets relate a video to the same joint log.
         offset = first.offset_s - clock.offset_s if first and clock else 0.0
         if fixed:
             cameras[item.name] = CameraPath(camera=fixed.camera, Ts_world_cam=fixed.camera.T_world_cam[None])
@@ -146,7 +147,7 @@ def read_recording(results: Results, done: Collection[str]) -> ShownMotion:
 
 
 def show_episode(committed: CommittedEpisode) -> ShownMotion:
-    """The motion of a committed episode, or of a draw without one, which has no videos."""
+    """Return the motion of a committed episode, or of a sample without an episode, which has no videos."""
     episode = committed.episode
     cameras = {
         name: CameraPath(camera=camera, Ts_world_cam=episode.camera_poses.get(name, camera.T_world_cam[None]))

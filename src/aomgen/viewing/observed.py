@@ -1,4 +1,4 @@
-"""Coverage of what the twin page shows by the images of the scan."""
+"""Coverage of the twin page's view by the images of the scan."""
 
 from collections.abc import Mapping
 from typing import Final
@@ -10,11 +10,11 @@ from aomgen.core.camera import Camera
 from aomgen.core.values import Array
 from aomgen.parts.survey import MIN_SHARE, Survey
 
-# Surveyed points this far behind the rendered surface are hidden, [m]: the box around an object is not its surface.
+# Surveyed points this far behind the rendered surface are hidden, [m]; they are on a box around the object, not on it.
 HIDDEN_M: Final = 0.04
-# The number of states of a point's coverage: no view, too few, enough.
+# Values of a point's coverage: no view, too few views, enough views.
 NO_VIEW, FEW_VIEWS, ENOUGH_VIEWS = 0, 1, 2
-# Views further from every scan camera than this show surfaces that no image showed, [deg]; neighboring cameras of a walk
+# Views at a larger angle to every scan camera show surfaces that no image showed, [deg]; neighboring cameras of a scan
 # around the object are up to 12 deg apart.
 NEAR_DEG: Final = 20.0
 # A larger share of an image without any Gaussian is reported.
@@ -26,9 +26,9 @@ SOLID_ALPHA: Final = 0.5
 def project_coverage(
     found: Survey, camera: Camera, depth: NDArray[np.float32], *, with_robot: bool
 ) -> list[list[float]]:
-    """Rows of x, y [px] and coverage of the surveyed points that the rendered depth (H, W) [m] does not hide.
+    """Rows of x, y [px] and coverage for the surveyed points that the rendered depth (H, W) [m] does not hide.
 
-    The robot's points are where it stood during the scan; without `with_robot` they are left out.
+    The points of the robot have their positions during the scan; without `with_robot` they are omitted.
     """
     robots = [k for k, name in enumerate(found.names) if name.endswith("of the robot")]
     pixels, depths = camera.project(found.points_world)
@@ -55,14 +55,14 @@ def describe_support(
     pivot: Array,
     found: Survey | None,
 ) -> list[str]:
-    """Sentences about what an image shows although no scan image showed it.
+    """List sentences about the content of a rendered image that no scan image showed.
 
     Args:
         camera: View of the image.
         alpha: Alpha of the image (H, W), 0..1; None if parts are hidden.
         scan: Scan cameras.
         pivot: Center of the scanned region (3,).
-        found: Survey of the scan's coverage; None before it was made.
+        found: Survey of the scan's coverage; None before it is measured.
     """
     sentences = []
     if alpha is not None and (empty := float(np.mean(alpha < SOLID_ALPHA))) > EMPTY_SHARE:
@@ -82,7 +82,7 @@ def describe_support(
 
 
 def _list_guessed_sides(camera: Camera, found: Survey) -> list[str]:
-    """Sentences of the survey about sides that face the camera."""
+    """List the sentences of the survey about sides that face the camera."""
     middles = np.array([found.points_world[found.sides == k].mean(0) for k in range(len(found.names))])
     of_object = [k for k, name in enumerate(found.names) if name.endswith("of the object")]
     outward = middles - middles[of_object].mean(0)

@@ -1,4 +1,4 @@
-"""One HTML file that shows a run without AOMGen and without a network: its twin, some episodes, and the wall of all."""
+"""One HTML file that shows a run without AOMGen or a network: its twin, some episodes, and an overview of all."""
 
 import base64
 import importlib.resources
@@ -32,28 +32,28 @@ from aomgen.viewing.draw_list import Draw, DrawList
 from aomgen.viewing.review_pages import describe_draw
 from aomgen.viewing.thumbnails import encode_thumbnail
 
-# Images of the twin over the range of its joint: steps of some 3 degrees for a door.
+# Number of images of the twin over the range of its joint: steps of about 3 degrees for a door.
 STRIP_IMAGES: Final = 24
 # Quality of the embedded JPEG images and videos: a page of a few MB can still be sent by mail.
 JPEG_QUALITY, VIDEO_CRF = 85, 28
-# Episodes that can be played for each asset, and the largest number of all.
+# Number of playable episodes per asset, and their largest total number.
 PLAYED_EACH, MOST_PLAYED = 1, 4
-# Episodes whose first and last image are embedded, some 10 kB each.
+# Largest number of episodes whose first and last image are embedded; an image has about 10 kB.
 MOST_SHOWN: Final = 300
-# The template holds this in place of the content.
+# Placeholder of the content in the template.
 SLOT: Final = "__CONTENT__"
 
 
 def write_offline_page(out: Path, path: Path) -> int:
-    """Write the page of a run; sections of what the run has not made yet are left out.
+    """Write the page of a run; sections without results are omitted.
 
-    The report of the run links to the page when it is `page.html` in the run's folder.
+    The report of the run links to the page if it is `page.html` in the folder of the run.
 
     Returns:
-        Its size, [bytes].
+        Size of the page, [bytes].
 
     Raises:
-        MissingFileError: There is no run, or it has neither a twin nor an episode.
+        MissingFileError: The run does not exist, or has neither a twin nor an episode.
         CorruptArtifactError, MalformedFileError: A file of the run is damaged.
         StorageError: Writing to the disk failed.
     """
@@ -79,16 +79,16 @@ def write_offline_page(out: Path, path: Path) -> int:
         "reasons": _count_reasons(draws),
     }
     template = (importlib.resources.files("aomgen.viewing") / "offline.html").read_text("utf-8")
-    # "</script>" in a name would end the script that holds the content.
+    # "</script>" in a name would end the script that contains the content.
     page = template.replace(SLOT, json.dumps(content, allow_nan=False).replace("</", "<\\/"))
     write_text(path, page)
     if path.resolve() == results.out.resolve() / OFFLINE_PAGE and (results.out / REPORT_FILE).is_file():
-        write_report(results.out)  # which links to the page
+        write_report(results.out)  # the report links to the page
     return len(page.encode())
 
 
 def choose_played(draws: Sequence[Draw]) -> list[Draw]:
-    """Choose the episodes that can be played: for each asset those with the most room to their limits."""
+    """Choose the episodes that can be played: for each asset those with the largest margins to their limits."""
     counts, chosen = Counter[str](), []
     for draw in sorted(draws, key=lambda draw: -(draw.room or 0.0)):
         if counts[draw.asset] < PLAYED_EACH and len(chosen) < MOST_PLAYED:
@@ -98,7 +98,7 @@ def choose_played(draws: Sequence[Draw]) -> list[Draw]:
 
 
 def draw_strip(twin: TwinModel, robot: RobotModel, camera: Camera, values: Array) -> list[str]:
-    """Render the twin at joint values (K,), [rad] or [m], else as during the scan; returns data URLs of JPEG images."""
+    """Render the twin at joint values (K,), [rad] or [m], otherwise as scanned; return data URLs of JPEG images."""
     images = []
     for value in values.tolist():
         state = replace(twin.scan_state, theta=value)
@@ -109,7 +109,7 @@ def draw_strip(twin: TwinModel, robot: RobotModel, camera: Camera, values: Array
 
 
 def _describe_strip(results: Results) -> dict[str, Any]:
-    """Images of the twin over the recorded range of its joint, from the first camera of the recording."""
+    """Render the twin over the recorded range of its joint with the first camera of the recording."""
     twin, robot = open_twin(results.out)
     name, fixed = next(iter(results.alignment.cameras.items()))
     values = np.linspace(results.motion.thetas.min(), results.motion.thetas.max(), STRIP_IMAGES)
@@ -123,7 +123,7 @@ def _describe_strip(results: Results) -> dict[str, Any]:
 
 
 def _embed_episode(folder: Path, draw: Draw) -> dict[str, Any]:
-    """All views of an episode side by side, as one video."""
+    """Embed all views of an episode side by side as one video."""
     committed = read_episode(episode_folder(folder, draw.number))
     videos = [read_video(path).frames_srgb for path in committed.videos.values()]
     height = min(frames.shape[1] for frames in videos)
@@ -139,7 +139,7 @@ def _embed_episode(folder: Path, draw: Draw) -> dict[str, Any]:
 
 
 def _embed_images(folder: Path, draw: Draw) -> dict[str, str]:
-    """First and last image of an episode; a damaged video gives the sentence of its error instead."""
+    """Embed the first and last image of an episode; for a damaged video, return the error message instead."""
     video = episode_folder(folder, draw.number) / f"{draw.cameras[0]}.mp4"
     try:
         return {frame: _embed("image/jpeg", encode_thumbnail(video, frame)) for frame in ("first", "last")}
@@ -148,7 +148,7 @@ def _embed_images(folder: Path, draw: Draw) -> dict[str, str]:
 
 
 def _count_reasons(draws: Sequence[Draw]) -> list[dict[str, Any]]:
-    """Reasons of the draws without an episode, the most frequent first."""
+    """Count the reasons of the samples without an episode, the most frequent first."""
     meanings = reasons()
     counts = Counter(draw.reason for draw in draws if draw.outcome in ("rejected", "skipped"))
     return [

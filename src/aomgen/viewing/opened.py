@@ -1,4 +1,4 @@
-"""A run, or a capture alone, as the twin page shows it: motions, scenes and overlays, each opened when it is first used."""
+"""A run or a single capture as displayed by the twin page: motions, scenes and overlays, each opened on first use."""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -49,11 +49,11 @@ from aomgen.viewing.scenes import (
 
 RECORDING: Final = "recording"
 CAPTURE_FILE: Final = "capture.toml"
-# Episodes that are kept open, each with a copy of the twin of some ten MB.
+# Number of episodes that are kept open; each contains a copy of the twin of some ten MB.
 KEPT_EPISODES: Final = 2
-# Depth of a drawn camera as a share of the scan cameras' median distance from the object.
+# Depth of a displayed camera as a share of the median distance between scan cameras and object.
 CAMERA_SHARE: Final = 0.05
-# Sentences about what a run lacks, by the first stage that has not finished.
+# Sentences about missing results, by the first stage that has not finished.
 LACKS: Final = {
     "structure": "The scan is not reconstructed yet; the page shows its images and the recording.",
     "gaussians": "The scan has cameras but no Gaussians yet; the page shows its images and the recording.",
@@ -67,7 +67,7 @@ LACKS: Final = {
 
 
 class OpenedRun:
-    """Results of a run when it was opened; only the list of its committed episodes changes."""
+    """Results of a run at the time when it was opened; only the list of its committed episodes is updated."""
 
     def __init__(self, results: Results, token: str) -> None:
         self.results, self.token = results, token
@@ -79,7 +79,7 @@ class OpenedRun:
         self.pivot = lru_cache(None)(self._find_pivot)
 
     def list_notes(self) -> list[str]:
-        """Sentences about what the run lacks."""
+        """List sentences about missing results of the run."""
         notes = []
         for stage in STAGES:
             manifest = read_manifest(self.results.folders[stage.name])
@@ -91,7 +91,7 @@ class OpenedRun:
         return [*notes, *([LACKS[missing]] if missing else [])]
 
     def list_motions(self) -> list[dict[str, str]]:
-        """Name and title of every motion, the recording first."""
+        """List name and title of every motion, the recording first."""
         numbers = [int(folder.name) for folder in list_committed(self.results.folders["episodes"])]
         shown = numbers if "replacement" in self.done else []
         return [
@@ -101,12 +101,12 @@ class OpenedRun:
 
     @cached_property
     def posable(self) -> tuple[TwinModel, RobotModel]:
-        """Twin of the recording and its robot."""
+        """Return the twin of the recording and its robot."""
         return open_twin(self.results.out)
 
     @cached_property
     def scan(self) -> ScanImages:
-        """Images of the scan.
+        """Return the images of the scan.
 
         Raises:
             InputError: The capture is missing or damaged.
@@ -115,12 +115,12 @@ class OpenedRun:
 
     @property
     def has_parts(self) -> bool:
-        """True once the parts of the scene are known and can be hidden."""
+        """True if the parts of the scene are known, so that they can be hidden."""
         return "parts" in self.done
 
     @cached_property
     def survey(self) -> Survey | None:
-        """Coverage of the scan; None before it was measured."""
+        """Coverage of the scan; None before it is measured."""
         if "parts" not in self.done:
             return None
         return load_artifact(self.results.folders["parts"], COVERAGE, Survey)
@@ -141,14 +141,14 @@ class OpenedRun:
         return replan_draw(self.results, DrawList(self.results.out, home).find(int(name)))
 
     def _open_motion(self, name: str) -> tuple[ShownMotion, str]:
-        """A motion, and a sentence about what is missing of it."""
+        """Open a motion, with a sentence about its missing data."""
         if name != RECORDING:
             committed = self.episode(name)
             return show_episode(committed), str(committed.episode.verdict.get(NOTE, ""))
         try:
             motion, problem = read_recording(self.results, self.done), ""
         except InputError as error:
-            # The twin can be looked at without the capture that it comes from.
+            # The twin can be displayed without its capture.
             if "twin" not in self.done:
                 raise
             fixed = {name: item.camera for name, item in self.results.alignment.cameras.items()}
@@ -164,7 +164,7 @@ class OpenedRun:
         return motion, problem
 
     def _open_scene(self, name: str) -> ViewedScene | None:
-        """The scene of a motion; None before there are Gaussians."""
+        """Open the scene of a motion; None before Gaussians exist."""
         if name == RECORDING:
             if "twin" in self.done:
                 return open_recorded_scene(*self.posable)
@@ -182,7 +182,7 @@ class OpenedRun:
         return open_episode_scene(self.results, self.posable[1], asset, variation, first, eyes)
 
     def _find_pivot(self, name: str) -> Array:
-        """The point (3,) that the view turns about: the object, else the middle of the scan."""
+        """Return the center of rotation (3,) of the view: the object, or else the center of the scan."""
         scene = self.scene(name)
         if isinstance(scene, PosableScene):
             return scene.find_center()
@@ -195,14 +195,14 @@ class OpenedRun:
         return np.median(points, 0)
 
     def find_up(self) -> Array:
-        """Unit direction (3,) upwards: the world's z axis, or the cameras' mean before the alignment."""
+        """Return the unit vector (3,) upward: the world's z axis, or the mean of the cameras before the alignment."""
         if "alignment" in self.done:
             return np.array([0.0, 0.0, 1.0])
         up = -np.mean([camera.T_world_cam[:3, 1] for camera in self.scan_cameras.values()], 0)
         return up / np.linalg.norm(up)
 
     def list_overlays(self, name: str) -> list[str]:
-        """Names of the overlays that a motion has."""
+        """List the names of the overlays of a motion."""
         if name != RECORDING:
             return ["colliders", "cameras", "contacts", "axis"]
         needs = {
@@ -258,19 +258,19 @@ def _is_current(results: Results, name: str) -> bool:
 
 
 class ViewedFolder:
-    """Folder of a run or a capture, opened again after it has changed."""
+    """Folder of a run or a capture, which is opened again after a change."""
 
     def __init__(self, folder: Path) -> None:
         """Open a folder.
 
         Raises:
-            InputError, ConfigError: It holds neither a run nor a readable capture.
+            InputError, ConfigError: The folder contains neither a run nor a readable capture.
         """
         self._folder = folder
         self._opened = OpenedRun(self._find_results(), "")
 
     def open(self) -> OpenedRun:
-        """Return the run as it is now.
+        """Return the current state of the run.
 
         Raises:
             MissingFileError: The folder was moved or deleted.
@@ -282,18 +282,18 @@ class ViewedFolder:
 
     @property
     def last(self) -> OpenedRun:
-        """The run as it was opened last; it can be rendered even if its folder was deleted."""
+        """Return the run as it was opened last; it can be rendered even if its folder was deleted."""
         return self._opened
 
     def _find_results(self) -> Results:
         if (self._folder / CAPTURE_FILE).is_file():
-            # A capture alone is shown like a run that has made nothing.
+            # A single capture is displayed like a run without results.
             folder = read_capture(self._folder).folder.resolve()
             return results_of(Project(capture=folder, out=folder), STAGES)
         return results_of(find_project(self._folder), STAGES)
 
     def _compute_token(self) -> str:
-        """Text that changes whenever a stage is committed; episodes appear without opening the twin again."""
+        """Return a text that changes whenever a stage is committed; for new episodes the twin stays open."""
         results, opened = self._opened.results, self._opened
         for folder in (self._folder, *([results.out] if opened.done else [])):
             if not folder.exists():

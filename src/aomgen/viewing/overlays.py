@@ -1,4 +1,4 @@
-"""Line drawings over the twin: colliders, scan cameras, contacts, and the joint axis with its 95 % region."""
+"""Line overlays of the twin: colliders, scan cameras, contacts, and the joint axis with its 95 % region."""
 
 from collections.abc import Collection, Mapping
 from typing import Any, Final, NamedTuple, Protocol
@@ -15,14 +15,14 @@ from aomgen.report.images import axis_space
 from aomgen.twin.twin import TwinState
 from aomgen.viewing.lines import join_points, outline_camera, outline_geoms, project_segments
 
-# Length of the arrow of a contact without a measured force, and for each newton of one, [m].
+# Length of a contact arrow without a measured force, [m], and length per force, [m/N].
 ARROW_M, ARROW_M_N = 0.05, 0.004
-# Length of the arrow of a force that is unusually large, [m].
+# Largest length of an arrow, [m].
 ARROW_MAX_M: Final = 0.2
 
 
 class Moment(NamedTuple):
-    """State and time [s] of a motion, for which an overlay is drawn, and the camera that looks at it."""
+    """State and time [s] of a motion for which an overlay is drawn, and the camera of the view."""
 
     state: TwinState
     time_s: float
@@ -30,22 +30,22 @@ class Moment(NamedTuple):
 
 
 class Overlay(Protocol):
-    """Line drawings by class name, each segments (N, 2, 3), world frame."""
+    """Function that returns segments (N, 2, 3), world frame, by class name."""
 
     def __call__(self, moment: Moment) -> Mapping[str, Array]:
-        """Draw a state."""
+        """Return the segments for a state."""
         ...
 
 
 class Colliders:
-    """Outlines of the shapes that physics sees, those of a colliding pair as a class of their own."""
+    """Outlines of the collision shapes; the shapes of a colliding pair have a separate class name."""
 
     def __init__(self, model: mujoco.MjModel, qpos: Any, pair: Collection[str] = ()) -> None:
         """Prepare a model.
 
         Args:
             model: Bodies and shapes.
-            qpos: Turns a `TwinState` into generalised positions (nq,).
+            qpos: Converts a `TwinState` to generalized positions (nq,).
             pair: Names of colliding bodies or shapes.
         """
         self._data, self._model, self._qpos = mujoco.MjData(model), model, qpos
@@ -57,7 +57,7 @@ class Colliders:
         self._in_pair = {geom for geom, known in names.items() if known & set(pair)}
 
     def __call__(self, moment: Moment) -> Mapping[str, Array]:
-        """Draw the shapes in a state."""
+        """Return the outlines of the shapes in a state."""
         self._data.qpos[:] = self._qpos(moment.state)
         mujoco.mj_kinematics(self._model, self._data)
         drawn: dict[str, list[Array]] = {"collider": [], "pair": []}
@@ -68,7 +68,7 @@ class Colliders:
 
 
 def outline_cameras(scan: Mapping[str, Camera], fixed: Mapping[str, Camera], size: float) -> Overlay:
-    """Pyramids, `size` deep, of scan cameras and of fixed cameras; not of the camera that one looks through."""
+    """Outline scan cameras and fixed cameras as pyramids of depth `size`, except the camera of the view."""
 
     def draw(moment: Moment) -> Mapping[str, Array]:
         drawn = {}
@@ -83,7 +83,7 @@ def outline_cameras(scan: Mapping[str, Camera], fixed: Mapping[str, Camera], siz
 
 
 def outline_axis(motion: MotionEstimate, held_world: Array) -> Overlay:
-    """The axis, and circles and lines around the space that contains it with 95 %."""
+    """Outline the axis, and its 95 % region by circles and lines."""
     centers, circles = axis_space(motion, held_world)
     rings = [join_points(ring, closed=True) for ring in circles]
     along = [join_points(line) for line in circles[:, ::2].swapaxes(0, 1)]
@@ -92,14 +92,14 @@ def outline_axis(motion: MotionEstimate, held_world: Array) -> Overlay:
 
 
 def outline_episode_axis(episode: Episode) -> Overlay:
-    """The axis of an episode's object, which is known exactly."""
+    """Outline the axis of an episode's object, which is known exactly."""
     joint = episode.joint
     drawn = {"axis": joint.origin + 0.25 * joint.axis * np.array([[[-1.0], [1.0]]])}
     return lambda moment: drawn
 
 
 def outline_patches(motion: MotionEstimate) -> Overlay:
-    """Arrows of the estimated contacts while the part moves, carried along by it."""
+    """Draw arrows of the estimated contacts, which move with the part, while the part moves."""
 
     def draw(moment: Moment) -> Mapping[str, Array]:
         arrows = [(item.point, item.point + ARROW_M * item.normal) for item in motion.contacts]
@@ -113,7 +113,7 @@ def outline_patches(motion: MotionEstimate) -> Overlay:
 
 
 def outline_contacts(episode: Episode) -> Overlay:
-    """Arrows of an episode's contacts at a time, as long as their normal forces are large."""
+    """Draw arrows of an episode's contacts at a time, with lengths proportional to their normal forces."""
     log = episode.contacts
 
     def draw(moment: Moment) -> Mapping[str, Array]:
@@ -126,7 +126,7 @@ def outline_contacts(episode: Episode) -> Overlay:
 
 
 def project_overlay(overlay: Overlay, moment: Moment) -> dict[str, list[list[float]]]:
-    """Pixels x0, y0, x1, y1 of an overlay's segments by class name."""
+    """Project an overlay's segments to pixels x0, y0, x1, y1 by class name."""
     return {
         name: project_segments(moment.camera, segments).round(1).tolist()
         for name, segments in overlay(moment).items()

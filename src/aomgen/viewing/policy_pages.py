@@ -1,4 +1,4 @@
-"""Policies on the trials of a suite: results side by side, and where two policies first differ."""
+"""Policies in the trials of a suite: results side by side, and the first difference between two policies."""
 
 from collections import Counter
 from collections.abc import Mapping
@@ -19,21 +19,21 @@ from aomgen.saved_units import REQUEST_FILE, unit_name
 from aomgen.viewing.draw_page import DIGITS
 from aomgen.web.page_server import PageRequest, RequestFields, Response, Route, send_file, send_json
 
-# Two trials differ from where the end effectors are this far apart, [mm], or the objects are opened by different
-# shares of the planned travel: above what other images of the same scene change in the actions of a policy.
+# Two trials differ if the end effectors are this far apart, [mm], or the shares of the planned travel differ this much.
+# Both are above the effect of other images of the same scene on the actions of a policy.
 APART_MM, APART_SHARE = 10.0, 0.02
-# Letters by which a suite's file begins; other files next to a run may be large.
+# First characters of the file of a suite; other files next to a run may be large.
 _SUITE_HEAD, _HEAD_BYTES = '"type": "Suite"', 40
 
 
 class ShownSuiteRequest(RequestFields):
-    """Request of one suite by its number in the list of all."""
+    """Request of one suite by its number in the list of all suites."""
 
     suite: int
 
 
 class TrialRequest(RequestFields):
-    """Request of a trial of two policies by their numbers in the list of the suite."""
+    """Request of one trial of two policies by their numbers in the list of the suite."""
 
     suite: int
     trial: int
@@ -57,7 +57,7 @@ class Evaluation:
         folder: Folder of its rollouts and videos.
         policy, visuals, action_space: Requested values.
         records: Records of the finished trials, by number.
-        filmed: Numbers of the trials that have a video.
+        filmed: Numbers of the trials with a video.
     """
 
     folder: Path
@@ -69,7 +69,7 @@ class Evaluation:
 
 
 class PolicyRoutes:
-    """Routes of the policies that were evaluated in the run in a folder."""
+    """Routes of the policies that were evaluated in the run of a folder."""
 
     def __init__(self, out: Path) -> None:
         self.out = out
@@ -86,7 +86,7 @@ class PolicyRoutes:
         }
 
     def send_suites(self, request: PageRequest) -> Response:
-        """Send the names of all suites of the run, how many policies each has, and what is damaged."""
+        """Send the names of all suites of the run, their numbers of policies, and messages about damaged files."""
         suites, problems = find_suites(self.out)
         shown = [
             {"name": path.stem, "trials": len(suite.trials), "policies": len(find_evaluations(path, suite))}
@@ -113,7 +113,7 @@ class PolicyRoutes:
         )  # fmt: skip
 
     def send_trial(self, request: PageRequest) -> Response:
-        """Send the course of a trial of two policies, and where they first differ."""
+        """Send the values of two policies over one trial, and their first difference."""
         asked = request.parse(TrialRequest)
         suite, found = self._find(asked.suite)
         chosen = [_choose(found, number) for number in (asked.first, asked.second)]
@@ -148,7 +148,7 @@ class PolicyRoutes:
 
 
 def find_suites(out: Path) -> tuple[list[tuple[Path, Suite]], list[str]]:
-    """Suites of a run in its folder of evaluations and next to the run's folder; and sentences about damaged suites."""
+    """Find the suites in a run's folder of evaluations and next to the run, and list damaged suites in sentences."""
     places = (out / EVALUATION_FOLDER, out.resolve().parent)
     suites, problems = [], []
     for path in (path for place in places for path in sorted(place.glob("*.json")) if _is_suite(path)):
@@ -163,7 +163,7 @@ def find_suites(out: Path) -> tuple[list[tuple[Path, Suite]], list[str]]:
 
 
 def find_evaluations(path: Path, suite: Suite) -> list[Evaluation]:
-    """Evaluations of a suite whose folders are next to its file, by name."""
+    """Find the evaluations of a suite whose folders are next to its file, by name."""
     found = []
     for place in sorted(path.parent.glob(f"*/{ROLLOUTS_FOLDER}/{REQUEST_FILE}")):
         request = read_json(place)
@@ -192,13 +192,13 @@ def find_evaluations(path: Path, suite: Suite) -> list[Evaluation]:
 
 
 def distances_mm(first: RolloutRecord, second: RolloutRecord) -> Array:
-    """Distance of the end effectors after each action that both have taken (F,), [mm]."""
+    """Distances between the end effectors after each action of both trials (F,), [mm]."""
     count = min(first.frames, second.frames)
     return 1000 * np.linalg.norm(first.ee_world[:count] - second.ee_world[:count], axis=1)
 
 
 def first_difference(first: RolloutRecord, second: RolloutRecord) -> dict[str, Any] | None:
-    """The first action after which two trials differ, see `APART_MM`; None where they end alike."""
+    """Describe the first action after which two trials differ, see `APART_MM`; None if they do not differ."""
     apart_mm = distances_mm(first, second)
     count = len(apart_mm)
     openings = first.opening_shares[:count] - second.opening_shares[:count]

@@ -1,4 +1,4 @@
-"""A draw without an episode, planned again for the twin page: planning is deterministic, and its states are not stored."""
+"""A sample without an episode, planned again for the twin page: planning is deterministic, states are not stored."""
 
 import json
 from dataclasses import asdict
@@ -16,22 +16,22 @@ from aomgen.io.episode_folder import CommittedEpisode, episode_folder
 from aomgen.results import Results
 from aomgen.viewing.draw_list import Draw
 
-# Keys of a draw's verdict: a sentence for the person who looks at it, and the names of what collides.
+# Keys of a sample's verdict: a sentence for the person who reviews it, and the names of the colliding bodies.
 NOTE, PAIR = "note", "pair"
 
 
 def replan_draw(results: Results, draw: Draw) -> CommittedEpisode:
-    """Plan a rejected draw again, and show what is known of its motion as an episode without videos.
+    """Plan a rejected sample again, and return its motion as an episode without videos.
 
-    The motion is the whole plan where the simulation has refused it; else the sample in which the attempt that came
-    farthest breaks its limit most; else the arm at the demonstrated start.
+    If the simulation has refused the plan, the motion is the whole plan. Otherwise it is the state with the
+    largest violation in the attempt that progressed farthest, or else the arm at the demonstrated start.
 
     Args:
         results: Results of a run whose stage "replacement" has finished.
-        draw: With the outcome "rejected" or "skipped".
+        draw: Sample with the outcome "rejected" or "skipped".
 
     Returns:
-        An episode whose verdict holds the variation, a sentence `NOTE`, and names `PAIR`.
+        An episode whose verdict contains the variation, a sentence `NOTE`, and names `PAIR`.
     """
     folder = results.folders["episodes"]
     factory, unit = EpisodeFactory(results, folder), unit_of(draw.number)
@@ -58,7 +58,7 @@ def replan_draw(results: Results, draw: Draw) -> CommittedEpisode:
         T_world_object=T_world_object,
     )
     verdict = {
-        # As it is read from the file of a committed episode.
+        # Same form as in the file of a committed episode.
         "variation": json.loads(json.dumps(asdict(variation))),
         "bolted": factory.params.bolted,
         NOTE: f"Sample {draw.number} gave no episode: {_state_reason(planned, draw)}. {what}",
@@ -102,7 +102,7 @@ def replan_draw(results: Results, draw: Draw) -> CommittedEpisode:
 
 
 def _state_reason(planned: EpisodePlan | Rejection, draw: Draw) -> str:
-    """Reason of a draw; that of this planning where it differs, after a parameter or AOMGen has changed."""
+    """Return the reason of a sample; that of this planning if a changed parameter or version gives another."""
     stated = f"{draw.reason.replace('_', ' ')}, {draw.detail}"
     if not isinstance(planned, Rejection) or planned.reason == draw.reason:
         return stated

@@ -1,4 +1,4 @@
-"""The review of a run: all its draws, one episode, and decisions."""
+"""The review of a run: all samples, one episode, and decisions."""
 
 import hashlib
 import json
@@ -19,24 +19,24 @@ from aomgen.viewing.thumbnails import encode_thumbnail
 from aomgen.web.page_server import PageRequest, RequestFields, Response, Route, send_file, send_json
 
 PACKAGE: Final = "aomgen.viewing"
-# Number of small images that stay in memory, some 20 MB.
+# Number of thumbnails that stay in memory, about 20 MB.
 THUMBNAILS: Final = 4000
 
 
 class WallRequest(RequestFields):
-    """Request of all draws; the version is that of the last response, which is not sent again."""
+    """Request of all samples; the version is that of the last response, which is not sent again."""
 
     version: str = ""
 
 
 class ShownDrawRequest(RequestFields):
-    """Request of one draw by its number."""
+    """Request of one sample by its number."""
 
     number: int
 
 
 class ThumbnailRequest(ShownDrawRequest):
-    """Request of a small image of an episode's first camera."""
+    """Request of a thumbnail of an episode's first camera."""
 
     frame: Literal["first", "last"]
 
@@ -59,12 +59,12 @@ class ReviewRoutes:
 
     Args:
         out: Folder of the run.
-        draws: Its draws.
+        draws: Samples of the run.
     """
 
     def __init__(self, out: Path, draws: DrawList) -> None:
         self.out, self.draws = out, draws
-        # Kept by the episode's digest, so that the image of an earlier episode of the same number is not sent.
+        # The key contains the digest of the episode, so no image of an earlier episode with this number is sent.
         self._thumbnail = lru_cache(THUMBNAILS)(lambda video, content, frame: encode_thumbnail(video, frame))
 
     def list_routes(self) -> dict[str, Route]:
@@ -81,7 +81,7 @@ class ReviewRoutes:
         }
 
     def send_wall(self, request: PageRequest) -> Response:
-        """Send all draws with their reviews, unless the page has them."""
+        """Send all samples with their reviews, unless the page has the current version."""
         asked = request.parse(WallRequest)
         reviews = read_reviews(self.out)
         content = {
@@ -93,7 +93,7 @@ class ReviewRoutes:
         return send_json({"version": version} if version == asked.version else content | {"version": version})
 
     def send_draw(self, request: PageRequest) -> Response:
-        """Send what the page of one draw shows."""
+        """Send the data of the page of one sample."""
         draw = self.draws.find(request.parse(ShownDrawRequest).number)
         committed = draw.outcome == "committed"
         shown = describe_episode(self._folder(draw)) if committed else describe_rejected(draw)
@@ -109,7 +109,7 @@ class ReviewRoutes:
         return Response("image/jpeg", self._thumbnail(video, draw.content, asked.frame))
 
     def send_video(self, request: PageRequest) -> Response:
-        """Send one video of an episode, as it is stored."""
+        """Send one stored video of an episode."""
         asked = request.parse(VideoRequest)
         draw = self.draws.find(asked.number)
         if not 0 <= asked.camera < len(draw.cameras):
@@ -118,7 +118,7 @@ class ReviewRoutes:
         return Response("video/mp4", path.read_bytes())
 
     def change(self, request: PageRequest) -> Response:
-        """Store a decision, and send the review that is on disk now."""
+        """Store a decision, and send the stored review."""
         asked = request.parse(ChangeRequest)
         draw = self.draws.find(asked.number)
         return send_json(describe_review(change_review(self.out, self._folder(draw), asked.change)))
@@ -128,7 +128,7 @@ class ReviewRoutes:
 
 
 def list_review_routes(out: Path) -> dict[str, Route]:
-    """Routes of the pages "Review", "Coverage" and "Policies" of a run, finished or not."""
+    """List the routes of the pages "Review", "Coverage" and "Policies" of a run, finished or not."""
     folder = next(stage.folder for stage in STAGES if stage.name == "episodes")
     draws = DrawList(out, out / folder)
     pages = (ReviewRoutes(out, draws), CoverageRoutes(out, draws), PolicyRoutes(out))
@@ -136,7 +136,7 @@ def list_review_routes(out: Path) -> dict[str, Route]:
 
 
 def describe_draw(draw: Draw, reviews: Mapping[int, Review]) -> dict[str, Any]:
-    """A draw as the wall shows it."""
+    """Describe a sample for the overview of all samples."""
     review = reviews.get(draw.number, Review())
     valid = bool(draw.content) and review.content == draw.content
     return {
@@ -152,5 +152,5 @@ def describe_draw(draw: Draw, reviews: Mapping[int, Review]) -> dict[str, Any]:
 
 
 def describe_review(review: Review) -> dict[str, Any]:
-    """Decision, tags and note."""
+    """Describe decision, tags and note."""
     return review.model_dump(exclude={"content"})

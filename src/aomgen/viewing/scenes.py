@@ -1,4 +1,4 @@
-"""Scenes that the twin page shows: Gaussians with their shadows, rendered from any camera."""
+"""Scenes of the twin page: Gaussians with their shadows, rendered from any camera."""
 
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import replace
@@ -23,12 +23,12 @@ from aomgen.splatting.rasterizer import render
 from aomgen.twin.twin import TwinModel, TwinState, body_poses, pose_bodies
 from aomgen.twin.variation import change_appearance, scale_object
 
-# Views that are kept: two sizes while a person drags, before and after a part is hidden.
+# Number of cached views: two sizes during dragging, before and after a part is hidden.
 KEPT_VIEWS: Final = 4
 
 
 class View(NamedTuple):
-    """Image (H, W, 3) uint8 sRGB, alpha (H, W) 0..1, and depth (H, W) [m], 0 where nothing is."""
+    """Image (H, W, 3) uint8 sRGB, alpha (H, W) 0..1, and depth (H, W) [m], 0 in empty pixels."""
 
     image_srgb: NDArray[np.uint8]
     alpha: NDArray[np.float32]
@@ -39,7 +39,7 @@ class ViewedScene(Protocol):
     """Renders parts of a scene; parts are keys of `conventions.PART_LABELS`."""
 
     def draw(self, state: TwinState, camera: Camera, parts: Collection[str]) -> View:
-        """Render a state; a scene that cannot be posed ignores it."""
+        """Render a state; a scene that cannot be posed ignores the state."""
         ...
 
 
@@ -48,7 +48,7 @@ class PosableScene:
 
     Attributes:
         twin, robot: The twin, and its robot.
-        rest: The state before a person moves it.
+        rest: The initial state.
     """
 
     def __init__(
@@ -84,7 +84,7 @@ class PosableScene:
 
 
 class ScannedScene:
-    """Gaussians of a scan that no twin moves yet, with part labels (N,) once they are known."""
+    """Gaussians of a scan without a twin, with part labels (N,) as soon as they are known."""
 
     def __init__(self, gaussians: Gaussians, labels: NDArray[np.uint8] | None) -> None:
         def choose(parts: frozenset[str]) -> Gaussians:
@@ -93,7 +93,7 @@ class ScannedScene:
         self._choose: Callable[[frozenset[str]], Gaussians] = cache(choose)
 
     def draw(self, state: TwinState, camera: Camera, parts: Collection[str]) -> View:
-        """Render the scan as it is."""
+        """Render the scan in its recorded state."""
         drawn = render(self._choose(frozenset(parts)), camera, with_ids=True)
         image = np.clip(np.rint(drawn.rgb * 255), 0, 255).astype(np.uint8)
         return View(image, drawn.alpha, np.asarray(drawn.median_depth))
@@ -113,15 +113,15 @@ def open_recorded_scene(twin: TwinModel, robot: RobotModel) -> PosableScene:
 def open_episode_scene(
     results: Results, robot: RobotModel, asset: int, variation: Variation, first: TwinState, eyes_world: Array
 ) -> PosableScene:
-    """Open the scene of an episode as its videos show it.
+    """Open the scene of an episode as rendered in its videos.
 
     Args:
         results: Results of a run whose stage "replacement" has finished.
         robot: Robot of the run.
         asset: Number of the fitted asset.
         variation: Variation of the episode.
-        first: Its first state.
-        eyes_world: Centers (K, 3) of its cameras, from which the object's shadow on walls is found.
+        first: First state of the episode.
+        eyes_world: Centers (K, 3) of the episode's cameras, from which the object's shadow on walls is computed.
     """
     recorded = load_artifact(results.asset_folder(asset), "twin", TwinModel)
     T_world_plane = results.episode_scene.T_world_plane

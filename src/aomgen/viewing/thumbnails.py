@@ -1,4 +1,4 @@
-"""Small images of the first and last frame of an episode's video, made without decoding what lies between."""
+"""Thumbnails of the first and last frame of an episode's video, made without decoding the frames between them."""
 
 from pathlib import Path
 from typing import Final
@@ -11,13 +11,13 @@ from aomgen.errors import MalformedFileError
 from aomgen.io.images import encode_jpeg, resize
 from aomgen.io.video import open_stream, read_frames
 
-# Width, [px], and quality of the JPEG: some 5 kB each.
+# Width, [px], and JPEG quality: about 5 kB per image.
 WIDTH, QUALITY = 160, 80
 REMEDY: Final = "generate the episode again"
 
 
 def encode_thumbnail(video: Path, frame: str) -> bytes:
-    """Make a small JPEG of the "first" or "last" frame of a video that `encode_video` made.
+    """Encode a small JPEG of the "first" or "last" frame of a video that `encode_video` wrote.
 
     Raises:
         MissingFileError, MalformedFileError: The video is missing or damaged.
@@ -28,7 +28,7 @@ def encode_thumbnail(video: Path, frame: str) -> bytes:
 
 
 def read_last_frame(path: Path) -> NDArray[np.uint8]:
-    """The last frame (H, W, 3) of a video, decoded from the last key frame on.
+    """Read the last frame (H, W, 3) of a video by decoding from the last key frame.
 
     Raises:
         MissingFileError, MalformedFileError: The video is missing or damaged.

@@ -1,4 +1,4 @@
-"""Requests of the twin page: what a run holds, images of its scenes with overlays, and frames of its videos."""
+"""Requests of the twin page: contents of a run, images of its scenes with overlays, and frames of its videos."""
 
 import base64
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -31,10 +31,10 @@ from aomgen.web.page_server import (
 
 PACKAGE: Final = "aomgen.viewing"
 FILES: Final = ("twin.css", "twin.js", "orbit.js", "capture.js", "keys.js")
-# Widest image that is rendered, [px]: a wider one takes longer than a person waits for.
+# Largest width of a rendered image, [px]: wider images take too long for interactive use.
 MAX_WIDTH: Final = 1600
 
-# The robot's surveyed points belong to its surface while no joint is further from the scan than this, [rad].
+# The surveyed points of the robot are on its surface if no joint differs more than this from the scan, [rad].
 AS_SCANNED_RAD: Final = 0.02
 
 
@@ -61,7 +61,7 @@ class ScanImageRequest(RequestFields):
 class DrawRequest(RequestFields):
     """View, state and parts of a rendering.
 
-    `camera` is the camera of the motion whose optics are used, T_world_cam the pose of the view by rows.
+    `camera` is the camera of the motion whose intrinsics are used; T_world_cam is the pose of the view, row by row.
     """
 
     motion: str
@@ -81,12 +81,12 @@ class TwinPages:
 
     def __init__(self, viewed: ViewedFolder) -> None:
         self._viewed = viewed
-        # One thread renders and opens scenes: two would wait for the same processors, and the engine keeps its memory
-        # for each thread.
+        # One thread renders and opens scenes: two threads would compete for the same processors, and the renderer
+        # allocates memory for each thread.
         self._work = ThreadPoolExecutor(max_workers=1, thread_name_prefix="draw")
 
     def list_routes(self) -> dict[str, Route]:
-        """Routes by method and path."""
+        """Return the routes by method and path."""
         return {
             "GET /": send_file(PACKAGE, "twin.html"),
             **{f"GET /{name}": send_file(PACKAGE, name) for name in FILES},
@@ -186,11 +186,11 @@ def draw(opened: OpenedRun, wanted: DrawRequest) -> dict[str, Any]:
     """Render a view and project its overlays.
 
     Returns:
-        JPEG in base 64, overlays as segments [px] by class, coverage as points [px], and sentences about what the scan
-        did not show.
+        JPEG in base 64, overlays as segments [px] by class, coverage as points [px], and sentences about content
+        that the scan does not show.
 
     Raises:
-        UnknownNameError, ShapeError, PoseError, ConfigError: The request names what is not there, or a value is invalid.
+        UnknownNameError, ShapeError, PoseError, ConfigError: A name is unknown, or a value is invalid.
     """
     motion, scene = opened.motion(wanted.motion)[0], opened.scene(wanted.motion)
     if scene is None:
@@ -233,7 +233,7 @@ def draw(opened: OpenedRun, wanted: DrawRequest) -> dict[str, Any]:
 
 
 def _is_as_scanned(scene: ViewedScene, state: TwinState) -> bool:
-    """Return whether the robot stands as it did during the scan."""
+    """Return whether the robot has its joint values of the scan."""
     if not isinstance(scene, PosableScene):
         return True
     return bool(np.abs(state.joints - scene.rest.joints).max() < AS_SCANNED_RAD)

@@ -1,4 +1,4 @@
-"""Pages on 127.0.0.1 that show a run: its twin and its episodes."""
+"""Pages of a run's twin and episodes on 127.0.0.1."""
 
 from pathlib import Path
 from typing import Final
@@ -12,13 +12,13 @@ PACKAGE: Final = "aomgen.viewing"
 
 
 class ViewServer(PageServer):
-    """Serves the pages of a run, or of a capture alone; see `PageServer`."""
+    """Serves the pages of a run or of a single capture; see `PageServer`."""
 
     def __init__(self, folder: Path, port: int) -> None:
         """Open a run or a capture, and bind to 127.0.0.1.
 
         Raises:
-            InputError, ConfigError: The folder holds neither, or the port is taken.
+            InputError, ConfigError: The folder contains neither a run nor a capture, or the port is taken.
         """
         viewed = ViewedFolder(folder)
         routes = {
