@@ -15,16 +15,18 @@ from aomgen.core.values import Array, Vector3, freeze_arrays
 from aomgen.errors import AmbiguousJointError, DemonstrationTooShortError
 from aomgen.motion.ee_path import EePath, GraspGuess, thin_path
 from aomgen.motion.joint_models import JointModel, Prismatic, Revolute, make_models
-from aomgen.motion.joint_posterior import Posterior, compute_posterior, fit_path
-from aomgen.motion.part_shape import PartShape
-from aomgen.motion.path_noise import (
+from aomgen.motion.joint_posterior import (
     BEND_SHARE,
     SCALES,
     NoisePrior,
     PathNoise,
+    Posterior,
     compute_give_rate,
     compute_held_rate,
+    compute_posterior,
+    fit_path,
 )
+from aomgen.motion.part_shape import PartShape
 
 _REMEDY = "record a longer demonstration"
 # Shortest motion that determines a joint: an arc of fewer degrees hardly bends, [rad]; less travel may be

@@ -1,7 +1,6 @@
 """Joints are hidden behind a hand's path and asked back."""
 
 from dataclasses import dataclass, replace
-from functools import cache
 
 import numpy as np
 import pytest
@@ -10,13 +9,7 @@ from aomgen.core.joint import Joint
 from aomgen.core.transforms import angle_between, invert, matrix_from_rotvec, transform
 from aomgen.errors import AmbiguousJointError, DemonstrationTooShortError
 from aomgen.motion.ee_path import GraspGuess, thin_path
-from aomgen.motion.joint_estimation import (
-    JointCandidates,
-    JointEstimate,
-    choose_type,
-    estimate_joint,
-    fit_candidates,
-)
+from aomgen.motion.joint_estimation import JointEstimate, choose_type, estimate_joint, fit_candidates
 
 HANDLE = np.array([0.55, -0.12, 0.22])
 DOOR = Joint(type="revolute", axis=[0, 0, -1], origin=[0.62, 0.19, 0.0], lower=0, upper=2)
@@ -58,35 +51,6 @@ def hand_path(
     R = matrix_from_rotvec(turn + drift) @ R_start
     points = handle + rng.normal(size=(count, 3)) * flaws.position_m
     return transform(R, points - R @ GRASP_EE)
-
-
-@cache
-def noisy_pull() -> JointCandidates:
-    """Candidates of a noisy path on a wide door, which the path alone does not tell from a drawer."""
-    return fit_candidates(wide_pull(0.6, 17, 0.008, 2), HOLD)
-
-
-@cache
-def short_pull() -> JointCandidates:
-    """Candidates of the first four degrees of a wide door."""
-    return fit_candidates(wide_pull(0.6, 4, 0.002, 1), HOLD)
-
-
-@cache
-def pulled_drawer() -> JointCandidates:
-    return fit_candidates(hand_path(DRAWER, 0.18, Flaws(), np.random.default_rng(7)), HOLD)
-
-
-@cache
-def steady_pull() -> JointEstimate:
-    return estimate_joint(sliding_pull(0 * UP), HOLD)
-
-
-@cache
-def slipping_pull() -> JointEstimate:
-    """A pull along whose pads the handle slips."""
-    path = sliding_pull(0.008 * SIDE)
-    return estimate_joint(path, closing_along(path, UP))
 
 
 def axis_error_deg(estimate: JointEstimate, truth: Joint) -> float:
@@ -138,9 +102,8 @@ def test_sliding_on_the_handle_costs_centimetres_at_most() -> None:
 
 
 def test_a_drawer_is_prismatic() -> None:
-    found = pulled_drawer()
-    assert choose_type(found) == "prismatic"
-    estimate = found.prismatic
+    estimate = estimate_joint(hand_path(DRAWER, 0.18, Flaws(), np.random.default_rng(7)), HOLD)
+    assert estimate.joint.type == "prismatic"
     assert axis_error_deg(estimate, DRAWER) < 0.5
     assert estimate.joint.upper == pytest.approx(0.18, abs=0.012)
 
@@ -170,13 +133,13 @@ def wide_pull(radius: float, angle_deg: float, noise_m: float, seed: int) -> np.
 
 def test_a_noisy_pull_is_ambiguous() -> None:
     with pytest.raises(AmbiguousJointError):
-        choose_type(noisy_pull())
+        estimate_joint(wide_pull(0.6, 17, 0.008, 2), HOLD)
 
 
-def test_a_straight_looking_short_pull_is_too_short() -> None:
-    for found in (short_pull(), fit_candidates(wide_pull(0.3, 16, 0.004, 1), HOLD)):
-        with pytest.raises(DemonstrationTooShortError, match="would bend it"):
-            choose_type(found)
+@pytest.mark.parametrize(("radius", "angle_deg", "noise_m"), [(0.3, 16, 0.004), (0.6, 4, 0.002)])
+def test_a_straight_looking_short_pull_is_too_short(radius: float, angle_deg: float, noise_m: float) -> None:
+    with pytest.raises(DemonstrationTooShortError, match="would bend it"):
+        estimate_joint(wide_pull(radius, angle_deg, noise_m, 1), HOLD)
 
 
 @pytest.mark.parametrize("ratio", [1.0, 0.7])
@@ -187,21 +150,23 @@ def test_five_degrees_of_a_wide_door_are_no_drawer(ratio: float) -> None:
         estimate_joint(path, HOLD)
 
 
-def test_the_video_decides_where_the_path_cannot() -> None:
-    assert choose_type(noisy_pull(), 20.0) == "revolute"
-    assert choose_type(noisy_pull(), -20.0) == "prismatic"
+def test_the_film_decides_where_the_hand_cannot() -> None:
+    found = fit_candidates(wide_pull(0.6, 17, 0.008, 2), HOLD)
+    assert choose_type(found, 20.0) == "revolute"
+    assert choose_type(found, -20.0) == "prismatic"
 
 
-def test_the_video_outweighs_a_gripper_that_slips() -> None:
-    found = pulled_drawer()
+def test_the_film_outweighs_a_hand_that_slips() -> None:
+    found = fit_candidates(hand_path(DRAWER, 0.18, Flaws(), np.random.default_rng(7)), HOLD)
     assert found.margin < 0
     wide = replace(found, revolute=replace(found.revolute, joint=replace(DOOR, upper=1.0)))
     assert choose_type(wide, 5 - found.margin) == "revolute"
 
 
 def test_a_filmed_door_of_a_few_degrees_is_too_short() -> None:
+    found = fit_candidates(wide_pull(0.6, 4, 0.002, 1), HOLD)
     with pytest.raises(DemonstrationTooShortError, match="turned"):
-        choose_type(short_pull(), 50.0)
+        choose_type(found, 50.0)
 
 
 @pytest.mark.parametrize(("joint", "travel"), [(DOOR, np.radians(60)), (DRAWER, 0.15)])
@@ -247,18 +212,21 @@ UP, SIDE = np.array([0.0, 0, 1]), np.array([0.6, 0.8, 0])
 
 
 def test_a_straight_pull_tells_least_along_the_fingers_pads() -> None:
-    estimate = slipping_pull()
+    path = sliding_pull(0.008 * SIDE)
+    estimate = estimate_joint(path, closing_along(path, UP))
     up, side = np.abs((estimate.axes - estimate.joint.axis) @ np.stack([UP, SIDE], 1)).mean(0)
     assert side > 5 * up
 
 
 def test_a_hand_that_slides_along_its_pads_says_how_little_it_knows() -> None:
-    aware = slipping_pull()
+    path = sliding_pull(0.008 * SIDE)
+    aware = estimate_joint(path, closing_along(path, UP))
     assert axis_error_deg(aware, DRAWER) <= np.degrees(aware.axis_ci95_rad)
-    assert aware.give_rate > 2 * steady_pull().give_rate
+    assert aware.give_rate > 2 * estimate_joint(sliding_pull(0 * UP), HOLD).give_rate
 
 
 def test_fingers_that_close_along_the_way_hold_in_no_direction_across_it() -> None:
     path = sliding_pull(0 * UP)
+    nothing = estimate_joint(path, HOLD)
     along = estimate_joint(path, closing_along(path, DRAWER.axis))
-    assert along.axis_ci95_rad == pytest.approx(steady_pull().axis_ci95_rad, rel=0.02)
+    assert along.axis_ci95_rad == pytest.approx(nothing.axis_ci95_rad, rel=0.02)

@@ -1,29 +1,54 @@
-"""The posterior of noise scales."""
+"""Rates of slip by direction."""
 
 import numpy as np
 import pytest
 
-from aomgen.core.transforms import matrix_from_rotvec, transform
-from aomgen.motion.ee_path import GraspGuess, thin_path
-from aomgen.motion.joint_models import make_models
-from aomgen.motion.joint_posterior import LinearizedModel
-from aomgen.motion.part_shape import UNIFORM_PRIOR
-from aomgen.motion.path_noise import SCALES, NoisePrior, PathNoise
+from aomgen.motion.joint_posterior import (
+    SCALES,
+    NoisePrior,
+    PathNoise,
+    compute_give_rate,
+    compute_held_rate,
+)
+
+SIZES = np.array([0.0002, 0.0005, 0.004, 0.03, 0.016, 0.015, 0.001])
 
 
-@pytest.mark.parametrize("kind", ["revolute", "prismatic"])
-def test_slopes_of_the_posterior_are_its_differences(kind: str) -> None:
-    angles = np.linspace(0, 0.9, 8)
-    R = matrix_from_rotvec(angles[:, None] * [0.1, 0.0, 1.0])
-    points = 0.3 * np.stack([np.cos(angles), np.sin(angles), 0.02 * angles**2], 1)
-    path = thin_path(transform(R, points), GraspGuess(point_ee=np.zeros(3)), nodes=7)
-    doors, drawer = make_models(path, np.inf)
-    model = doors[0] if kind == "revolute" else drawer
-    noise = PathNoise.of(path.points_world, NoisePrior())
-    found = LinearizedModel.of(model, noise, UNIFORM_PRIOR, model.first())
-    steps = np.linspace(1.5, -0.5, len(SCALES))
-    ahead, behind = (
-        [found.log_posterior(steps + sign * row) for row in 1e-4 * np.eye(len(SCALES))] for sign in (1, -1)
-    )
-    differences = (np.array(ahead) - behind) / 2e-4
-    np.testing.assert_allclose(found.log_posterior_slopes(steps), differences, rtol=1e-5, atol=1e-5)
+def test_a_direction_is_held_as_far_as_the_fingers_close_in_it() -> None:
+    assert compute_held_rate(SIZES, 1.0) == pytest.approx(0.001)
+    assert compute_held_rate(SIZES, 0.0) == pytest.approx(0.03)
+    assert compute_held_rate(SIZES, 0.36) == pytest.approx(np.sqrt(0.36 * 0.001**2 + 0.64 * 0.03**2))
+
+
+def test_a_firm_direction_varies_less() -> None:
+    noise = PathNoise.of(np.linspace(0, 0.1, 8)[:, None] * [1.0, 0, 0], NoisePrior())
+    held, loose = (noise.covariance("straight", SIZES, firm) for firm in (1.0, 0.0))
+    np.testing.assert_allclose(loose, noise.covariance("bar", SIZES, 1.0))
+    assert held[-1, -1] == pytest.approx((0.001 * 0.1) ** 2 + 0.0002**2, rel=1e-6)
+
+
+def test_a_hand_that_slides_gives_way_unless_its_fingers_close_along_the_way() -> None:
+    calm = SIZES.copy()
+    calm[SCALES.index("bar")] = 0.0
+    for joint_type in ("prismatic", "revolute"):
+        assert compute_give_rate(joint_type, SIZES, 1.0) == compute_give_rate(joint_type, calm, 0.0)
+        assert compute_give_rate(joint_type, SIZES, 0.0) > compute_give_rate(joint_type, SIZES, 0.9)
+
+
+def test_a_hand_that_holds_nothing_slides_evenly_without_telling() -> None:
+    noise = NoisePrior()
+    free = noise.loosen()
+    usual, loose = (dict(zip(SCALES, item.medians, strict=True)) for item in (noise, free))
+    assert loose["straight"] > 10 * usual["straight"]
+    assert loose["bar"] > 5 * usual["bar"]
+    assert free.spreads[-1] < 0.2 < noise.spreads[-1]
+    assert all(loose[name] == usual[name] for name in ("place", "turn", "tilt", "pivot"))
+
+
+def test_white_residuals_have_the_covariance_of_their_kind() -> None:
+    noise = PathNoise.of(np.linspace(0, 0.1, 8)[:, None] * [1.0, 0, 0], NoisePrior())
+    steps = np.zeros(len(SCALES))
+    (white,), log_det = noise.whiten(["face"], steps, 1.0)
+    covariance = noise.covariance("face", noise.prior.scales(steps), 1.0)
+    np.testing.assert_allclose(white @ covariance @ white.T, np.eye(8), atol=1e-9)
+    assert log_det == pytest.approx(np.linalg.slogdet(covariance)[1])
