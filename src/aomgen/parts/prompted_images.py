@@ -13,7 +13,7 @@ from aomgen.errors import ReconstructionError
 from aomgen.parts.panel import STAGE
 from aomgen.parts.panel_terms import PromptedView, box_misfit, iou, share_inside
 from aomgen.parts.scan_views import ScanView, render_parts
-from aomgen.segmentation.interface import Mask, PreparedImage, Segmenter
+from aomgen.segmentation.interface import Mask, PreparedImage, Segmenter, bound_mask
 from aomgen.segmentation.segmenter import MasksOnDisk
 from aomgen.splatting.surfaces import compute_surface_points
 
@@ -100,18 +100,12 @@ def segment_prompts(
             box = np.asarray(prompt.box, np.float64)
             if isinstance(segmenter, MasksOnDisk) and masks[0].any():
                 # Label images are edited by people, and are more accurate than a box around them.
-                box = _bound_mask(masks[0])
+                box = bound_mask(masks[0])
             masks = [mask for mask in _fill_box(masks, image, box, view.robot) if mask.any()]
             segmented.append(
                 PromptedImage(view=view, prepared=image, part=value, box=box, masks=tuple(masks))
             )
     return segmented
-
-
-def _bound_mask(mask: Mask) -> Array:
-    """The box x0, y0, x1, y1 around a mask (H, W), [px]."""
-    rows, columns = np.flatnonzero(mask.any(1)), np.flatnonzero(mask.any(0))
-    return np.array([columns[0], rows[0], columns[-1] + 1, rows[-1] + 1], np.float64)
 
 
 def _fill_box(masks: list[Mask], image: PreparedImage, box: Array, robot: Mask) -> list[Mask]:

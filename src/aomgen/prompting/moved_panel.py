@@ -75,7 +75,7 @@ class Grip:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Panel:
+class Front:
     """Rectangle before the motion, with its confidence.
 
     Attributes:
@@ -101,7 +101,7 @@ class Panel:
         return np.stack([along, up, np.cross(up, along)])
 
     @property
-    def front(self) -> Array:
+    def handle_space(self) -> Array:
         """Return the corners (8, 3) of the space in front of the rectangle that may contain a handle."""
         return np.concatenate(
             [self.corners_world, self.corners_world - (DEPTH_M + DEPTH_SD_M) * self.axes[2]]
@@ -109,7 +109,7 @@ class Panel:
 
 
 def place_corners(grip: Grip, x: Array) -> Array:
-    """Compute the corners (4, 3) of a rectangle, see `Panel`.
+    """Compute the corners (4, 3) of a rectangle, see `Front`.
 
     Args:
         x: Distance of left, right, lower and upper side from the contact, and depth of the rectangle behind it, [m];

@@ -16,8 +16,9 @@ from aomgen.core.values import Array, freeze_arrays
 from aomgen.errors import ReconstructionError
 from aomgen.parts.panel_terms import iou
 from aomgen.parts.scan_views import ScanView
-from aomgen.prompting.moved_panel import Panel, fill_hull
+from aomgen.prompting.moved_panel import Front, fill_hull
 from aomgen.prompting.video_regions import REMEDY
+from aomgen.prompting.view_choice import choose_side_views
 from aomgen.segmentation.interface import Mask, Segmenter
 
 # Sparse points within this distance of the front may belong to the object, [m].
@@ -36,14 +37,6 @@ MIN_SUPPORT: Final = 30
 STRAYS: Final = 0.02
 # Tested depths of a body, [m], in steps of about 10 %.
 DEPTHS_M: Final = np.geomspace(0.08, 0.8, 25)
-# Number of views that determine the depth, and the angle between them, [deg].
-VIEWS, APART_DEG = 3, 30.0
-# Views at a smaller angle to each other are redundant, [deg].
-LEAST_APART_DEG: Final = 3.0
-# Views from the front show more of the moving part than of the body.
-MAX_FACING: Final = 0.6
-# Largest share of a body that the robot hides, and smallest margin to the image border as a share of its width.
-MAX_HIDDEN, BORDER = 0.02, 1 / 30
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -62,7 +55,7 @@ class BodyView:
     __post_init__ = freeze_arrays
 
 
-def find_object_points(points_world: Array, panel: Panel, rng: np.random.Generator) -> tuple[Array, float]:
+def find_object_points(points_world: Array, front: Front, rng: np.random.Generator) -> tuple[Array, float]:
     """Find the sparse points (M, 3) of the object, and the height of its support, [m].
 
     Args:
@@ -71,8 +64,8 @@ def find_object_points(points_world: Array, panel: Panel, rng: np.random.Generat
     Raises:
         ReconstructionError: No surface below the moving part has enough points.
     """
-    near = points_world[np.linalg.norm(points_world - panel.center, axis=1) < NEIGHBORHOOD_M]
-    below = near[near[:, 2] < panel.corners_world[:, 2].min() + ABOVE_M]
+    near = points_world[np.linalg.norm(points_world - front.center, axis=1) < NEIGHBORHOOD_M]
+    below = near[near[:, 2] < front.corners_world[:, 2].min() + ABOVE_M]
     up = np.array([0.0, 0.0, 1.0])
     plane = None
     if len(below) >= MIN_SUPPORT:
@@ -88,8 +81,8 @@ def find_object_points(points_world: Array, panel: Panel, rng: np.random.Generat
     above = near[(near - anchor) @ normal > ABOVE_M]
     steps = np.linspace(0, 1, 1 + int(np.ceil(NEIGHBORHOOD_M / LINK_M)))
     low, along, up_side = (
-        panel.corners_world[0],
-        *(panel.corners_world[k] - panel.corners_world[0] for k in (1, 3)),
+        front.corners_world[0],
+        *(front.corners_world[k] - front.corners_world[0] for k in (1, 3)),
     )
     seeds = (low + steps[:, None, None] * along + steps[None, :, None] * up_side).reshape(-1, 3)
     together = np.concatenate([seeds, above])
@@ -97,28 +90,28 @@ def find_object_points(points_world: Array, panel: Panel, rng: np.random.Generat
     links = coo_matrix((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(len(together),) * 2)
     _, groups = connected_components(links, directed=False)
     own = np.isin(groups, np.unique(groups[: len(seeds)]))
-    middle = panel.center
+    middle = front.center
     height = float(anchor[2] - (normal[:2] @ (middle[:2] - anchor[:2])) / normal[2])
     return together[own], height
 
 
-def make_body(points_world: Array, support_z: float, panel: Panel, depth_m: float) -> Array:
-    """Compute the corners (8, 3) of a body of a given depth behind a panel, as wide and high as its points (M, 3)."""
-    local = (points_world - panel.center) @ panel.axes.T
-    sides = (panel.corners_world - panel.center) @ panel.axes.T
+def make_body(points_world: Array, support_z: float, front: Front, depth_m: float) -> Array:
+    """Compute the corners (8, 3) of a body of a given depth behind a front, as wide and high as its points (M, 3)."""
+    local = (points_world - front.center) @ front.axes.T
+    sides = (front.corners_world - front.center) @ front.axes.T
     low, high = np.quantile(local, [STRAYS, 1 - STRAYS], axis=0)
     low, high = np.minimum(low, sides.min(0)), np.maximum(high, sides.max(0))
-    up_z = panel.axes[1, 2]
+    up_z = front.axes[1, 2]
     if up_z > 0.5:  # an upright front: the body begins on the support
-        low[1] = min(low[1], (support_z - panel.center[2]) / up_z)
+        low[1] = min(low[1], (support_z - front.center[2]) / up_z)
     corners = np.array(list(product((low[0], high[0]), (low[1], high[1]), (0.0, depth_m))))
-    return panel.center + corners @ panel.axes
+    return front.center + corners @ front.axes
 
 
 def find_body(
     points_world: Array,
     support_z: float,
-    panel: Panel,
+    front: Front,
     views: Sequence[ScanView],
     segmenter: Segmenter,
 ) -> list[BodyView]:
@@ -134,7 +127,7 @@ def find_body(
         ReconstructionError: No view shows the whole body.
     """
     typical = float(np.median(DEPTHS_M))
-    chosen = choose_side_views(views, panel, make_body(points_world, support_z, panel, typical))
+    chosen = choose_side_views(views, front, make_body(points_world, support_z, front, typical))
     if not chosen:
         raise ReconstructionError(
             "proposals",
@@ -144,7 +137,7 @@ def find_body(
     prepared = [segmenter.prepare(view.name, view.image_srgb) for view in chosen]
     best: list[tuple[float, Mask]] = []
     for depth in DEPTHS_M:
-        corners = make_body(points_world, support_z, panel, float(depth))
+        corners = make_body(points_world, support_z, front, float(depth))
         found: list[tuple[float, Mask]] = []
         for view, image in zip(chosen, prepared, strict=True):
             pixels, _ = view.camera.project(corners)
@@ -158,50 +151,6 @@ def find_body(
             best = found
     result = []
     for view, (share, mask) in zip(chosen, best, strict=True):
-        front = fill_hull(view.camera.project(panel.front)[0], view.camera.width, view.camera.height)
-        result.append(BodyView(view=view, mask=mask & ~front & ~view.robot, agreement=share))
+        covered = fill_hull(view.camera.project(front.handle_space)[0], view.camera.width, view.camera.height)
+        result.append(BodyView(view=view, mask=mask & ~covered & ~view.robot, agreement=share))
     return sorted(result, key=lambda item: -item.agreement)
-
-
-def choose_side_views(views: Sequence[ScanView], panel: Panel, corners: Array) -> list[ScanView]:
-    """Choose views from different sides, not from the front, that show a body (8, 3) completely; best first."""
-    shown: list[tuple[float, ScanView]] = []
-    for view in views:
-        camera = view.camera
-        pixels, depths = camera.project(corners)
-        border = BORDER * camera.width
-        away = camera.center - corners.mean(0)
-        facing = -(away / np.linalg.norm(away)) @ panel.axes[2]
-        inside = np.all((pixels >= border) & (pixels <= np.array([camera.width, camera.height]) - border))
-        if not (np.all(depths > 0) and inside and facing <= MAX_FACING):
-            continue
-        region = fill_hull(pixels, camera.width, camera.height)
-        if (region & view.robot).sum() <= MAX_HIDDEN * region.sum():
-            # The smaller the angle between view and front, the less of the body is visible.
-            shown.append((float(region.sum()) * (1.0 - facing), view))
-    ordered = [view for _, view in sorted(shown, key=lambda item: -item[0])]
-    return choose_apart(ordered, corners.mean(0), VIEWS, APART_DEG)
-
-
-def choose_apart(views: Sequence[ScanView], target: Array, count: int, apart_deg: float) -> list[ScanView]:
-    """Choose the first views, at most `count`, whose directions to a target (3,) differ by an angle, [deg].
-
-    The angle is halved until there are enough views; their order is kept.
-    """
-    while True:
-        chosen = _keep_apart(views, target, count, apart_deg)
-        if len(chosen) == min(count, len(views)) or apart_deg < LEAST_APART_DEG:
-            return chosen
-        apart_deg /= 2
-
-
-def _keep_apart(views: Sequence[ScanView], target: Array, count: int, apart_deg: float) -> list[ScanView]:
-    chosen: list[ScanView] = []
-    directions: list[Array] = []
-    for view in views:
-        away = view.camera.center - target
-        away = away / np.linalg.norm(away)
-        if len(chosen) < count and all(away @ other <= np.cos(np.radians(apart_deg)) for other in directions):
-            chosen.append(view)
-            directions.append(away)
-    return chosen

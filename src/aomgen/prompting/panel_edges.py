@@ -11,22 +11,18 @@ from aomgen.core.values import Array
 from aomgen.errors import ReconstructionError
 from aomgen.parts.scan_views import ScanView
 from aomgen.prompting.moved_panel import (
+    Front,
     Grip,
     Model,
-    Panel,
     RegionAgreement,
-    fill_hull,
     improve,
     place_corners,
 )
 from aomgen.prompting.video_regions import REMEDY
+from aomgen.prompting.view_choice import choose_front_views
 
-# Number of views, which are those with the largest front, and smallest cosine between view and front (60 degrees).
-VIEWS, MIN_COSINE = 8, 0.5
-# Largest share of the front that the robot hides.
-MAX_HIDDEN: Final = 0.1
-# Margin around the front, as a share of the image's width.
-BORDER: Final = 1 / 50
+# Number of views, which are those with the largest front.
+VIEWS: Final = 8
 # Sampled points along a side, without its ends, because corners are round.
 SAMPLES: Final = np.linspace(0.04, 0.96, 40)
 # Standard deviation of the blur before gradients, [px]; smallest luma gradient of a clear edge, [1/px].
@@ -35,6 +31,7 @@ BLUR_PX, CLEAR_EDGE = 1.2, 6 / 255
 EDGE_WEIGHT: Final = 0.7
 # Rectangles sampled around the first one, and standard deviations: sides and depth [m], yaw and slip [rad].
 DRAWS, SPREAD = 6000, (0.04, 0.04, 0.03, 0.03, 0.02, 0.05, 0.05)
+# Initial steps of the refinement, about half of the spread: sides and depth [m], yaw and slip [rad].
 STEPS: Final = (0.02, 0.02, 0.02, 0.02, 0.01, 0.03, 0.03)
 
 
@@ -78,40 +75,20 @@ def _measure_gradients(view: ScanView) -> Array:
     return np.where(view.robot[..., None], 0.0, np.stack([along_x, along_y], -1))
 
 
-def choose_front_views(views: Sequence[ScanView], panel: Panel) -> list[ScanView]:
-    """Choose the views that show a panel largest, from the front and without occlusion; largest first."""
-    shown: list[tuple[int, ScanView]] = []
-    for view in views:
-        camera = view.camera
-        pixels, depths = camera.project(panel.corners_world)
-        size = np.array([camera.width, camera.height])
-        border = BORDER * camera.width
-        away = camera.center - panel.center
-        facing = -(away / np.linalg.norm(away)) @ panel.axes[2]
-        if not (facing >= MIN_COSINE and np.all(depths > 0)):
-            continue
-        if not np.all((pixels >= border) & (pixels <= size - border)):
-            continue
-        region = fill_hull(pixels, camera.width, camera.height)
-        if (region & view.robot).sum() <= MAX_HIDDEN * region.sum():
-            shown.append((int(region.sum()), view))
-    return [view for _, view in sorted(shown, key=lambda item: -item[0])]
-
-
-def refine_panel(
+def refine_front(
     x: Array,
     model: Model,
     agreement: RegionAgreement,
     views: Sequence[ScanView],
     rng: np.random.Generator,
-) -> Panel:
+) -> Front:
     """Move the sides of a rectangle (7,) to edges in scan images, without leaving the region of the video.
 
     Raises:
         ReconstructionError: No view shows the part from the front.
     """
     grip = agreement.grip
-    chosen = choose_front_views(views, Panel(corners_world=place_corners(grip, x), confidence=0.0))[:VIEWS]
+    chosen = choose_front_views(views, Front(corners_world=place_corners(grip, x), confidence=0.0))[:VIEWS]
     if not chosen:
         raise ReconstructionError(
             "proposals",
@@ -126,4 +103,4 @@ def refine_panel(
     draws = np.vstack([x, x + rng.normal(size=(DRAWS, len(x))) * SPREAD])
     _, best = improve(score, draws, STEPS)
     confidence = agreement.measure(best, model) * edges.measure(best)
-    return Panel(corners_world=place_corners(grip, best), confidence=confidence)
+    return Front(corners_world=place_corners(grip, best), confidence=confidence)

@@ -31,18 +31,20 @@ from aomgen.errors import AlignmentError, ConfigError, NoMotionError
 from aomgen.motion.inputs import GripperSignals, find_touch
 from aomgen.parts.scan_views import ScanView, nearest_links
 from aomgen.parts.stage import load_scan_views
-from aomgen.prompting.moved_panel import Grip, Panel, RegionAgreement, fit_region
-from aomgen.prompting.object_body import choose_apart, find_body, find_object_points
-from aomgen.prompting.panel_edges import choose_front_views, refine_panel
+from aomgen.prompting.moved_panel import Front, Grip, RegionAgreement, fit_region
+from aomgen.prompting.object_body import find_body, find_object_points
+from aomgen.prompting.panel_edges import refine_front
 from aomgen.prompting.prompts_file import save_prompts
 from aomgen.prompting.session import MARGIN_PX, WANTED_IMAGES, box_of_mask
 from aomgen.prompting.video_regions import REMEDY, compare_states, find_moved_region, find_robot_boxes
+from aomgen.prompting.view_choice import choose_apart, choose_front_views
 from aomgen.results import Results
 from aomgen.robots.silhouette import robot_masks
 from aomgen.segmentation.interface import Segmenter
 from aomgen.segmentation.segmenter import choose_segmenter
 from aomgen.structure import stage as structure_stage
 
+# Seed of the sampled rectangles, planes and points; any value serves.
 SEED: Final = 0
 # Number of features per image; the reconstruction of 64 images of 640 px takes half a minute.
 MAX_FEATURES: Final = 1024
@@ -166,13 +168,13 @@ def propose_prompts(
         return proposals
     progress(0.1, "finding what has moved in the video")
     rng = np.random.default_rng(SEED)
-    panel = find_panel(results, segmenter, views, rng)
+    front = find_front(results, segmenter, views, rng)
     if "static" in parts:
         progress(0.6, "segmenting the body of the object")
         points = apply(results.alignment.S_world_recon, results.structure.points_recon)
         points = points[nearest_links(points, results.configuration, rng, ROBOT_M)[0] < 0]
-        own, support_z = find_object_points(points, panel, rng)
-        bodies = [item for item in find_body(own, support_z, panel, views, segmenter) if item.mask.any()]
+        own, support_z = find_object_points(points, front, rng)
+        bodies = [item for item in find_body(own, support_z, front, views, segmenter) if item.mask.any()]
         proposals += [
             Proposal(
                 part="static", view=item.view, box=np.array(box_of_mask(item.mask)), confidence=item.agreement
@@ -180,13 +182,13 @@ def propose_prompts(
             for item in bodies[:WANTED_IMAGES]
         ]
     if "moving" in parts:
-        proposals += _propose_moving(panel, views)
+        proposals += _propose_moving(front, views)
     return proposals
 
 
-def find_panel(
+def find_front(
     results: Results, segmenter: Segmenter, views: Sequence[ScanView], rng: np.random.Generator
-) -> Panel:
+) -> Front:
     """Find the front of the moving part from the first fixed camera's video; errors as for `propose_prompts`."""
     video, camera = results.videos[results.demo_camera], results.fixed_camera.camera
     log, times = results.demo_log, video.times_s
@@ -217,7 +219,7 @@ def find_panel(
     region = find_moved_region(image, change, gripper_px)
     agreement = RegionAgreement(region, np.asarray(robot[touch.last :].all(0)), camera, grip)
     x, model = fit_region(agreement, rng)
-    return refine_panel(x, model, agreement, views, rng)
+    return refine_front(x, model, agreement, views, rng)
 
 
 def _propose_robot(results: Results, views: Sequence[ScanView]) -> list[Proposal]:
@@ -240,14 +242,14 @@ def _count_cut_sides(view: ScanView) -> int:
     )
 
 
-def _propose_moving(panel: Panel, views: Sequence[ScanView]) -> list[Proposal]:
-    shown = choose_front_views(views, panel)
-    chosen = choose_apart(shown, panel.center, WANTED_IMAGES, MOVING_APART_DEG)
+def _propose_moving(front: Front, views: Sequence[ScanView]) -> list[Proposal]:
+    shown = choose_front_views(views, front)
+    chosen = choose_apart(shown, front.center, WANTED_IMAGES, MOVING_APART_DEG)
     proposals = []
     for view in chosen:
-        pixels = view.camera.project(panel.corners_world)[0]
+        pixels = view.camera.project(front.corners_world)[0]
         box = np.concatenate([pixels.min(0) - MARGIN_PX, pixels.max(0) + MARGIN_PX])
-        proposals.append(Proposal(part="moving", view=view, box=box, confidence=panel.confidence))
+        proposals.append(Proposal(part="moving", view=view, box=box, confidence=front.confidence))
     return proposals
 
 

@@ -19,7 +19,7 @@ from aomgen.errors import BackendError
 from aomgen.io.paths import resolve_inside
 from aomgen.prompting.prompts_file import save_prompts
 from aomgen.prompting.scan_choice import ScanImages, propose_images
-from aomgen.segmentation.interface import Mask, PreparedImage, Segmenter
+from aomgen.segmentation.interface import Mask, PreparedImage, Segmenter, bound_mask
 from aomgen.segmentation.segmenter import choose_segmenter
 
 # Required images per part; with two, a run continues if the camera of one of them is not found.
@@ -147,13 +147,8 @@ def box_of_mask(mask: NDArray[np.bool_]) -> list[float]:
         >>> box_of_mask(mask)
         [28.0, 8.0, 52.0, 22.0]
     """
-    rows, columns = np.flatnonzero(mask.any(1)), np.flatnonzero(mask.any(0))
-    if not len(rows):
+    if not mask.any():
         return []
     height, width = mask.shape
-    return [
-        max(0.0, columns[0] - MARGIN_PX),
-        max(0.0, rows[0] - MARGIN_PX),
-        min(float(width), columns[-1] + 1 + MARGIN_PX),
-        min(float(height), rows[-1] + 1 + MARGIN_PX),
-    ]
+    margin = [-MARGIN_PX, -MARGIN_PX, MARGIN_PX, MARGIN_PX]
+    return np.clip(bound_mask(mask) + margin, 0, [width, height, width, height]).tolist()

@@ -10,7 +10,7 @@ from scipy import ndimage
 from aomgen.core.robust import compute_masked_median
 from aomgen.core.values import Array, freeze_arrays
 from aomgen.errors import NoMotionError
-from aomgen.segmentation.interface import Mask, PreparedImage
+from aomgen.segmentation.interface import Mask, PreparedImage, bound_mask
 
 # Color difference of a changed pixel, above the effect of compression and soft shadows, 8 bit.
 CHANGED: Final = 25.0
@@ -80,12 +80,9 @@ def find_robot_boxes(frames_srgb: NDArray[np.uint8]) -> list[Array]:
         )
     order = np.argsort(-sizes)
     large = order[sizes[order] >= MIN_ROBOT * left.size]
-    return [_bound(np.isin(pieces, large[:count])) for count in sorted({1, min(2, len(large)), len(large)})]
-
-
-def _bound(mask: Mask) -> Array:
-    rows, columns = np.nonzero(mask)
-    return np.array([columns.min(), rows.min(), columns.max() + 1, rows.max() + 1], np.float64)
+    return [
+        bound_mask(np.isin(pieces, large[:count])) for count in sorted({1, min(2, len(large)), len(large)})
+    ]
 
 
 def compare_states(

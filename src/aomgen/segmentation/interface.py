@@ -14,6 +14,12 @@ from aomgen.core.values import freeze_arrays
 Mask = NDArray[np.bool_]
 
 
+def bound_mask(mask: Mask) -> NDArray[np.float64]:
+    """Return the box x0, y0, x1, y1 around a mask (H, W), [px], which has at least one pixel."""
+    rows, columns = np.flatnonzero(mask.any(1)), np.flatnonzero(mask.any(0))
+    return np.array([columns[0], rows[0], columns[-1] + 1, rows[-1] + 1], np.float64)
+
+
 class Segmenter(Protocol):
     """Whatever turns boxes and points on an image into a mask."""
 

@@ -8,15 +8,16 @@ from aomgen.parts.scan_views import ScanView
 from aomgen.prompting import moved_panel, panel_edges
 from aomgen.prompting.moved_panel import (
     STEPS,
+    Front,
     Grip,
-    Panel,
     RegionAgreement,
     fill_hull,
     improve,
     place_corners,
 )
-from aomgen.prompting.object_body import choose_apart, find_body, find_object_points, make_body
-from aomgen.prompting.panel_edges import choose_front_views, refine_panel
+from aomgen.prompting.object_body import find_body, find_object_points, make_body
+from aomgen.prompting.panel_edges import refine_front
+from aomgen.prompting.view_choice import choose_apart, choose_front_views
 
 # A gripper at 0.6 m that approaches along +x; the front is 4 cm behind the grasp, its hinge on the left.
 FIRST = np.array([[0.0, 0.0, 1.0, 0.6], [0.0, 1.0, 0.0, 0.1], [-1.0, 0.0, 0.0, 0.3], [0.0, 0.0, 0.0, 1.0]])
@@ -74,12 +75,12 @@ def test_a_front_is_recovered_from_the_region_to_which_it_has_come(grip, model):
 
 
 def test_corners_are_in_order_and_the_third_axis_enters_the_object():
-    panel = Panel(corners_world=place_corners(pulled(0.1), TRUE), confidence=1.0)
-    along, up, inwards = panel.axes
+    front = Front(corners_world=place_corners(pulled(0.1), TRUE), confidence=1.0)
+    along, up, inwards = front.axes
     assert up @ [0, 0, 1] == pytest.approx(1)
     assert inwards @ FIRST[:3, 2] > 0.99
     assert along @ np.cross(inwards, up) == pytest.approx(1)
-    assert (panel.front[4:] - panel.corners_world) @ inwards == pytest.approx(-0.06)
+    assert (front.handle_space[4:] - front.corners_world) @ inwards == pytest.approx(-0.06)
 
 
 def test_a_front_is_moved_to_its_edges_in_the_scan(monkeypatch):
@@ -96,17 +97,17 @@ def test_a_front_is_moved_to_its_edges_in_the_scan(monkeypatch):
     behind = view("behind.jpg", camera((1.8, 0.0, 0.6)))
     hidden = view("hidden.jpg", camera((-0.4, 0.0, 0.6)), robot=np.ones((480, 640), bool))
     start = TRUE + [0.015, 0.01, -0.01, 0.015, 0.0, 0.0, 0.0]
-    panel = refine_panel(start, "swept", agreement, [*views, behind, hidden], np.random.default_rng(0))
-    error = np.linalg.norm(panel.corners_world - place_corners(grip, TRUE), axis=1)
+    front = refine_front(start, "swept", agreement, [*views, behind, hidden], np.random.default_rng(0))
+    error = np.linalg.norm(front.corners_world - place_corners(grip, TRUE), axis=1)
     assert error.max() < 0.008
-    assert panel.confidence > 0.7
-    assert {item.name for item in choose_front_views([*views, behind, hidden], panel)} == {
+    assert front.confidence > 0.7
+    assert {item.name for item in choose_front_views([*views, behind, hidden], front)} == {
         "0.jpg",
         "1.jpg",
         "2.jpg",
     }
     with pytest.raises(ReconstructionError, match="no scan image shows the moving part"):
-        refine_panel(start, "swept", agreement, [behind, hidden], np.random.default_rng(0))
+        refine_front(start, "swept", agreement, [behind, hidden], np.random.default_rng(0))
 
 
 class Outlines:
@@ -133,8 +134,8 @@ class Outlines:
 
 def test_the_body_stands_on_its_support_and_gets_its_depth_from_segments():
     rng = np.random.default_rng(0)
-    panel = Panel(corners_world=place_corners(pulled(0.1), TRUE), confidence=1.0)
-    true = make_body(panel.corners_world, 0.12, panel, 0.3)
+    front = Front(corners_world=place_corners(pulled(0.1), TRUE), confidence=1.0)
+    true = make_body(front.corners_world, 0.12, front, 0.3)
     # Points on the body's edges, on the table, and on another object 15 cm behind it.
     steps = np.linspace(0, 1, 12)[:, None]
     body = np.concatenate(
@@ -145,7 +146,7 @@ def test_the_body_stands_on_its_support_and_gets_its_depth_from_segments():
         [rng.uniform(0.2, 1.4, 400), rng.uniform(-0.5, 0.5, 400), rng.normal(0.12, 0.002, 400)]
     )
     other = true[:, :] * [1, 1, 0.3] + [0.6, 0, 0.15]
-    own, support_z = find_object_points(np.concatenate([body, table, other]), panel, rng)
+    own, support_z = find_object_points(np.concatenate([body, table, other]), front, rng)
     assert support_z == pytest.approx(0.12, abs=0.005)
     assert own[:, 0].max() < true[:, 0].max() + 0.02
     cameras = {
@@ -154,13 +155,13 @@ def test_the_body_stands_on_its_support_and_gets_its_depth_from_segments():
         "front.jpg": camera((-0.6, 0.0, 0.5), (0.8, 0, 0.25)),
     }
     views = [view(name, item) for name, item in cameras.items()]
-    found = find_body(own, support_z, panel, views, Outlines(true, cameras))
+    found = find_body(own, support_z, front, views, Outlines(true, cameras))
     assert {item.view.name for item in found} == {"left.jpg", "right.jpg"}
     assert min(item.agreement for item in found) > 0.85
     with pytest.raises(ReconstructionError, match="no scan image shows the whole object"):
-        find_body(own, support_z, panel, [views[2]], Outlines(true, cameras))
+        find_body(own, support_z, front, [views[2]], Outlines(true, cameras))
     with pytest.raises(ReconstructionError, match="0 points of the scan are below"):
-        find_object_points(body[body[:, 2] > 0.3], panel, rng)
+        find_object_points(body[body[:, 2] > 0.3], front, rng)
 
 
 def test_views_from_different_sides_are_chosen_as_far_as_there_are_any():
