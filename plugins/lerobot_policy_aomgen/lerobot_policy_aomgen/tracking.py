@@ -31,16 +31,12 @@ class PointTracker:
         closed = gripper > CLOSED
         if self.rest_world is None:
             self._touched = self._held = torch.zeros_like(closed)
-            self._handle_ee = torch.zeros_like(points[:, :MOVING_POINTS])
+            self._handle_ee = self._handle_world = torch.zeros_like(points[:, :MOVING_POINTS])
         ignored = (closed | self._touched)[:, None] & bool(self._looks)
         self._looks.append((points, torch.where(ignored, torch.inf, sigmas)))
         self.rest_world, spreads = combine_looks(*map(torch.stack, zip(*self._looks, strict=True)))
         rest = self.rest_world[:, :MOVING_POINTS]
-        handle = (
-            torch.where(self._touched[:, None, None], self._handle_world, rest)
-            if self._touched.any()
-            else rest
-        )
+        handle = torch.where(self._touched[:, None, None], self._handle_world, rest)
         to_ee = torch.linalg.inv(T_world_ee)
         grasps = (closed & ~self._held)[:, None, None]
         self._handle_ee = torch.where(grasps, _transform(to_ee, handle), self._handle_ee)
