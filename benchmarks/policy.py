@@ -21,7 +21,7 @@ from aomgen.io.artifact import file_digest, read_json
 from aomgen.io.atomic import write_json
 from aomgen.pipeline.manifest import text_digest
 from benchmarks.policy_data import PolicyData, Trials
-from benchmarks.policy_finder import measure_finder, train_finder
+from benchmarks.policy_finder import measure_finder
 from benchmarks.policy_tables import FILMED, FINDER, TABLES, VIDEO, Row, Training
 from benchmarks.policy_training import Trainer
 from benchmarks.policy_video import mean_trajectory_error, video_error
@@ -67,8 +67,7 @@ class PolicyBench:
         trainings = dict.fromkeys(policies)
         for training in trainings:
             self.data.dataset(training.world, training.sees)
-        if any(training.finds for training in trainings):
-            train_finder(self.data)
+            self.trainer.list_finder_options(training)
         with ThreadPoolExecutor(self.data.workers) as pool:
             list(pool.map(self.trainer.train, trainings))
 
@@ -89,13 +88,13 @@ class PolicyBench:
         """Test a policy in a row's trials; returns the metrics of `aomgen evaluate` and their inputs."""
         kept = self._kept(policy, row)
         if not kept.is_file():
-            finds = isinstance(policy, Training) and policy.finds
-            suite, results = open_suite((self.data.finder_suite if finds else self.data.suite)(row.test))
+            learned = isinstance(policy, Training)
+            make_suite = self.data.finder_suite if learned and policy.finds else self.data.suite
+            suite, results = open_suite(make_suite(row.test))
             address = policy if isinstance(policy, str) else f"{LEROBOT}{self.trainer.home(policy)}"
             request = EvaluationRequest(policy=address, visuals=row.visuals)
             self.data.tell(f"rollouts {kept.stem}")
             found = evaluate(suite, results, kept.with_suffix(""), request, self.data.workers, silent)
-            learned = isinstance(policy, Training)
             dataset = folder_digest(self.data.dataset(policy.world, policy.sees)) if learned else None
             write_json(kept, {**found, "dataset": dataset, "versions": versions()})
         return read_json(kept)

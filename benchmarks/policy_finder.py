@@ -16,6 +16,8 @@ LEARNED, OTHERS = range(1001, 1301), range(2001, 2031)
 # Images of each object in the training; as many of every tenth object, and of all others, are tested.
 PER_OBJECT: Final = 20
 TESTED: Final = LEARNED[::10]
+# Objects and random seed of each set of images.
+IMAGE_SETS: Final = {"learned": (LEARNED, 0), "scenes": (TESTED, 1), "objects": (OTHERS, 2)}
 # Steps of 32 images.
 STEPS: Final = 3000
 
@@ -34,9 +36,15 @@ def train_finder(data: PolicyData) -> Path:
     home = data.folder / "finder"
     if not (home / WEIGHTS).is_file():
         main = _plugin("train_finder").main
-        learned = _export(data, "learned", [f"microwave:{seed}" for seed in LEARNED], 0)
+        learned = _export_set(data, "learned")
         data.tell("training finder")
-        words = [str(learned), str(home), "--validation", str(_export_others(data)), f"--steps={STEPS}"]
+        words = [
+            str(learned),
+            str(home),
+            "--validation",
+            str(_export_set(data, "objects")),
+            f"--steps={STEPS}",
+        ]
         if main(words):
             raise BackendError("train_finder", "failed", "see its message above")
     return home / WEIGHTS
@@ -55,11 +63,11 @@ def measure_finder(data: PolicyData) -> dict[str, Any]:
     """
     errors, read_images = _plugin("finder_errors"), _plugin("finder_images").read_images
     finder, _ = _plugin("finder").load_finder(train_finder(data))
-    learned = _export(data, "learned", [f"microwave:{seed}" for seed in LEARNED], 0)
+    learned = _export_set(data, "learned")
     images = {
         "training": read_images(learned, len(TESTED) * PER_OBJECT),
-        "other_scenes": read_images(_export(data, "scenes", [f"microwave:{seed}" for seed in TESTED], 1)),
-        "other_objects": read_images(_export_others(data)),
+        "other_scenes": read_images(_export_set(data, "scenes")),
+        "other_objects": read_images(_export_set(data, "objects")),
     }
     if data.assets:
         images["imported"] = read_images(_export(data, "imported", list(data.assets), 3))
@@ -80,8 +88,9 @@ def _plugin(module: str) -> ModuleType:
         ) from error
 
 
-def _export_others(data: PolicyData) -> Path:
-    return _export(data, "objects", [f"microwave:{seed}" for seed in OTHERS], 2)
+def _export_set(data: PolicyData, name: str) -> Path:
+    seeds, seed = IMAGE_SETS[name]
+    return _export(data, name, [f"microwave:{number}" for number in seeds], seed)
 
 
 def _export(data: PolicyData, name: str, assets: list[str], seed: int) -> Path:

@@ -42,7 +42,7 @@ class Training:
 
     @property
     def finds(self) -> bool:
-        """Whether the policy contains a finder."""
+        """Return whether the policy contains a finder."""
         return self.kind == "handle_act"
 
     @property

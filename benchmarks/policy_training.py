@@ -85,7 +85,7 @@ class Trainer:
                 f"--batch_size={BATCH}", "--num_workers=0", f"--save_freq={min(SAVE_EVERY, steps)}",
                 "--wandb.enable=false", "--eval_freq=0",
                 *([f"--policy.input_features={json.dumps(front_features(dataset))}"] if training.fixed_camera else []),
-                *(self._finder_options() if training.finds else []),
+                *self.list_finder_options(training),
             ]  # fmt: skip
         self.data.tell(f"training {training.name}")
         # Mixed precision is a third faster than float32, at an equal loss.
@@ -101,7 +101,13 @@ class Trainer:
             raise BackendError("lerobot-train", f"ended with exit code {done.returncode}", f"see {log}")
         return home
 
-    def _finder_options(self) -> list[str]:
+    def list_finder_options(self, training: Training) -> list[str]:
+        """Return the options of a policy with a finder, after making finder and suite; none for other policies.
+
+        The suite only gives cameras and arm, which are those of all worlds with this recording.
+        """
+        if not training.finds:
+            return []
         suite = self.data.finder_suite(Trials(world=UNSEEN))
         return [f"--policy.finder={train_finder(self.data)}", f"--policy.suite={suite}"]
 

@@ -201,13 +201,20 @@ touch "$home/checkpoints/last/pretrained_model/model.safetensors" "$home/checkpo
 """
 
 
-def test_a_training_is_done_once_and_goes_on_where_it_ended(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+@pytest.fixture
+def lerobot(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> tuple[Path, Path]:
+    """The stand-in, and the file to which it writes its arguments."""
     command, words = tmp_path / "lerobot-train", tmp_path / "words"
     command.write_text(LEROBOT)
     command.chmod(0o755)
     monkeypatch.setenv("WORDS", str(words))
+    return command, words
+
+
+def test_a_training_is_done_once_and_goes_on_where_it_ended(
+    tmp_path: Path, lerobot: tuple[Path, Path]
+) -> None:
+    command, words = lerobot
     data: Any = SimpleNamespace(
         folder=tmp_path, dataset=lambda world, sees: tmp_path / "dataset", tell=lambda text: None
     )
@@ -225,12 +232,9 @@ def test_a_training_is_done_once_and_goes_on_where_it_ended(
 
 
 def test_a_policy_with_a_finder_is_trained_with_finder_and_suite(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, lerobot: tuple[Path, Path]
 ) -> None:
-    command, words = tmp_path / "lerobot-train", tmp_path / "words"
-    command.write_text(LEROBOT)
-    command.chmod(0o755)
-    monkeypatch.setenv("WORDS", str(words))
+    command, words = lerobot
     finder = tmp_path / "finder" / "finder.safetensors"
     finder.parent.mkdir()
     finder.touch()
