@@ -150,7 +150,6 @@ def estimate_light(
 
     Not checked: the real robot's paint may differ from its model; a uniform difference
     changes the light's brightness, which is limited to `LIMITS`.
-    enters the light's brightness, which is limited to `LIMITS`.
     """
     world = pose_twin(twin, robot, twin.scan_state)
     of_robot = (twin.labels == ROBOT) & (twin.bodies > 0)

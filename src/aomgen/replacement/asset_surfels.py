@@ -100,7 +100,8 @@ def fit_all_surfels(
 ) -> Iterator[tuple[int, tuple[Surfels, Surfels]]]:
     """Fit the surfels of several assets, one asset in each process, and yield them with their numbers when they are done.
 
-    The result does not depend on the number of workers: each asset has random numbers of its own. Errors as for `asset_surfels`.
+    The result does not depend on the number of workers, because the random numbers of an asset follow from its number.
+    Errors as for `asset_surfels`.
     """
     opener = partial(_open_fit, assets, seed)
     for done in run_units(list(assets), Processes(opener, min(workers, len(assets)), FIT_S)):
