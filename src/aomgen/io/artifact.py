@@ -1,6 +1,7 @@
-"""Any frozen value on disk, by its annotations: `NAME.json`, and its large arrays in `NAME.npz`.
+"""Storage of frozen dataclasses by their annotations: `NAME.json`, and large arrays in `NAME.npz`.
 
-Equal values give equal bytes. What is read is bounded, holds no code, and has to fit the annotations.
+Equal values give equal bytes. The size of files that are read is limited, no code in them is executed, and their values
+must match the annotations.
 """
 
 import hashlib
@@ -19,17 +20,22 @@ from numpy.typing import NDArray
 from aomgen.errors import LimitExceededError, MalformedFileError, MissingFileError
 from aomgen.io.atomic import write_bytes, write_json
 
-# Arrays of at most this many elements are stored in the JSON, where people can read them.
+# Arrays of at most this many elements are stored in the JSON file, where they can be read without a program.
 INLINE_ELEMENTS = 64
-# Largest array file read, [bytes]: far above what a run writes, but fits in memory.
+# Largest npz file that is read, [bytes]; a run writes far smaller ones, and this size fits into memory.
 MAX_NPZ_BYTES: Final = 2 << 30
-# Largest JSON file read, [bytes]: the same.
+# Largest JSON file that is read, [bytes], chosen in the same manner.
 MAX_JSON_BYTES: Final = 64 << 20
 T = TypeVar("T")
 
 
 def save_artifact(folder: Path, name: str, value: Any) -> None:
-    """Write a dataclass of arrays, numbers, texts, None, tuples, mappings and dataclasses.
+    """Write a dataclass of arrays, numbers, strings, None, tuples, mappings and dataclasses.
+
+    Args:
+        folder: Folder of the files.
+        name: Name of the files without suffix.
+        value: Dataclass instance.
 
     Raises:
         StorageError: Writing to the disk failed.
@@ -42,7 +48,7 @@ def save_artifact(folder: Path, name: str, value: Any) -> None:
 
 
 def load_artifact(folder: Path, name: str, kind: type[T]) -> T:
-    """Read back what `save_artifact` wrote.
+    """Read a value that `save_artifact` wrote.
 
     Args:
         folder: Folder of a finished stage.
@@ -51,7 +57,7 @@ def load_artifact(folder: Path, name: str, kind: type[T]) -> T:
 
     Raises:
         MissingFileError, LimitExceededError: The file is missing or too large.
-        MalformedFileError: The files hold something else.
+        MalformedFileError: The files are damaged or hold no value of this class.
     """
     path = folder / f"{name}.json"
     stored = read_json(path)
@@ -67,17 +73,19 @@ def load_artifact(folder: Path, name: str, kind: type[T]) -> T:
 
 
 def restore(kind: type[T], data: Any) -> T:
-    """The value of a class that plain JSON values describe, as `save_artifact` or `asdict` leaves them without arrays.
+    """Build a value of the class `kind` from JSON values, as `save_artifact` or `asdict` create them from a value.
+
+    Arrays must be lists; references to an npz file are refused.
 
     Raises:
-        TypeError, ValueError: They describe something else.
+        TypeError, ValueError: The JSON values do not match the annotations of the class.
     """
     return _unpack(kind, data, {})
 
 
 def _pack(value: Any, key: str, arrays: dict[str, NDArray[Any]]) -> Any:
     if isinstance(value, np.ndarray):
-        # Infinities and empty shapes have no JSON.
+        # JSON has no infinities and cannot represent the shape of an empty array.
         if value.ndim and 0 < value.size <= INLINE_ELEMENTS and np.isfinite(value).all():
             return value.tolist()
         name = key.removesuffix(".")
@@ -156,9 +164,17 @@ def _require(fits: bool, kind: Any, data: Any) -> None:
 
 
 def npz_bytes(arrays: Mapping[str, NDArray[Any]], *, packed: bool = False) -> bytes:
-    """An npz with fixed dates, in the order given; made smaller where `packed`."""
+    """Build the content of an npz file.
+
+    Args:
+        arrays: Arrays by name; the file has their order.
+        packed: Compress the arrays.
+
+    Returns:
+        Content of the file; equal arrays give equal bytes, because the dates of the entries are fixed.
+    """
     buffer = io.BytesIO()
-    # The fastest level: images of depth and labels are five to fifty times smaller already.
+    # The fastest compression level already reduces images of depth and labels by a factor of 5 to 50.
     with zipfile.ZipFile(buffer, "w", compresslevel=1) as archive:
         for name, array in arrays.items():
             content = io.BytesIO()
@@ -170,10 +186,10 @@ def npz_bytes(arrays: Mapping[str, NDArray[Any]], *, packed: bool = False) -> by
 
 
 def arrays_from_bytes(data: bytes, where: Path) -> dict[str, NDArray[Any]]:
-    """All arrays of an npz.
+    """Read all arrays, by name, from the content of an npz file; `where` names the file in messages.
 
     Raises:
-        MalformedFileError: Not an npz, damaged, or it holds objects.
+        MalformedFileError: The content is not an npz file, is damaged, or holds Python objects.
     """
     try:
         with np.load(io.BytesIO(data), allow_pickle=False) as archive:
@@ -183,7 +199,7 @@ def arrays_from_bytes(data: bytes, where: Path) -> dict[str, NDArray[Any]]:
 
 
 def read_npz(path: Path) -> dict[str, NDArray[Any]]:
-    """All arrays of an npz file.
+    """Read all arrays of an npz file, by name.
 
     Raises:
         MissingFileError, LimitExceededError, MalformedFileError: The file is missing, malformed or too large.
@@ -193,7 +209,7 @@ def read_npz(path: Path) -> dict[str, NDArray[Any]]:
 
 
 def file_digest(path: Path) -> str:
-    """SHA-256 of a file's content."""
+    """Compute the SHA-256 digest of a file's content, as hexadecimal digits."""
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
 

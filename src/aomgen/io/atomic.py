@@ -1,9 +1,9 @@
 """Atomic creation of files and folders: they are written next to their destination, synced and renamed.
 
-The file that is being written is called staging; its name begins with `STAGING_PREFIX`. Its writer holds a lock on it
-(flock), which the kernel releases when the writer dies, and `remove_staging` deletes only files that it can lock.
-Started programs do not inherit the lock. A forked child does, so the staging of a dead parent may remain until its
-forked children have ended.
+A file or folder that is being written is called staging; its name begins with `STAGING_PREFIX`. The writer holds a lock
+on it (flock), which the kernel releases when the writer dies, and `remove_staging` deletes only staging that it can lock.
+Subprocesses that execute another program do not inherit the lock. Forked children do, so the staging of a dead parent may
+remain until its forked children have ended.
 """
 
 import ctypes
@@ -34,7 +34,7 @@ def write_bytes(path: Path, data: bytes) -> None:
     """Create or replace one file; readers get the complete old or the complete new content.
 
     Raises:
-        StorageError: The disk refuses (full, read-only, no permission).
+        StorageError: Writing to the disk failed (full, read-only, no permission).
     """
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -54,7 +54,14 @@ def write_text(path: Path, text: str) -> None:
 
 
 def write_json(path: Path, value: Any) -> None:
-    """Create or replace a JSON file with sorted keys; arrays become lists, NaN is refused."""
+    """Create or replace a JSON file with sorted keys; see `write_bytes`.
+
+    Arrays become lists, paths become strings.
+
+    Raises:
+        StorageError: Writing to the disk failed.
+        ValueError, TypeError: A number is NaN or infinite, or a value has no JSON form. This is a programming error.
+    """
     text = json.dumps(value, indent=1, sort_keys=True, allow_nan=False, default=_plain)
     write_text(path, text + "\n")
 
@@ -64,8 +71,8 @@ def stage_folder(path: Path) -> Iterator[Path]:
     """Create or replace the folder `path` completely, or not at all.
 
     The context manager yields an empty folder next to `path`. When the block ends without an error, the files of this
-    folder are synced, and it replaces the file or folder at `path`. On Linux old and new folder are exchanged in one
-    step. If the file system does not support this (NFS), the old one is renamed first; a process that dies before the
+    folder are synced, and it replaces the file or folder at `path`. On Linux, the old and the new folder are exchanged in
+    one step. If the file system does not support this (NFS), the old one is renamed first; a process that dies before the
     second rename leaves no folder at `path`.
 
     Raises:
@@ -104,7 +111,7 @@ def remove_folder(path: Path) -> None:
 
 @contextmanager
 def lock_folder(folder: Path) -> Iterator[None]:
-    """Hold the lock of a folder; other processes wait for it. On a file system without locks this has no effect.
+    """Hold an exclusive lock on a folder; other processes that lock it wait. Without file locks this has no effect.
 
     Raises:
         StorageError: The folder cannot be opened.
@@ -141,7 +148,7 @@ def _remove_if_dead(path: Path) -> None:
     except FileNotFoundError:
         return
     try:
-        # Its writer may have renamed it in the meantime, so that it is a result now.
+        # The writer may have renamed the file in the meantime, which makes it a result that must not be deleted.
         if _lock(handle, wait=False) and _is_at(handle, path):
             _delete(path)
     finally:

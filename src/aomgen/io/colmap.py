@@ -1,7 +1,7 @@
-"""Cameras, points and images of a COLMAP project folder of undistorted pinhole images.
+"""Reader of a COLMAP project folder of undistorted pinhole images: cameras, points and images.
 
-Binary models of any COLMAP version. Pixel centres lie at +0.5 in COLMAP as here, and its cameras look
-along +z with y down.
+Binary models of any COLMAP version are read. COLMAP and AOMGen share their conventions: pixel centers
+lie at +0.5, and cameras look along +z with y down.
 """
 
 from dataclasses import dataclass
@@ -22,7 +22,12 @@ from aomgen.io.paths import resolve_inside
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ColmapView:
-    """A registered image: its camera, at the size the image has on disk, and where it lies."""
+    """A registered image.
+
+    Attributes:
+        camera_recon: Camera in the `recon` frame, scaled to the size of the image file.
+        path: Image file.
+    """
 
     camera_recon: Camera
     path: Path
@@ -30,13 +35,13 @@ class ColmapView:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ColmapModel:
-    """A sparse reconstruction in COLMAP's own frame (no scale, no gravity).
+    """A sparse reconstruction in COLMAP's own frame, whose scale and orientation are arbitrary.
 
     Attributes:
         views: Registered images by file name, in name order.
         points_recon: Points (P, 3).
-        colors_srgb: Their colors (P, 3) uint8.
-        observations: Observations (M, 2) int32: rows of (point, index into `views` in order).
+        colors_srgb: Colors of the points (P, 3) uint8.
+        observations: Observations (M, 2) int32; a row is (index of the point, index of the view in `views`).
     """
 
     views: dict[str, ColmapView]
@@ -48,24 +53,24 @@ class ColmapModel:
 
 
 def read_colmap(folder: Path, *, images: str = "images") -> ColmapModel:
-    """Read `folder/sparse/0` (or `folder/sparse`) and find its images in `folder/images`.
+    """Read the model in `folder/sparse/0` or `folder/sparse`, and find its images.
 
-    Images may be smaller or larger copies of the ones that were reconstructed (`images_4`); the
-    cameras are scaled to what is on disk.
+    Images may be resized copies of the reconstructed ones (`images_4`); the cameras are scaled to the
+    size of the image files.
 
     Args:
         folder: COLMAP project, as `colmap image_undistorter` writes it.
         images: Name of the folder of images, inside `folder`.
 
     Raises:
-        MissingFileError: No binary model, or an image is missing.
+        MissingFileError: There is no binary model, or an image is missing.
         MalformedFileError: A file of the model is damaged or contradicts another.
         NonFiniteError: A number of the model is NaN or infinite.
         LimitExceededError: A file is larger than 4 GiB.
-        CalibrationError: A camera with lens distortion, or an image of another shape.
-        UnsafePathError: An image's name leaves the folder of images.
+        CalibrationError: A camera has lens distortion, or an image has another aspect ratio than its camera.
+        UnsafePathError: The name of an image leaves the folder of images.
 
-    Not checked: that the images are the ones which were reconstructed.
+    Not checked: that the images are the ones that were reconstructed.
     """
     model = folder / "sparse" / "0"
     if not model.is_dir():
@@ -108,7 +113,7 @@ def _pinhole_camera(image: ColmapImage, path: Path) -> Camera:
 
 
 def _fit(camera: Camera, path: Path) -> Camera:
-    """The camera at the size of the image file."""
+    """Scale a camera to the size of its image file; raises CalibrationError if the aspect ratios differ."""
     width, height = image_size(path)
     if not abs(width * camera.height - height * camera.width) <= 1.01 * max(camera.width, camera.height):
         raise CalibrationError(

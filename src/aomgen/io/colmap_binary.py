@@ -1,4 +1,4 @@
-"""Binary files of a COLMAP model, read without COLMAP: bounded, with typed errors."""
+"""Readers of the binary files of a COLMAP model, with limits on size and typed errors; COLMAP is not needed."""
 
 import struct
 from pathlib import Path
@@ -22,7 +22,7 @@ from aomgen.io.colmap_models import (
     require_distinct,
 )
 
-# Longest image name: four times a file system's limit.
+# Longest image name, [bytes]; four times the limit of common file systems.
 MAX_NAME_BYTES: Final = 1024
 _COUNT = struct.Struct("<Q")
 _CAMERA = struct.Struct("<iiQQ")
@@ -31,11 +31,11 @@ _POINT = struct.Struct("<Q3d3Bd")
 
 
 def read_cameras_bin(path: Path) -> dict[int, ColmapCamera]:
-    """Read `cameras.bin`: cameras by their number.
+    """Read the cameras of `cameras.bin`, by camera id.
 
     Raises:
-        MissingFileError, LimitExceededError, MalformedFileError, NonFiniteError: Missing, too large or invalid file.
-        UnknownCameraModelError: A camera has a model without pinhole equivalent.
+        MissingFileError, LimitExceededError, MalformedFileError, NonFiniteError: The file is missing, too large or invalid.
+        UnknownCameraModelError: A camera has an unknown model.
     """
     cursor = _Cursor(path)
     cameras = {}
@@ -50,26 +50,39 @@ def read_cameras_bin(path: Path) -> dict[int, ColmapCamera]:
 
 
 def read_images_bin(path: Path, cameras: dict[int, ColmapCamera]) -> list[ColmapImage]:
-    """Read `images.bin`: registered images in the order of the file; raises as `read_cameras_bin`."""
+    """Read the registered images of `images.bin`, in the order of the file.
+
+    Args:
+        path: File `images.bin`.
+        cameras: Cameras by camera id; see `read_cameras_bin`.
+
+    Raises:
+        MissingFileError, LimitExceededError, MalformedFileError, NonFiniteError: The file is missing, too large or invalid.
+    """
     cursor = _Cursor(path)
     images = []
     for _ in range(cursor.count(_IMAGE.size)):
         number, *pose, key = cursor.take(_IMAGE)
         name = cursor.text()
-        cursor.records(24)  # where its points are seen: x, y, point
+        cursor.records(24)  # observations of points: x, y, point id
         images.append(pose_image(path, number, name, cameras.get(key), tuple(pose)))
     cursor.done()
     return require_distinct(path, images)
 
 
 def read_points_bin(path: Path, views: dict[int, int]) -> tuple[Array, NDArray[np.uint8], NDArray[np.int32]]:
-    """Read `points3D.bin`: points (P, 3), sRGB colors (P, 3) and observations (M, 2) in the file's order.
+    """Read the points of `points3D.bin`, in the order of the file.
 
     Args:
-        views: Index of the view by image number.
+        path: File `points3D.bin`.
+        views: Index of the view by image id.
+
+    Returns:
+        Points (P, 3) in the `recon` frame, sRGB colors (P, 3) uint8, and observations (M, 2) int32, whose rows are
+        (index of the point, index of the view).
 
     Raises:
-        MalformedFileError, NonFiniteError, MissingFileError, LimitExceededError: Missing, too large or invalid file.
+        MissingFileError, LimitExceededError, MalformedFileError, NonFiniteError: The file is missing, too large or invalid.
     """
     cursor = _Cursor(path)
     count = cursor.count(_POINT.size + _COUNT.size)
@@ -77,7 +90,7 @@ def read_points_bin(path: Path, views: dict[int, int]) -> tuple[Array, NDArray[n
     for row in range(count):
         _, x, y, z, red, green, blue, _ = cursor.take(_POINT)
         points[row], colors[row] = (x, y, z), (red, green, blue)
-        tracks.append(np.frombuffer(cursor.records(8), "<i4")[::2])  # image, place in it
+        tracks.append(np.frombuffer(cursor.records(8), "<i4")[::2])  # image id, index
     cursor.done()
     if not np.abs(points).max(initial=0) < MAX_COORDINATE:
         raise NonFiniteError(path, "has a point without finite coordinates", REMEDY)
@@ -94,7 +107,7 @@ def read_points_bin(path: Path, views: dict[int, int]) -> tuple[Array, NDArray[n
 
 
 class _Cursor:
-    """A file's bytes and how far they are read; what a count promises must still be there."""
+    """Bytes of a file and the current read position; reading past the end raises MalformedFileError."""
 
     def __init__(self, path: Path) -> None:
         if not path.is_file():
@@ -112,14 +125,14 @@ class _Cursor:
         return values
 
     def count(self, smallest: int) -> int:
-        """Return the next number of records, each of at least `smallest` bytes."""
+        """Read a number of records and check that as many records of at least `smallest` bytes can follow."""
         (count,) = self.take(_COUNT)
         if not count * smallest <= len(self.data) - self.at:
             raise MalformedFileError(self.path, f"promises {count} records and ends before them", REMEDY)
         return count
 
     def records(self, size: int) -> memoryview:
-        """Return the bytes of a counted list of records of `size` bytes each."""
+        """Read a number of records and return the bytes of the records that follow, `size` bytes each."""
         start, length = self.at + _COUNT.size, self.count(size) * size
         self.at += length
         return memoryview(self.data)[start : start + length]

@@ -1,4 +1,4 @@
-"""Cameras and posed images of a COLMAP model, checked alike for binary and text files."""
+"""Cameras and posed images of a COLMAP model, with the checks that binary and text files share."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,11 +10,11 @@ from aomgen.core.transforms import invert, matrix_from_quat, transform
 from aomgen.core.values import Matrix4, freeze_arrays
 from aomgen.errors import MalformedFileError, NonFiniteError, UnknownCameraModelError
 
-# Largest file of a model read, [bytes].
+# Largest file of a model that is read, [bytes].
 MAX_BYTES: Final = 4 << 30
-# Longest side of an image, [px]: above that of any camera.
+# Longest side of an image, [px]; no camera has larger images.
 MAX_SIDE: Final = 1 << 16
-# COLMAP's camera models in the order of their numbers, with their numbers of parameters.
+# Number of parameters of each COLMAP camera model, in the order of the model ids.
 CAMERA_MODELS: Final = {
     "SIMPLE_PINHOLE": 3,
     "PINHOLE": 4,
@@ -34,16 +34,16 @@ CAMERA_MODELS: Final = {
     "FISHEYE": 4,
     "EUCM": 6,
 }
-# No usual camera has a parameter beyond this.
+# Upper limit of the parameters of a camera, far above those of real cameras.
 MAX_PARAMETER: Final = 1e9
-# No usual scene has coordinates beyond this.
+# Upper limit of coordinates, far above those of real scenes.
 MAX_COORDINATE: Final = 1e12
 REMEDY: Final = "export the model again"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ColmapCamera:
-    """Optics of an image, lens distortion included.
+    """Intrinsic parameters of a camera, including lens distortion.
 
     Attributes:
         model: A key of `CAMERA_MODELS`.
@@ -62,9 +62,10 @@ class ColmapImage:
     """A registered image.
 
     Attributes:
-        number: Number by which points refer to it.
-        name: Path below the folder of images.
-        T_recon_cam: Pose (4, 4), OpenCV axes.
+        number: Image id, by which points refer to the image.
+        name: Path relative to the folder of images.
+        camera: Camera that took the image.
+        T_recon_cam: Pose of the camera (4, 4), OpenCV axes.
     """
 
     number: int
@@ -76,10 +77,10 @@ class ColmapImage:
 
 
 def name_camera_model(path: Path, number: int) -> str:
-    """Return the name of the camera model with a number.
+    """Return the name of the camera model with the id `number`; `path` is the file that contains the id.
 
     Raises:
-        UnknownCameraModelError: There is none.
+        UnknownCameraModelError: No model has this id.
     """
     if not 0 <= number < len(CAMERA_MODELS):
         raise UnknownCameraModelError(path, str(number), CAMERA_MODELS)
@@ -87,12 +88,17 @@ def name_camera_model(path: Path, number: int) -> str:
 
 
 def check_camera(path: Path, key: int, camera: ColmapCamera) -> ColmapCamera:
-    """Return a camera after a check of its values; `path` and `key` say where it was read.
+    """Check the values of a camera and return it.
+
+    Args:
+        path: File of the camera, for messages.
+        key: Camera id, for messages.
+        camera: Camera to check.
 
     Raises:
-        UnknownCameraModelError: The model has no pinhole equivalent, or is unknown.
-        MalformedFileError: A size is outside 1..65536 px, or the number of parameters is not the model's.
-        NonFiniteError: A parameter is not finite, or a focal length is not positive.
+        UnknownCameraModelError: The model is unknown.
+        MalformedFileError: A side is outside 1..65536 px, or the number of parameters does not fit the model.
+        NonFiniteError: A parameter is NaN or at least `MAX_PARAMETER` in magnitude, or the first focal length is not positive.
     """
     if camera.model not in CAMERA_MODELS:
         raise UnknownCameraModelError(path, camera.model, CAMERA_MODELS)
@@ -113,11 +119,18 @@ def check_camera(path: Path, key: int, camera: ColmapCamera) -> ColmapCamera:
 def pose_image(
     path: Path, number: int, name: str, camera: ColmapCamera | None, pose: tuple[float, ...]
 ) -> ColmapImage:
-    """Make an image from its stored pose: quaternion wxyz and translation of T_cam_recon.
+    """Build an image from its stored pose.
+
+    Args:
+        path: File of the image, for messages.
+        number: Image id.
+        name: Path relative to the folder of images.
+        camera: Camera of the image; None if the file refers to an unknown one, which is an error.
+        pose: Quaternion wxyz and translation of T_cam_recon, 7 numbers.
 
     Raises:
-        NonFiniteError: The pose is not finite, or its quaternion has no length.
-        MalformedFileError: The name is empty, or the camera is None: unknown.
+        NonFiniteError: The pose is not finite, or its quaternion has length zero.
+        MalformedFileError: The name is empty, or `camera` is None.
     """
     quat, t = np.array(pose[:4]), np.array(pose[4:])
     norm = np.linalg.norm(quat)
@@ -130,10 +143,10 @@ def pose_image(
 
 
 def require_distinct(path: Path, images: list[ColmapImage]) -> list[ColmapImage]:
-    """Return images after a check that names and numbers are unique, and that there are some.
+    """Check that names and ids are unique and that there is at least one image, and return the images.
 
     Raises:
-        MalformedFileError: A name or number is listed twice, or there is no image.
+        MalformedFileError: A name or id is listed twice, or there is no image.
     """
     if not images:
         raise MalformedFileError(path, "has no registered image", "reconstruct with more overlap and texture")

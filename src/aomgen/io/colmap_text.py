@@ -1,4 +1,4 @@
-"""Text files of a COLMAP model: bounded, with typed errors."""
+"""Readers of the text files of a COLMAP model, with limits on size and typed errors."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -16,11 +16,11 @@ from aomgen.io.colmap_models import (
 
 
 def read_cameras_txt(path: Path) -> dict[int, ColmapCamera]:
-    """Read `cameras.txt`: cameras by their number.
+    """Read the cameras of `cameras.txt`, by camera id.
 
     Raises:
-        MissingFileError, LimitExceededError, MalformedFileError, NonFiniteError: Missing, too large or invalid file.
-        UnknownCameraModelError: A camera has a model without pinhole equivalent.
+        MissingFileError, LimitExceededError, MalformedFileError, NonFiniteError: The file is missing, too large or invalid.
+        UnknownCameraModelError: A camera has an unknown model.
     """
     cameras = {}
     for number, line in _read_lines(path):
@@ -38,9 +38,16 @@ def read_cameras_txt(path: Path) -> dict[int, ColmapCamera]:
 
 
 def read_images_txt(path: Path, cameras: dict[int, ColmapCamera]) -> list[ColmapImage]:
-    """Read `images.txt`: registered images in the order of the file; raises as `read_cameras_txt`.
+    """Read the registered images of `images.txt`, in the order of the file.
 
-    An image has two lines: its pose, and where its points are seen, which may be empty.
+    An image has two lines: its pose, and its observations of points, which may be empty.
+
+    Args:
+        path: File `images.txt`.
+        cameras: Cameras by camera id; see `read_cameras_txt`.
+
+    Raises:
+        MissingFileError, LimitExceededError, MalformedFileError, NonFiniteError: The file is missing, too large or invalid.
     """
     images = []
     lines = _read_lines(path)
@@ -60,7 +67,7 @@ def read_images_txt(path: Path, cameras: dict[int, ColmapCamera]) -> list[Colmap
 
 
 def _read_lines(path: Path) -> Iterator[tuple[int, str]]:
-    """Number, from 1, and text of the lines that are no comments."""
+    """Yield the number, from 1, and the text of each line that is not a comment."""
     if not path.is_file():
         raise MissingFileError(path, "is missing", "give the folder of a COLMAP model")
     if not path.stat().st_size <= MAX_BYTES:

@@ -1,12 +1,12 @@
-"""Episodes on disk: one folder each, complete or absent.
+"""Storage of episodes: each is one folder, which is either complete or absent.
 
 ```
 episodes/000007/
   episode.json          names, seeds, cameras, joint, contacts, verdict, sha256 of the other files
-  frames.npz            per-frame arrays, colors in the videos
+  frames.npz            per-frame arrays, color statistics of the videos
   <camera>.mp4          one video for each camera
-  <camera>.depth.npz    where asked for: depth (T, H, W) uint16, [mm], 0 for none
-  <camera>.labels.npz   where asked for: part labels (T, H, W) uint8, see `conventions.PART_LABELS`
+  <camera>.depth.npz    optional: depth (T, H, W) uint16, [mm], 0 where there is no surface
+  <camera>.labels.npz   optional: part labels (T, H, W) uint8, see `conventions.PART_LABELS`
 ```
 """
 
@@ -28,12 +28,12 @@ from aomgen.io.artifact import arrays_from_bytes, npz_bytes, read_json, read_npz
 from aomgen.io.atomic import STAGING_PREFIX, stage_folder, write_bytes, write_json
 from aomgen.io.video import Codec, decode_samples
 
-# Raised when the files of an episode change.
+# Version of the layout of an episode's files.
 FORMAT: Final = 4
 EPISODE_FILE: Final = "episode.json"
-# Pixels of every fourth row and column of about this many frames of a video enter its color statistics.
+# Number of frames per video in the color statistics, approximately; every fourth row and column of them is counted.
 SAMPLED_FRAMES: Final = 20
-# Largest frames.npz read, [bytes]: far above a usual one.
+# Largest file of an episode that is read, [bytes]; common ones are far smaller.
 MAX_FRAMES_BYTES: Final = 256 << 20
 _ARRAYS: Final = (
     "joints",
@@ -45,7 +45,7 @@ _ARRAYS: Final = (
     "thetas",
     "phases",
 )
-# Exact images of an episode: depth, [mm], and part labels.
+# Kinds of images that are stored without loss: depth, [mm], and part labels.
 ImageKind = Literal["depth", "labels"]
 _IMAGE_TYPES: Final = {"depth": np.uint16, "labels": np.uint8}
 _CONTACT_ARRAYS: Final = ("frames", "fingers", "points_world", "normals_world", "forces")
@@ -53,16 +53,16 @@ _CONTACT_ARRAYS: Final = ("frames", "fingers", "points_world", "normals_world", 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CommittedEpisode:
-    """An episode that is safely on disk.
+    """An episode that is stored completely on disk.
 
     Attributes:
         folder: Folder of the episode.
-        episode: Its content.
-        videos: MP4 path of each camera.
-        sha256: Digest of each file beside episode.json.
+        episode: Content of the episode.
+        videos: Path of the MP4 file by camera name.
+        sha256: SHA-256 digest of each file except episode.json, by file name.
         codec: Codec of the videos.
         color_counts: Histogram (3, 256) of the values 0..255 in each channel of sampled frames, by camera.
-        images: Files of exact images by kind and camera; see `read_images`.
+        images: Files of lossless images by kind and camera; see `read_images`.
     """
 
     folder: Path
@@ -75,10 +75,10 @@ class CommittedEpisode:
 
 
 def read_variation(committed: CommittedEpisode) -> Variation:
-    """Read the variation that an episode states.
+    """Read the variation from the verdict of an episode.
 
     Raises:
-        MalformedFileError: It states none.
+        MalformedFileError: The verdict contains no valid variation.
     """
     try:
         return restore(Variation, committed.episode.verdict["variation"])
@@ -89,7 +89,7 @@ def read_variation(committed: CommittedEpisode) -> Variation:
 
 
 def episode_folder(root: Path, index: int) -> Path:
-    """Folder of one episode below the folder of all episodes."""
+    """Return the folder of the episode with an index inside `root`, the folder of all episodes."""
     return root / f"{index:06d}"
 
 
@@ -105,18 +105,18 @@ def commit_episode(
     Args:
         root: Folder of all episodes.
         episode: Episode to store.
-        videos: MP4 bytes by camera name; the same names as `episode.cameras`.
-        images: Exact images (T, H, W) by kind and camera.
+        videos: MP4 bytes by camera name, for each of `episode.cameras`.
+        images: Lossless images (T, H, W) by kind and camera.
         codec: Codec of the videos.
 
     Returns:
-        The episode's folder.
+        Folder of the episode.
 
     Raises:
         StorageError: Writing to the disk failed.
-        CorruptArtifactError: A video cannot be decoded, or has not as many frames as the episode.
-        ValueError: Videos, images or visible keypoints and cameras differ in their names, or images in their shape; a
-            programming error.
+        CorruptArtifactError: A video cannot be decoded, or its number of frames differs from that of the episode.
+        ValueError: The camera names of videos, images or visible keypoints differ from those of the episode, or images have
+            the wrong shape or data type. This is a programming error.
     """
     images, path = images or {}, episode_folder(root, episode.index)
     for kind, by_camera in {"videos": videos, "visible keypoints": episode.visible, **images}.items():
@@ -145,12 +145,12 @@ def commit_episode(
 
 
 def color_counts(frames: NDArray[np.uint8]) -> NDArray[np.int64]:
-    """Histogram (3, 256) of the values 0..255 in each channel of frames (F, H, W, 3)."""
+    """Compute the histogram (3, 256) of the values 0..255 in each channel of frames (F, H, W, 3)."""
     return np.stack([np.bincount(frames[..., channel].ravel(), minlength=256) for channel in range(3)])
 
 
 def _color_counts(video: bytes, path: Path, frames: int) -> NDArray[np.int64]:
-    """Color counts of a video that has been decoded to the end."""
+    """Decode a video to its end, check its number of frames, and compute `color_counts` of sampled frames."""
     count, samples = decode_samples(video, path, max(frames // SAMPLED_FRAMES, 1))
     if count != frames:
         raise CorruptArtifactError(path, f"has {count} frames, the episode {frames}", "generate it again")
@@ -162,7 +162,7 @@ def _image_file(camera: str, kind: str) -> str:
 
 
 def read_images(path: Path) -> NDArray[np.integer]:
-    """The exact images (T, H, W) of one of an episode's files.
+    """Read the lossless images (T, H, W) of one file of `CommittedEpisode.images`.
 
     Raises:
         MissingFileError, LimitExceededError, MalformedFileError: The file is missing, malformed or too large.
@@ -175,7 +175,7 @@ def read_images(path: Path) -> NDArray[np.integer]:
 
 
 def list_committed(root: Path) -> list[Path]:
-    """Folders of complete episodes in index order; half-written ones do not count."""
+    """List the folders of complete episodes in `root`, in index order."""
     if not root.is_dir():
         return []
     folders = [p for p in root.iterdir() if p.is_dir() and not p.name.startswith(STAGING_PREFIX)]
@@ -187,7 +187,7 @@ def read_episode(folder: Path) -> CommittedEpisode:
 
     Raises:
         MissingFileError, MalformedFileError, LimitExceededError: episode.json cannot be read.
-        CorruptArtifactError: A file is missing or does not match its digest.
+        CorruptArtifactError: A file is missing, too large or does not match its digest.
     """
     where = folder / EPISODE_FILE
     header = read_json(where)
@@ -275,7 +275,7 @@ def _header(episode: Episode) -> dict[str, Any]:
 
 
 def camera_dict(camera: Camera) -> dict[str, Any]:
-    """Plain JSON values of a camera."""
+    """Convert a camera to a dictionary of its fields, which `write_json` accepts."""
     names = ("fx", "fy", "cx", "cy", "width", "height", "T_world_cam")
     return {name: getattr(camera, name) for name in names}
 

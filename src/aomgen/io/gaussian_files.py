@@ -1,8 +1,8 @@
-"""Gaussians in any known file format, chosen by the suffix, and the format of `.splat` files.
+"""Reading and writing of Gaussians in all supported formats, selected by the suffix, and the `.splat` format.
 
-These hold 32 bytes a Gaussian, one color, no header: float32 position[3], float32 scale[3] (not logarithms),
-uint8 color[3] (sRGB) and opacity, uint8 rotation[4] (wxyz, (byte - 128) / 128). Little-endian. They have no
-spherical harmonics, no frame and no unit.
+A `.splat` file has no header and 32 bytes per Gaussian, little-endian: float32 position[3], float32 scale[3] (not
+logarithms), uint8 color[3] (sRGB), uint8 opacity, uint8 rotation[4] (wxyz, (byte - 128) / 128). It contains no spherical
+harmonics above degree 0 and specifies neither frame nor unit.
 """
 
 from collections.abc import Mapping
@@ -31,16 +31,16 @@ _REMEDY = "export the Gaussians again"
 
 
 def read_splat(path: Path, *, max_gaussians: int = MAX_GAUSSIANS) -> Gaussians:
-    """Read the Gaussians of a `.splat`, of SH degree 0; quaternions are normalised.
+    """Read the Gaussians of a `.splat` file, of SH degree 0; quaternions are normalized.
 
     Args:
-        path: File without header; its length says how many Gaussians it holds.
-        max_gaussians: Larger files are refused before anything is allocated.
+        path: `.splat` file; the number of Gaussians follows from its length.
+        max_gaussians: Limit of the number of Gaussians, checked before memory is allocated.
 
     Raises:
-        MissingFileError: No such file, or it cannot be opened.
-        LimitExceededError: Too many Gaussians.
-        MalformedFileError: The length is no multiple of 32 bytes, or a scale is negative.
+        MissingFileError: The file does not exist or cannot be opened.
+        LimitExceededError: The file holds too many Gaussians.
+        MalformedFileError: The length is not a multiple of 32 bytes, or a scale is negative.
         NonFiniteError: A value is NaN or infinite, or a quaternion is zero.
     """
     if not path.is_file():
@@ -80,10 +80,10 @@ def read_splat(path: Path, *, max_gaussians: int = MAX_GAUSSIANS) -> Gaussians:
 
 
 def write_splat(path: Path, gaussians: Gaussians) -> None:
-    """Write Gaussians in their order as a `.splat`; lossy.
+    """Write Gaussians to a `.splat` file in their order; the format is lossy.
 
-    Colors, opacities and rotations are rounded to 8 bits (up to 1/510, 1/510 and about one
-    degree), colors are cut to 0..1, and spherical harmonics above degree 0 are dropped.
+    Colors, opacities and rotations are rounded to 8 bits, with errors of up to 1/510, 1/510 and about one degree. Colors
+    are clipped to 0..1, and spherical harmonics above degree 0 are omitted.
 
     Raises:
         NonFiniteError: A value is NaN or infinite, or a quaternion is zero.
@@ -106,17 +106,24 @@ def _bytes(values: NDArray[np.floating]) -> NDArray[np.uint8]:
 F = TypeVar("F")
 _READERS = {".ply": ply.read_gaussians, ".splat": read_splat, ".spz": spz.read_spz, ".glb": gltf.read_glb}
 _WRITERS = {".ply": ply.write_gaussians, ".splat": write_splat, ".spz": spz.write_spz, ".glb": gltf.write_glb}
-# Formats whose coordinates are y up; readers and writers here leave them as they are.
+# Formats with y up; the functions of this module do not change coordinates.
 Y_UP_SUFFIXES = (".spz", ".glb")
 # Suffixes that `write_gaussians` accepts.
 WRITTEN_SUFFIXES = (*_WRITERS, *usd.SUFFIXES)
 
 
 def read_gaussians(path: Path, *, max_gaussians: int = MAX_GAUSSIANS) -> Gaussians:
-    """Read a 3DGS `.ply`, a `.splat`, a `.spz`, or a `.glb` of KHR_gaussian_splatting.
+    """Read Gaussians from a 3DGS `.ply`, a `.splat`, a `.spz`, or a `.glb` file with KHR_gaussian_splatting.
+
+    Args:
+        path: File; its suffix selects the format.
+        max_gaussians: Limit of the number of Gaussians.
+
+    Returns:
+        Gaussians in the coordinates of the file.
 
     Raises:
-        ConfigError: Another suffix.
+        ConfigError: The suffix is a different one.
         MissingFileError, LimitExceededError, MalformedFileError, NonFiniteError: See
             `ply.read_gaussians`, `read_splat`, `spz.read_spz` and `gltf.read_glb`.
     """
@@ -124,17 +131,20 @@ def read_gaussians(path: Path, *, max_gaussians: int = MAX_GAUSSIANS) -> Gaussia
 
 
 def write_gaussians(path: Path, gaussians: Gaussians, *, meters_per_unit: float = 1.0) -> None:
-    """Write a 3DGS `.ply`, `.glb`, `.usda` or `.usdc` (exact, USD z up), a `.spz` (8 bits) or a `.splat` (8 bits, one color).
+    """Write Gaussians to a file whose suffix selects the format, without a change of coordinates.
+
+    A 3DGS `.ply`, a `.glb` and USD files (`.usda`, `.usdc`, `.usdz`) hold float32 values, a `.spz` quantized values, and a
+    `.splat` 8-bit values without spherical harmonics above degree 0.
 
     Args:
-        path: Its suffix chooses the format.
-        gaussians: In any frame.
-        meters_per_unit: Length of their unit, which USD files state, [m].
+        path: File to write.
+        gaussians: Gaussians in the frame of the file; y is up in `.spz` and `.glb`, z in USD files.
+        meters_per_unit: Length of the unit of the coordinates, [m], which USD files state.
 
     Raises:
-        ConfigError: Another suffix.
+        ConfigError: The suffix is a different one.
         NonFiniteError: A value is NaN or infinite, or a quaternion is zero.
-        LimitExceededError: A position does not fit into a `.spz`.
+        LimitExceededError: A position is outside the range of a `.spz`.
         StorageError: Writing to the disk failed.
     """
     if path.suffix.lower() in usd.SUFFIXES:

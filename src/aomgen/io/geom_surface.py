@@ -1,6 +1,6 @@
-"""Visible shapes of a MuJoCo model, and the triangles of any kind of shape."""
+"""Selection of the visible geoms of a MuJoCo model, and triangle meshes of geoms and primitive shapes."""
 
-# MuJoCo ships no type stubs: its classes are unknown to the checker.
+# MuJoCo has no type stubs, so its classes are unknown to the type checker.
 # pyright: reportUnknownParameterType=false
 
 from typing import Final, Literal
@@ -13,9 +13,9 @@ from scipy.spatial import ConvexHull
 from aomgen.core.transforms import matrix_from_quat
 from aomgen.core.values import Array
 
-# Round shapes are drawn with this many corners about their axis: 0.5 % of the radius inside the circle.
+# Number of vertices of the polygon that replaces a circle; its edges are up to 0.5 % of the radius inside the circle.
 SIDES = 32
-# MuJoCo shows these groups by default; makers put collision shapes into the others.
+# MuJoCo shows geoms of groups below this number by default; robot models put collision shapes into the other groups.
 SHOWN_GROUPS = 3
 Shape = Literal["box", "sphere", "ellipsoid", "capsule", "cylinder", "cone"]
 _SHAPES: Final[dict[int, Shape]] = {
@@ -28,24 +28,27 @@ _SHAPES: Final[dict[int, Shape]] = {
 
 
 def find_colliding_geoms(model: mujoco.MjModel) -> NDArray[np.bool_]:
-    """Mask (G,) of the geoms that take part in contacts."""
+    """Return a mask (G,) of the geoms that take part in contacts."""
     return (model.geom_contype != 0) | (model.geom_conaffinity != 0)
 
 
 def find_visible_geoms(
     model: mujoco.MjModel, colliding: NDArray[np.bool_] | None = None
 ) -> NDArray[np.bool_]:
-    """Mask (G,) of the visible geoms: those without contacts in a shown group; for a body without any,
-    its colliding ones in a shown group, unless collision shapes have a group of their own.
+    """Return a mask (G,) of the visible geoms.
+
+    These are the geoms of shown groups that take part in no contacts. If a body has no such geom, its colliding geoms in
+    shown groups are visible, unless the model separates visual and collision geoms into different groups.
 
     Args:
-        colliding: Mask (G,) of the geoms that take part in contacts, where the model itself does not state it.
+        model: Compiled model.
+        colliding: Mask (G,) of the geoms that take part in contacts; by default that of the model.
     """
     colliding = find_colliding_geoms(model) if colliding is None else colliding
     ours = (model.geom_bodyid > 0) & (model.geom_rgba[:, 3] > 0)
     shown = ours & (model.geom_group < SHOWN_GROUPS)
     visual = shown & ~colliding
-    # One group for all that collides and another for all that is seen: then nothing else is meant.
+    # If no group holds both visual and colliding geoms, the model separates them by group.
     apart = visual.any() and not set(model.geom_group[visual]) & set(model.geom_group[ours & colliding])
     if apart:
         return visual
@@ -54,9 +57,15 @@ def find_visible_geoms(
 
 
 def geom_surface(model: mujoco.MjModel, geom: int) -> tuple[Array, NDArray[np.int64]] | None:
-    """Vertices (V, 3) in the frame of the geom's body and faces (F, 3); None for planes and height fields.
+    """Compute the triangle mesh of a geom.
 
-    Faces turn counter-clockwise seen from outside.
+    Args:
+        model: Compiled model.
+        geom: Index of the geom.
+
+    Returns:
+        Vertices (V, 3), [m], in the frame of the geom's body, and faces (F, 3), counter-clockwise as seen from outside; None for
+        planes and height fields.
     """
     if int(model.geom_type[geom]) == mujoco.mjtGeom.mjGEOM_MESH:
         vertices, faces = _mesh(model, int(model.geom_dataid[geom]))
@@ -73,7 +82,7 @@ def _mesh(model: mujoco.MjModel, mesh: int) -> tuple[Array, NDArray[np.int64]]:
     start, count = model.mesh_vertadr[mesh], model.mesh_vertnum[mesh]
     first, faces = model.mesh_faceadr[mesh], model.mesh_facenum[mesh]
     stored = model.mesh_vert[start : start + count]
-    # As `numpy.unique` along an axis, six times faster.
+    # This equals `numpy.unique` along an axis, but is six times faster.
     order = np.lexsort(stored.T[::-1])
     is_new = np.append(True, (np.diff(stored[order], axis=0) != 0).any(1))
     index = np.empty(count, np.int64)
@@ -82,10 +91,11 @@ def _mesh(model: mujoco.MjModel, mesh: int) -> tuple[Array, NDArray[np.int64]]:
 
 
 def outer_points(kind: Shape, size: Array) -> Array:
-    """Points (N, 3) of which a primitive shape is the hull.
+    """Compute points (N, 3) whose convex hull approximates a primitive shape.
 
     Args:
-        size: Half extents (3,); of round shapes radius and half height, along z.
+        kind: Kind of the shape.
+        size: Half extents of a box or ellipsoid (3,); radius and, along z, half height of other shapes; [m].
     """
     angles = np.arange(SIDES) * 2 * np.pi / SIDES
     ring = np.stack([np.cos(angles), np.sin(angles), np.zeros(SIDES)], 1)
@@ -106,7 +116,7 @@ def outer_points(kind: Shape, size: Array) -> Array:
 
 
 def hull_surface(points: Array) -> tuple[Array, NDArray[np.int64]]:
-    """Vertices (V, 3) and faces (F, 3) of the convex hull of points (N, 3)."""
+    """Compute the vertices (V, 3) and outward faces (F, 3) of the convex hull of points (N, 3)."""
     hull = ConvexHull(points)
     corners = points[hull.simplices]
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])

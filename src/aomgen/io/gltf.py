@@ -1,7 +1,8 @@
 """Gaussians in a binary glTF 2.0 file, with the Khronos extension KHR_gaussian_splatting.
 
-They are one primitive of points: positions, an 8-bit color for viewers without the extension, and the extension's
-attributes as float32: rotations (xyzw), scales, opacities (0..1) and one attribute for each spherical harmonic.
+The file holds one primitive of points. Its attributes are positions, an 8-bit color for viewers without the extension,
+and the float32 attributes of the extension: rotations (xyzw), scales, opacities (0..1), and one attribute for each
+spherical harmonic.
 """
 
 import json
@@ -20,31 +21,31 @@ from aomgen.io.atomic import write_bytes
 from aomgen.io.ply import MAX_GAUSSIANS, check_readable
 
 EXTENSION: Final = "KHR_gaussian_splatting"
-# "glTF", "JSON", "BIN\0" as little-endian integers, and the number of the format.
+# "glTF", "JSON" and "BIN\0" as little-endian integers, and the version of the format.
 MAGIC, JSON_CHUNK, BINARY_CHUNK, VERSION = 0x46546C67, 0x4E4F534A, 0x004E4942, 2
-# Component types of OpenGL, and the target of vertex data.
+# OpenGL constants of two component types, and of the target of vertex data.
 FLOAT, UNSIGNED_BYTE, ARRAY_BUFFER = 5126, 5121, 34962
-# Mode of a primitive of points.
+# Mode of a primitive that consists of points.
 POINTS: Final = 0
-# Numbers in an element of an accessor, by its type.
+# Number of components of an accessor's element, by its type.
 COMPONENTS: Final = {"SCALAR": 1, "VEC3": 3, "VEC4": 4}
-# A header of Gaussians has some 10 kB, [bytes].
+# Largest JSON header that is read, [bytes]; that of a file of Gaussians has about 10 kB.
 MAX_JSON_BYTES: Final = 1 << 20
 _REMEDY = f"export the Gaussians again as .glb with {EXTENSION}"
 
 
 def read_glb(path: Path, *, max_gaussians: int = MAX_GAUSSIANS) -> Gaussians:
-    """Read the Gaussians of a .glb whose only primitive has them as float32; coordinates stay as the file has them.
+    """Read the Gaussians of a .glb file with a single float32 primitive, in the coordinates of the file.
 
     Args:
-        path: Binary glTF with its data inside.
-        max_gaussians: Larger files are refused before anything is allocated.
+        path: Binary glTF file that contains its data.
+        max_gaussians: Limit of the number of Gaussians.
 
     Raises:
-        MissingFileError: No such file.
-        LimitExceededError: Too many Gaussians, or a header beyond all reason.
-        MalformedFileError: Not a .glb, without Gaussians, with several primitives, with a node that moves them, or
-            with data outside of the file.
+        MissingFileError: The file does not exist.
+        LimitExceededError: The file holds too many Gaussians, or its JSON header exceeds `MAX_JSON_BYTES`.
+        MalformedFileError: The file is not a .glb, holds no Gaussians or several primitives, transforms a node, or refers
+            to data outside of the file; or a scale is negative or an opacity outside of 0..1.
         NonFiniteError: A value is NaN or infinite, or a quaternion is zero.
     """
     if not path.is_file():
@@ -85,7 +86,9 @@ def read_glb(path: Path, *, max_gaussians: int = MAX_GAUSSIANS) -> Gaussians:
 
 
 def write_glb(path: Path, gaussians: Gaussians) -> None:
-    """Write Gaussians in their order, exactly in float32; their coordinates are not changed, and glTF's y is up.
+    """Write Gaussians to a .glb file in their order, as float32 without loss.
+
+    The coordinates are not changed: for glTF, whose y axis points up, the caller rotates them first.
 
     Raises:
         NonFiniteError: A value is NaN or infinite, or a quaternion is zero.
@@ -148,7 +151,7 @@ def write_glb(path: Path, gaussians: Gaussians) -> None:
 
 
 def _harmonic_names(degree: int) -> list[str]:
-    """Attributes of the harmonics in the order of `Gaussians.sh`."""
+    """List the attributes of the spherical harmonics up to a degree, in the order of `Gaussians.sh`."""
     return [
         f"{EXTENSION}:SH_DEGREE_{band}_COEF_{number}"
         for band in range(degree + 1)
@@ -157,13 +160,13 @@ def _harmonic_names(degree: int) -> list[str]:
 
 
 def _chunk(kind: int, data: bytes, filling: bytes) -> bytes:
-    """A chunk, filled up to a multiple of four bytes."""
+    """Build a chunk whose data is padded to a multiple of four bytes."""
     data += filling * (-len(data) % 4)
     return struct.pack("<II", len(data), kind) + data
 
 
 def _read_chunks(path: Path) -> tuple[Any, bytes]:
-    """The parsed JSON and the binary data of a .glb."""
+    """Read the parsed JSON and the binary data of a .glb file."""
     content = path.read_bytes()
     if len(content) < 20 or struct.unpack("<II", content[:8]) != (MAGIC, VERSION):
         raise MalformedFileError(path, "does not start as a .glb of version 2", _REMEDY)
@@ -185,7 +188,7 @@ def _read_chunks(path: Path) -> tuple[Any, bytes]:
 
 
 def _read_accessor(described: Any, data: bytes, number: int, count: int) -> NDArray[np.float32]:
-    """Rows (count, C) of a float32 attribute; raises ValueError where they are not in the data."""
+    """Return the rows (count, C) of a float32 attribute; raise ValueError if they are not inside the data."""
     accessor = described["accessors"][number]
     view = described["bufferViews"][accessor["bufferView"]]
     columns = COMPONENTS[accessor["type"]]

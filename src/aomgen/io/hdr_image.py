@@ -1,4 +1,4 @@
-"""Images of light (Radiance .hdr, portable float map .pfm), for example HDRIs of rooms and skies, through PyAV."""
+"""Reader of environment maps (HDRIs) in the formats Radiance .hdr and portable float map .pfm, with PyAV."""
 
 from pathlib import Path
 from typing import Final
@@ -11,20 +11,24 @@ from numpy.typing import NDArray
 from aomgen.core.environment_map import EnvironmentMap
 from aomgen.errors import LimitExceededError, MalformedFileError, MissingFileError, NonFiniteError
 
-# Largest image decoded, [px]: "4k" HDRIs have as many, and nine harmonics need far less.
+# Largest image that is decoded, [px]. "4k" HDRIs have this size; nine harmonics need far fewer pixels.
 MAX_PIXELS: Final = 4096 * 2048
-# Decoders that refuse a file that ends early; that of OpenEXR gives black instead.
+# Decoders that refuse a truncated file; the OpenEXR decoder returns black pixels instead.
 DECODERS: Final = ("hdr", "pfm")
 CONVERT: Final = "save it as a Radiance .hdr file"
 SMALLER: Final = "use a version of at most 4096 x 2048 pixels"
 
 
 def read_environment(path: Path) -> EnvironmentMap:
-    """Read the light of an equirectangular image, see `EnvironmentMap`.
+    """Read an equirectangular environment map; see `EnvironmentMap` for its axes.
+
+    Args:
+        path: Radiance .hdr or .pfm file of at most `MAX_PIXELS` pixels.
 
     Raises:
         MissingFileError, LimitExceededError: The file is missing or too large.
-        MalformedFileError: Not such an image, truncated, not twice as wide as high, negative or black.
+        MalformedFileError: The file is not such an image or is truncated, its width is not twice its height, a value is
+            negative, or all values are zero.
         NonFiniteError: A value is NaN or infinite.
     """
     if not path.is_file():
@@ -45,7 +49,7 @@ def read_environment(path: Path) -> EnvironmentMap:
 
 
 def _decode(path: Path) -> NDArray[np.float32]:
-    """Linear RGB (H, W, 3)."""
+    """Decode an image to linear RGB (H, W, 3)."""
     limit = {"max_pixels": str(MAX_PIXELS)}
     try:
         with av.open(str(path), options=limit) as container:

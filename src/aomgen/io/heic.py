@@ -1,4 +1,4 @@
-"""HEIC images of phones through pi-heif, an extra."""
+"""Reader of HEIC images, which phones write, with the optional dependency pi-heif."""
 
 import importlib.util
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""Images as sRGB arrays, with the header checked before anything is allocated."""
+"""Reading and writing of images as sRGB arrays; the size in the header is checked before memory is allocated."""
 
 import io
 from pathlib import Path
@@ -11,17 +11,17 @@ from PIL import Image, ImageOps, UnidentifiedImageError
 from aomgen.errors import LimitExceededError, MalformedFileError, MissingFileError
 from aomgen.io.atomic import write_bytes
 
-# EXIF tag of the orientation, and the least value that exchanges width and height.
+# EXIF tag of the orientation, and the smallest of the values that exchange width and height.
 EXIF_ORIENTATION, FIRST_TRANSPOSED = 0x0112, 5
-# Largest image decoded, [px]: above those of usual cameras.
+# Largest image that is decoded, [px]; common cameras have fewer pixels.
 MAX_PIXELS = 100_000_000
-# Pillow cuts values of 16 bits at 255 instead of scaling them by this.
+# Ratio of the largest 16-bit and the largest 8-bit value. Pillow clips 16-bit values at 255 instead of scaling them.
 SCALE_16_BITS: Final = 257
 Mode = Literal["RGB", "RGBA"]
 
 
 def image_size(path: Path) -> tuple[int, int]:
-    """Width and height after the EXIF rotation is applied, from the header alone.
+    """Read width and height, [px], after the EXIF rotation, from the header of an image file.
 
     Raises:
         MissingFileError, MalformedFileError, LimitExceededError: The file is missing, malformed or too large.
@@ -32,20 +32,25 @@ def image_size(path: Path) -> tuple[int, int]:
 
 
 def exif_orientation(image: Image.Image) -> int:
-    """EXIF orientation of an image, 1 (as stored) to 8; values outside count as 1."""
+    """Return the EXIF orientation of an image, 1 (as stored) to 8; 1 if it is missing or outside this range."""
     orientation = image.getexif().get(EXIF_ORIENTATION, 1)
     return orientation if orientation in range(1, 9) else 1
 
 
 def to_eight_bits(image: Image.Image) -> Image.Image:
-    """The image with 8 bits a channel; 16 bits are scaled, where Pillow would cut them at 255."""
+    """Convert an image to 8 bits per channel; 16-bit values are scaled, which Pillow's own conversion does not do."""
     if not image.mode.startswith("I"):
         return image
     return Image.fromarray((np.asarray(image) // SCALE_16_BITS).clip(0, 255).astype(np.uint8))
 
 
 def read_image(path: Path, mode: Mode = "RGB", *, upright: bool = True) -> NDArray[np.uint8]:
-    """Image (H, W, 3 or 4) uint8 sRGB, EXIF rotation applied where `upright`.
+    """Read an image file to an array (H, W, 3 or 4) uint8, sRGB.
+
+    Args:
+        path: Image file in any format that Pillow reads.
+        mode: Channels of the result.
+        upright: Apply the EXIF rotation.
 
     Raises:
         MissingFileError, MalformedFileError, LimitExceededError: The file is missing, malformed or too large.
@@ -55,7 +60,12 @@ def read_image(path: Path, mode: Mode = "RGB", *, upright: bool = True) -> NDArr
 
 
 def decode_image(data: bytes, where: Path, mode: Mode = "RGB") -> NDArray[np.uint8]:
-    """Image (H, W, 3 or 4) uint8 sRGB of the bytes of an image file; `where` names the file that holds them.
+    """Decode the bytes of an image file to an array (H, W, 3 or 4) uint8, sRGB, with the EXIF rotation applied.
+
+    Args:
+        data: Content of an image file.
+        where: File that contains the bytes, for messages.
+        mode: Channels of the result.
 
     Raises:
         MalformedFileError, LimitExceededError: The file is malformed or too large.
@@ -73,13 +83,13 @@ def _pixels(image: Image.Image, where: Path, mode: Mode, *, upright: bool = True
 
 
 def opacity_of(image_rgba: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Opacity (H, W) that an image (H, W, 4) holds: its alpha, or its brightness where all of that is opaque."""
+    """Return the opacity (H, W) of an image (H, W, 4): its alpha, or the mean of its colors if alpha is 255 everywhere."""
     alpha = image_rgba[..., 3]
     return alpha if alpha.min() < 255 else image_rgba[..., :3].mean(-1).astype(np.uint8)
 
 
 def read_labels(path: Path) -> NDArray[np.uint8]:
-    """Label image (H, W) uint8, as stored in a one-channel or palette PNG.
+    """Read a label image (H, W) uint8 from an image file with one channel or a palette.
 
     Raises:
         MissingFileError, MalformedFileError, LimitExceededError: The file is missing, malformed or too large.
@@ -96,14 +106,31 @@ def read_labels(path: Path) -> NDArray[np.uint8]:
 
 
 def encode_png(image: NDArray[np.uint8] | NDArray[np.uint16], level: int = 6) -> bytes:
-    """PNG bytes of an image (H, W, 3 or 4) uint8, or of one channel (H, W), uint8 or uint16; level 0 (fastest) to 9."""
+    """Encode an image (H, W, 3 or 4) uint8, or one channel (H, W) uint8 or uint16, as PNG.
+
+    Args:
+        image: Image to encode.
+        level: Compression level, from 0 (fastest) to 9 (smallest).
+
+    Returns:
+        Content of a PNG file.
+    """
     buffer = io.BytesIO()
     Image.fromarray(image).save(buffer, "PNG", compress_level=level)
     return buffer.getvalue()
 
 
 def encode_jpeg(image: NDArray[np.uint8], quality: int = 90, *, halve_colors: bool = True) -> bytes:
-    """JPEG bytes of an image (H, W, 3) uint8, with one color for each or for two by two pixels."""
+    """Encode an image (H, W, 3) uint8 as JPEG.
+
+    Args:
+        image: Image to encode.
+        quality: JPEG quality, 1 to 95.
+        halve_colors: Store the chroma at half resolution (4:2:0).
+
+    Returns:
+        Content of a JPEG file.
+    """
     buffer = io.BytesIO()
     Image.fromarray(image).save(
         buffer, "JPEG", quality=quality, subsampling="4:2:0" if halve_colors else "4:4:4"
@@ -112,17 +139,21 @@ def encode_jpeg(image: NDArray[np.uint8], quality: int = 90, *, halve_colors: bo
 
 
 def write_image(path: Path, image: NDArray[np.uint8]) -> None:
-    """Write a PNG or JPEG, chosen by the suffix."""
+    """Write an image (H, W, 3) uint8 as JPEG if the suffix is .jpg or .jpeg, and as PNG otherwise.
+
+    Raises:
+        StorageError: Writing to the disk failed.
+    """
     write_bytes(path, encode_jpeg(image) if path.suffix.lower() in (".jpg", ".jpeg") else encode_png(image))
 
 
 def resize(image: NDArray[np.uint8], width: int, height: int) -> NDArray[np.uint8]:
-    """Area-averaged copy at another size."""
+    """Resize an image to `width` x `height` pixels by averaging over areas."""
     return np.array(Image.fromarray(image).resize((width, height), Image.Resampling.BOX))
 
 
 def open_image(path: Path) -> Image.Image:
-    """An image whose header has been read and checked; its pixels are not decoded yet.
+    """Open an image file and check its header, without decoding its pixels.
 
     Raises:
         MissingFileError, MalformedFileError, LimitExceededError: The file is missing, malformed or too large.

@@ -1,6 +1,6 @@
-"""URDF and MJCF files, their references checked, as MuJoCo models."""
+"""Reading of URDF and MJCF files, with checked references, into MuJoCo models."""
 
-# MuJoCo ships no type stubs: its classes are unknown to the checker.
+# MuJoCo has no type stubs, so its classes are unknown to the type checker.
 # pyright: reportUnknownParameterType=false
 
 from collections import Counter
@@ -16,31 +16,31 @@ import mujoco
 from aomgen.errors import LimitExceededError, MalformedFileError, MissingFileError
 from aomgen.io.paths import find_inside
 
-# Mass and inertia of links without mass: less than any real link, enough for the solver, [kg] and [kg m^2].
+# Mass, [kg], and inertia, [kg m^2], of links without mass: less than those of any real link, but sufficient for the solver.
 LEAST_MASS, LEAST_INERTIA = 1e-3, 1e-6
-# Largest description read, [bytes]; usual ones have some 100 kB.
+# Largest description that is read, [bytes]; common ones have about 100 kB.
 MAX_BYTES: Final = 16 << 20
-# Largest mesh of a robot, [bytes]: an STL of some 2 million triangles.
+# Largest mesh of a robot, [bytes]: an STL file of more than 2 million triangles.
 MAX_MESH_BYTES: Final = 128 << 20
-# Files that a description may include; also ends circles.
+# Largest number of files of a description with includes.
 MAX_INCLUDES: Final = 64
 MESH_SUFFIXES: Final = (".obj", ".stl", ".msh")
 PACKAGE: Final = "package://"
-# Compiler options with the folders of the files that these elements name.
+# Compiler option with the folder of the files that an element refers to, by the element's tag.
 FOLDER_OPTIONS: Final = {"mesh": "meshdir", "skin": "meshdir", "texture": "texturedir", "hfield": ""}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RobotXml:
-    """A description whose references have been checked.
+    """A robot description whose references have been checked.
 
     Attributes:
-        path: The file itself.
+        path: File of the description.
         name: Name of the robot in the description.
         kind: "urdf" or "mjcf".
-        text: Input of MuJoCo: of a URDF, with each mesh renamed to a key of `meshes`.
-        meshes: Files of the meshes of a URDF by the name that `text` has for them.
-        references: All further files that the description needs.
+        text: Text of a URDF for MuJoCo, in which each mesh is renamed to a key of `meshes`; empty for an MJCF.
+        meshes: Mesh files of a URDF by their names in `text`; empty for an MJCF.
+        references: All other files that the description needs.
     """
 
     path: Path
@@ -52,16 +52,21 @@ class RobotXml:
 
 
 def read_robot_xml(path: Path, root: Path) -> RobotXml:
-    """Read a URDF or MJCF and find everything it refers to inside `root`.
+    """Read a URDF or MJCF and find all files that it refers to inside `root`.
 
-    A mesh of a URDF may be named relative to the file, or as `package://NAME/REST`, where REST or
-    NAME/REST is looked for in the file's folder and those above it, up to `root`.
+    A URDF refers to a mesh by a path relative to its own file, or as `package://NAME/REST`. In the second case, REST and
+    NAME/REST are searched for in the folder of the file and in the folders above it, up to `root`.
+
+    Args:
+        path: URDF or MJCF file.
+        root: Folder that the references must not leave.
 
     Raises:
-        MissingFileError: The file, or one that it names, is missing.
+        MissingFileError: The file, or one that it refers to, is missing.
         UnsafePathError: A reference leaves `root`.
-        LimitExceededError: A file is larger than what is read.
-        MalformedFileError: Not XML, neither URDF nor MJCF, or a mesh of a format MuJoCo cannot read.
+        LimitExceededError: A file is too large, or too many files are included.
+        MalformedFileError: The file is not XML, is neither a URDF nor a complete MJCF, holds xacro macros, attaches other
+            models, or has a mesh in a format that MuJoCo cannot read.
     """
     tree = _parse(path)
     if tree.tag == "robot":
@@ -85,11 +90,11 @@ def _parse(path: Path) -> ElementTree.Element:
     if not path.stat().st_size <= MAX_BYTES:
         raise LimitExceededError(path, f"is larger than {MAX_BYTES} bytes")
     data = path.read_bytes()
-    # Entities are what makes XML dangerous, and no robot needs them.
+    # XML entities can expand without limit or read other files, and no robot description needs them.
     if b"<!DOCTYPE" in data or b"<!ENTITY" in data:
         raise MalformedFileError(path, "declares a document type", "remove the DOCTYPE")
     builder = ElementTree.TreeBuilder()
-    # Without namespaces: many URDFs use prefixes that they never declare, and everybody reads them.
+    # Namespaces are not processed: many URDFs use undeclared prefixes, which other parsers accept.
     parser = expat.ParserCreate()
     parser.StartElementHandler, parser.EndElementHandler = builder.start, builder.end
     parser.CharacterDataHandler = builder.data
@@ -107,7 +112,7 @@ def _urdf(path: Path, tree: ElementTree.Element, root: Path) -> RobotXml:
     for mesh in tree.iter("mesh"):
         file = _urdf_file(path, mesh.get("filename", ""), root)
         _check_mesh(path, file)
-        # Two folders may hold files of one name, which MuJoCo would take for one mesh.
+        # Two folders may hold files of the same name, which MuJoCo would treat as one mesh.
         known = next((name for name, other in meshes.items() if other == file), "")
         name = known or f"m{len(meshes)}_{file.stem}{file.suffix.lower()}"
         meshes[name] = file
@@ -129,7 +134,7 @@ def _urdf(path: Path, tree: ElementTree.Element, root: Path) -> RobotXml:
 
 
 def _name_once(tree: ElementTree.Element) -> None:
-    """Number shapes that share a name: MuJoCo drops repeated names, and handles are found by name."""
+    """Number geometries that share a name, because MuJoCo drops repeated names, and handles are found by name."""
     seen = Counter[str]()
     for element in (*tree.iter("visual"), *tree.iter("collision")):
         name = element.get("name", "")
@@ -186,7 +191,7 @@ def _mjcf_references(path: Path, tree: ElementTree.Element, root: Path) -> tuple
 
 
 def _include(path: Path, tree: ElementTree.Element, root: Path) -> dict[Path, ElementTree.Element]:
-    """The document and all that it includes, by file."""
+    """Parse the files that a document includes, directly or indirectly; return all documents by file."""
     documents = {path: tree}
     waiting = [path]
     while waiting:
@@ -209,10 +214,10 @@ def _asset_folders(path: Path, tag: str, options: list[ElementTree.Element]) -> 
 
 
 def parse_spec(xml: RobotXml) -> mujoco.MjSpec:
-    """The editable model of a file as it stands.
+    """Parse a description into an editable model, without changes.
 
     Raises:
-        MalformedFileError: MuJoCo cannot read it.
+        MalformedFileError: MuJoCo cannot read the description.
     """
     try:
         if xml.kind == "mjcf":
@@ -224,10 +229,10 @@ def parse_spec(xml: RobotXml) -> mujoco.MjSpec:
 
 
 def compile_model(spec: mujoco.MjSpec, path: Path) -> mujoco.MjModel:
-    """The compiled model.
+    """Compile a model; `path` is its file, for messages.
 
     Raises:
-        MalformedFileError: MuJoCo refuses it.
+        MalformedFileError: MuJoCo refuses the model.
     """
     try:
         return spec.compile()

@@ -1,4 +1,4 @@
-"""Resolution of all paths that are found inside files."""
+"""Resolution of paths that are stored inside files."""
 
 from collections.abc import Iterable
 from pathlib import Path
@@ -7,11 +7,19 @@ from aomgen.errors import MissingFileError, UnsafePathError
 
 
 def resolve_inside(folder: Path, reference: str, *, named_by: Path) -> Path:
-    """Path of a file or folder that `named_by` refers to, which must lie inside `folder`.
+    """Resolve a reference in the file `named_by` to an existing file or folder inside `folder`.
+
+    Args:
+        folder: Folder that the resolved path must not leave.
+        reference: Path relative to `folder`.
+        named_by: File that contains the reference, for messages.
+
+    Returns:
+        Absolute path, with symbolic links resolved.
 
     Raises:
-        UnsafePathError: Absolute path, URL, link or `..` that leaves the folder.
-        MissingFileError: Nothing is there.
+        UnsafePathError: The reference is an absolute path or a URL, or leaves `folder` through a link or `..`.
+        MissingFileError: The path does not exist.
     """
     if "://" in reference or Path(reference).is_absolute():
         raise UnsafePathError(named_by, f"refers to '{reference}' outside its folder", "use a relative path")
@@ -26,13 +34,22 @@ def resolve_inside(folder: Path, reference: str, *, named_by: Path) -> Path:
 
 
 def find_inside(root: Path, folders: Iterable[Path], names: Iterable[str], *, named_by: Path) -> Path:
-    """The first existing combination of a folder and a name; it must lie inside `root`.
+    """Return the first existing file `folder / name` inside `root`.
 
-    For references that may mean several places, such as those of robot descriptions.
+    Robot descriptions contain such references, whose base folder is ambiguous.
+
+    Args:
+        root: Folder that the resolved path must not leave.
+        folders: Base folders, in order of preference.
+        names: Relative paths to try in each folder, in order of preference.
+        named_by: File that contains the reference, for messages.
+
+    Returns:
+        Absolute path, with symbolic links resolved.
 
     Raises:
-        UnsafePathError: An absolute path, a URL, or a reference that leaves `root`.
-        MissingFileError: None of them is there.
+        UnsafePathError: A name is an absolute path or a URL, or no file exists and a candidate leaves `root`.
+        MissingFileError: No candidate exists.
     """
     candidates, leaves = list(names), False
     for name in candidates:

@@ -1,6 +1,6 @@
-"""Gaussians in the PLY layout of the 3DGS reference implementation: bounded, with typed errors.
+"""Gaussians in the PLY layout of the 3DGS reference implementation, with limits on size and typed errors.
 
-The files hold logarithms of scales, logits of opacities, and SH coefficients by channel:
+The files hold logarithms of scales, logits of opacities, and coefficients of spherical harmonics (SH) by channel:
 x y z nx ny nz, f_dc_0..2, f_rest_0.., opacity, scale_0..2, rot_0..3 (wxyz).
 """
 
@@ -16,16 +16,16 @@ from aomgen.core.gaussians import Gaussians
 from aomgen.errors import LimitExceededError, MalformedFileError, MissingFileError, NonFiniteError
 from aomgen.io.atomic import write_bytes
 
-# More fill the memory: 250 bytes each at degree 3.
+# Largest number of Gaussians that is read; at SH degree 3 one takes about 250 bytes of memory.
 MAX_GAUSSIANS: Final = 10_000_000
-# A header with all properties of degree 3 has 2 kB, [bytes].
+# Largest header that is read, [bytes]; with all properties of SH degree 3 it has 2 kB.
 MAX_HEADER_BYTES: Final = 64 << 10
-# Gaussians of degree 3 have 62; others are skipped.
+# Largest number of properties in a file; Gaussians of SH degree 3 have 62, and unknown properties are skipped.
 MAX_PROPERTIES: Final = 256
-# Gaussians converted at a time, so that the temporary arrays stay in the cache.
+# Number of Gaussians that are converted at a time, so that the temporary arrays fit into the processor's cache.
 BLOCK: Final = 1 << 13
 _END = re.compile(rb"\nend_header *\r?\n")
-# Number of f_rest properties -> degree of the spherical harmonics.
+# Degree of the spherical harmonics by the number of f_rest properties.
 _REST_COUNTS = {0: 0, 9: 1, 24: 2, 45: 3}
 _TYPES = {
     **dict.fromkeys(("char", "int8"), "i1"),
@@ -44,7 +44,7 @@ _REMEDY = "export the Gaussians again as binary 3DGS PLY"
 
 @dataclass(slots=True, kw_only=True)
 class _Element:
-    """One table of the file under construction: its length, and (name, type) of its columns."""
+    """Element of a PLY header: a table with its number of rows, and (name, type) of its columns."""
 
     name: str
     count: int
@@ -55,20 +55,19 @@ class _Element:
 
 
 def read_gaussians(path: Path, *, max_gaussians: int = MAX_GAUSSIANS) -> Gaussians:
-    """Read Gaussians of SH degree 0..3; quaternions are normalised.
+    """Read Gaussians of SH degree 0..3; quaternions are normalized.
 
-    Properties may come in any order and type; unknown ones, and other elements than `vertex`
-    without lists, are skipped.
+    Properties may have any order and numeric type. Unknown properties, and elements other than `vertex`, are skipped.
 
     Args:
-        path: Binary PLY of either byte order.
-        max_gaussians: Larger files are refused before anything is allocated.
+        path: Binary PLY of either byte order, without list properties.
+        max_gaussians: Limit of the number of Gaussians, checked before memory is allocated.
 
     Raises:
-        MissingFileError: No such file, or it cannot be opened.
-        LimitExceededError: Too many Gaussians, or a header beyond all reason.
-        MalformedFileError: Not a PLY of this layout, ASCII, truncated, or with bytes left over.
-        NonFiniteError: A value is NaN, infinite or beyond float32, or a quaternion is zero.
+        MissingFileError: The file does not exist or cannot be opened.
+        LimitExceededError: The file holds too many Gaussians or properties, or its header exceeds `MAX_HEADER_BYTES`.
+        MalformedFileError: The file is not a binary PLY of this layout, is truncated, or has bytes after its data.
+        NonFiniteError: A value is NaN, infinite or outside the range of float32, or a quaternion is zero.
     """
     if not path.is_file():
         raise MissingFileError(path, "is missing", "check the path")
@@ -92,10 +91,10 @@ def read_gaussians(path: Path, *, max_gaussians: int = MAX_GAUSSIANS) -> Gaussia
 
 
 def write_gaussians(path: Path, gaussians: Gaussians) -> None:
-    """Write Gaussians in the reference layout, little-endian float32.
+    """Write Gaussians in the layout of the reference implementation, as little-endian float32.
 
-    Opacities of exactly 0 or 1 and scales of 0 have no finite logit or logarithm; they are
-    moved by 1e-7 (1e-12 m).
+    Opacities of 0 or 1 have no finite logit and scales of 0 no finite logarithm; opacities are therefore clipped to
+    1e-7..1 - 1e-7, and scales to at least 1e-12.
 
     Raises:
         NonFiniteError: A value is NaN or infinite, or a quaternion is zero.
@@ -118,10 +117,15 @@ def write_gaussians(path: Path, gaussians: Gaussians) -> None:
 
 
 def check_readable(path: Path, gaussians: Gaussians) -> None:
-    """Refuse to write what no reader takes: Gaussians that are not finite or have no rotation.
+    """Check that Gaussians are finite and have valid quaternions, which readers of all formats require.
+
+    Args:
+        path: File to be written, for messages.
+        gaussians: Gaussians to check.
 
     Raises:
-        NonFiniteError: Names the first of them.
+        NonFiniteError: A value is NaN or infinite, or a quaternion is zero; the message gives the index of the first
+            such Gaussian.
     """
     good = np.abs(gaussians.quats).max(1, initial=0) > 1e-12
     for name in ("means", "quats", "scales", "opacities", "sh"):
@@ -139,7 +143,7 @@ def _names(rest: int) -> list[str]:
 
 
 def _header_lines(path: Path, head: bytes) -> tuple[list[str], int]:
-    """Lines of the header and where the data starts."""
+    """Return the lines of the header after the first, and the offset of the data, [bytes]."""
     if not head.startswith((b"ply\n", b"ply\r\n")):
         raise MalformedFileError(path, "does not start as a PLY file", _REMEDY)
     end = _END.search(head)
@@ -154,7 +158,7 @@ def _header_lines(path: Path, head: bytes) -> tuple[list[str], int]:
 
 
 def _parse_header(path: Path, lines: list[str]) -> tuple[str, list[_Element]]:
-    """Byte order and elements, one of which is called `vertex`."""
+    """Parse the byte order and the elements, exactly one of which is called `vertex`."""
     order = ""
     elements: list[_Element] = []
     for line in lines:
@@ -187,7 +191,7 @@ def _parse_header(path: Path, lines: list[str]) -> tuple[str, list[_Element]]:
 
 
 def _check_names(path: Path, names: list[str]) -> int:
-    """Count the f_rest properties, after all properties of the layout are found."""
+    """Check that all properties of the layout are present, and return the number of f_rest properties."""
     rest = sum(name.startswith("f_rest_") for name in names)
     if rest not in _REST_COUNTS:
         raise MalformedFileError(
@@ -200,7 +204,7 @@ def _check_names(path: Path, names: list[str]) -> int:
 
 
 def _read_vertices(path: Path, dtype: np.dtype[np.void], where: tuple[int, int], rest: int) -> Gaussians:
-    """Gaussians from the table at `where` (offset, count), a block at a time."""
+    """Read Gaussians from the table at `where`, (offset in bytes, number of rows), in blocks."""
     offset, count = where
     coefficients = 1 + rest // 3
     means, quats = np.empty((count, 3), np.float32), np.empty((count, 4), np.float32)
@@ -214,7 +218,7 @@ def _read_vertices(path: Path, dtype: np.dtype[np.void], where: tuple[int, int],
             table = np.fromfile(file, dtype, rows.stop - first)
             if len(table) != rows.stop - first:
                 raise MalformedFileError(path, "became shorter while it was read", "wait until it is written")
-            with np.errstate(invalid="ignore"):  # signalling NaNs, refused below
+            with np.errstate(invalid="ignore"):  # signaling NaNs are refused below
                 values = np.stack([table[name].astype(np.float64) for name in names], 1)
             _check_values(path, names, values, first)
             means[rows] = values[:, :3]
@@ -228,7 +232,7 @@ def _read_vertices(path: Path, dtype: np.dtype[np.void], where: tuple[int, int],
 
 
 def _check_values(path: Path, names: list[str], values: NDArray[np.float64], first: int) -> None:
-    """Refuse what is no number in float32; `first` is the Gaussian in row 0."""
+    """Check that rows hold finite float32 values and valid quaternions; `first` is the index of the Gaussian in row 0."""
     good = np.abs(values) <= _LARGEST
     if not good.all():
         row, column = np.argwhere(~good)[0]

@@ -1,7 +1,7 @@
 """Decisions of a person on the episodes of a run, in one small file: `review.json` in the run's folder.
 
-A decision belongs to the content of an episode. When a run has made another episode of the same number since,
-the decision no longer counts.
+A decision applies to the content of an episode. If the run has since generated another episode with the same number,
+the decision is ignored.
 """
 
 from collections.abc import Sequence
@@ -17,7 +17,7 @@ from aomgen.io.episode_folder import EPISODE_FILE
 from aomgen.io.schema import complaint
 
 REVIEW_FILE: Final = "review.json"
-# Longest note and tag, [letters]: a note is a remark, a tag a word.
+# Longest note and longest tag, [characters].
 MAX_NOTE, MAX_TAG = 2000, 40
 
 Decision = Literal["", "accepted", "rejected"]
@@ -29,9 +29,9 @@ class Review(BaseModel):
     """Decision of a person about one episode.
 
     Attributes:
-        content: Digest of the episode that was reviewed, see `read_content`.
-        decision: Empty as long as the person has not decided.
-        tags: Sorted.
+        content: Digest of the reviewed episode; see `read_content`.
+        decision: Decision; empty until the person has decided.
+        tags: Sorted tags.
         note: Free text.
     """
 
@@ -43,7 +43,7 @@ class Review(BaseModel):
     note: Note = ""
 
     def merge(self, change: "ReviewChange", content: str) -> "Review":
-        """Return the review after a change; that of another content is forgotten."""
+        """Return the review after a change; if `content` differs from the reviewed one, the change starts from an empty review."""
         old = self if self.content == content else Review()
         return Review(
             content=content,
@@ -54,7 +54,7 @@ class Review(BaseModel):
 
 
 class ReviewChange(BaseModel):
-    """Change of one episode's review; what it does not name stays as it is."""
+    """Change of one episode's review; None leaves the decision or the note unchanged."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
@@ -71,7 +71,7 @@ class _ReviewFile(BaseModel):
 
 
 def read_reviews(out: Path) -> dict[int, Review]:
-    """Read the reviews of a run by episode number; empty without a review.
+    """Read the reviews of a run by episode number; the result is empty if the run has no review file.
 
     Raises:
         MalformedFileError: The file is damaged.
@@ -92,7 +92,7 @@ def read_reviews(out: Path) -> dict[int, Review]:
 
 
 def change_review(out: Path, episode_folder: Path, change: ReviewChange) -> Review:
-    """Change the review of one episode on disk; changes of several processes at once are all kept.
+    """Change the review of one episode on disk; concurrent changes by several processes are all kept.
 
     Args:
         out: Folder of the run.
@@ -116,7 +116,9 @@ def change_review(out: Path, episode_folder: Path, change: ReviewChange) -> Revi
 
 
 def read_content(episode_folder: Path) -> str:
-    """Read the digest by which a review recognizes an episode: that of its numbers and of the colors of its images.
+    """Read the digest that identifies an episode in a review: the SHA-256 of its `frames.npz`.
+
+    That file holds the per-frame arrays and the color statistics of the videos.
 
     Raises:
         MissingFileError, MalformedFileError: episode.json cannot be read.
@@ -126,10 +128,10 @@ def read_content(episode_folder: Path) -> str:
 
 
 def content_of(header: Any, path: Path) -> str:
-    """Return the digest of `read_content` from the content of the episode.json at `path`.
+    """Return the digest of `read_content` from `header`, the parsed content of the episode.json at `path`.
 
     Raises:
-        MalformedFileError: It holds none.
+        MalformedFileError: The header holds no digest of `frames.npz`.
     """
     try:
         return str(header["sha256"]["frames.npz"])
@@ -140,9 +142,13 @@ def content_of(header: Any, path: Path) -> str:
 def leave_out_rejected(out: Path, episode_folders: Sequence[Path]) -> list[Path]:
     """Return the episodes that no review rejects, in their order.
 
+    Args:
+        out: Folder of the run.
+        episode_folders: Folders of committed episodes.
+
     Raises:
         MalformedFileError: The review file is damaged.
-        ConfigError: All of them are rejected.
+        ConfigError: All episodes are rejected.
     """
     rejected = {number: item for number, item in read_reviews(out).items() if item.decision == "rejected"}
     kept = [

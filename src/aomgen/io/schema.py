@@ -1,6 +1,6 @@
-"""Files of users: TOML files that follow a schema, and parameters of stages changed by name.
+"""User input: TOML files that follow a schema, and changes of the stages' parameters by name.
 
-Messages name problems in the terms of the file.
+Messages describe problems by the keys of the file.
 """
 
 import json
@@ -15,9 +15,9 @@ from pydantic import BaseModel, ValidationError
 from aomgen.errors import ConfigError, LimitExceededError, MalformedFileError, MissingFileError, suggest
 
 Schema = TypeVar("Schema", bound=BaseModel)
-# Largest TOML file read, [bytes]; a usual one has a few kB.
+# Largest TOML file that is read, [bytes]; common ones have a few kB.
 MAX_BYTES = 1 << 20
-# A wrong value may be a whole table; messages show this many letters of it.
+# Number of characters of a wrong value that messages show; the value may be a whole table.
 MAX_SHOWN = 60
 T = TypeVar("T")
 Nested = dict[str, Any]
@@ -25,17 +25,17 @@ KINDS = {int: "a whole number", float: "a number", bool: "true or false", str: "
 
 
 def read_toml(path: Path, model: type[Schema], absent: str) -> Schema:
-    """Parse and validate one file.
+    """Parse and validate a TOML file.
 
     Args:
-        path: TOML.
+        path: TOML file.
         model: Schema of the whole file.
-        absent: Remedy if the file is missing.
+        absent: Remedy in the message if the file is missing.
 
     Raises:
-        MissingFileError, LimitExceededError: No such file, or larger than 1 MiB.
-        MalformedFileError: Not TOML, an unknown key (the nearest known one is named), a wrong
-            type or a missing key.
+        MissingFileError, LimitExceededError: The file is missing, or larger than 1 MiB.
+        MalformedFileError: The file is not TOML, has an unknown key (the message suggests the most similar one), misses a
+            key, or has a value of the wrong type.
     """
     if not path.is_file():
         raise MissingFileError(path, "is missing", absent)
@@ -52,13 +52,13 @@ def read_toml(path: Path, model: type[Schema], absent: str) -> Schema:
 
 
 def complaint(error: ValidationError, model: type[BaseModel]) -> tuple[str, str]:
-    """Problem and remedy of the first error in a file.
+    """Return problem and remedy of the first error in a file, for messages.
 
     Args:
-        error: Error of the validation by `model`.
-        model: The schema of the whole file.
+        error: Error that the validation with `model` raised.
+        model: Schema of the whole file.
     """
-    # An unknown key often explains a missing one, so it is named first.
+    # An unknown key is often a misspelled missing one, so it is reported first.
     first = min(error.errors(), key=lambda item: item["type"] != "extra_forbidden")
     place = ".".join(str(item) for item in first["loc"])
     known = _known_keys(model, first["loc"][:-1])
@@ -70,7 +70,7 @@ def complaint(error: ValidationError, model: type[BaseModel]) -> tuple[str, str]
 
 
 def _known_keys(model: type[BaseModel], place: tuple[Any, ...]) -> list[str]:
-    """Keys of the table at a place; positions in lists are passed over."""
+    """List the known keys of the table at a location in a file; indices of lists are skipped."""
     for name in place:
         if isinstance(name, str) and name in model.model_fields:
             model = _table(model.model_fields[name].annotation) or model
@@ -78,22 +78,25 @@ def _known_keys(model: type[BaseModel], place: tuple[Any, ...]) -> list[str]:
 
 
 def _table(annotation: Any) -> type[BaseModel] | None:
-    """The schema inside an annotation such as `list[CameraSection]`."""
+    """Return the schema inside an annotation such as `list[CameraSection]`, or None."""
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
         return annotation
     return next(filter(None, map(_table, get_args(annotation))), None)
 
 
 def override(params: T, changes: Mapping[str, Any], where: str) -> T:
-    """A dataclass of parameters with some of its fields changed, those of nested dataclasses too.
+    """Change fields of a dataclass of parameters, including fields of nested dataclasses.
 
     Args:
         params: Default parameters.
-        changes: Values by field; a mapping for a nested dataclass.
+        changes: New values by field; a mapping for a nested dataclass.
         where: Name of the dataclass in messages, for example "motion.joint".
 
+    Returns:
+        Changed copy of `params`.
+
     Raises:
-        ConfigError: No such field, or a value of another type.
+        ConfigError: A field does not exist, or a value has another type than the default.
     """
     known = {item.name: getattr(params, item.name) for item in fields(params)}  # type: ignore[arg-type]
     changed: dict[str, Any] = {}
@@ -119,16 +122,18 @@ def override(params: T, changes: Mapping[str, Any], where: str) -> T:
 
 
 def _tuple(values: list[Any]) -> tuple[Any, ...]:
-    """A list as dataclasses hold it, its numbers as fractions."""
+    """Convert a list, and lists inside it, to tuples, and integers to floats."""
     plain = (float(item) if type(item) is int else item for item in values)
     return tuple(_tuple(item) if isinstance(item, list) else item for item in plain)
 
 
 def parse_setting(text: str) -> Nested:
-    """`motion.joint.nodes=30` as nested tables; a value in brackets is a list in JSON.
+    """Parse a setting such as `motion.joint.nodes=30` into nested dictionaries.
+
+    A value in brackets is parsed as a JSON list; other values become a bool, an int, a float or else a string.
 
     Raises:
-        ConfigError: It is not of that form.
+        ConfigError: The text does not have this form.
     """
     name, equals, value = text.partition("=")
     parts = name.strip().split(".")
@@ -148,7 +153,7 @@ def _list(text: str, value: str) -> list[Any]:
 
 
 def merge(first: Nested, second: Nested) -> Nested:
-    """Two nested tables in one; the second wins."""
+    """Merge two nested dictionaries; values of `second` replace those of `first`."""
     merged = dict(first)
     for name, value in second.items():
         old = merged.get(name)
@@ -159,7 +164,7 @@ def merge(first: Nested, second: Nested) -> Nested:
 
 
 def flatten(nested: Nested, prefix: str = "") -> dict[str, Any]:
-    """Values by dotted name."""
+    """Flatten nested dictionaries to values by dotted name, each name preceded by `prefix`."""
     flat: dict[str, Any] = {}
     for name, value in nested.items():
         flat |= flatten(value, f"{prefix}{name}.") if isinstance(value, dict) else {f"{prefix}{name}": value}
@@ -178,10 +183,12 @@ def _number(text: str) -> bool | int | float | str:
 
 
 def format_toml_value(value: Any) -> str:
-    """A text, a number or a list of them in TOML, whose strings are JSON's but for the delete character.
+    """Format a string, a number or a list of them as TOML.
+
+    JSON is valid TOML for these values, except that TOML requires the delete character to be escaped.
 
     Raises:
-        ConfigError: A text that UTF-8 cannot hold.
+        ConfigError: A string cannot be encoded as UTF-8.
     """
     text = json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
     try:

@@ -1,4 +1,4 @@
-"""Decoded video frames as a player shows them: upright, with square pixels, in the range of a screen."""
+"""Conversion of decoded video frames for display: upright, with square pixels, in the dynamic range of sRGB."""
 
 from dataclasses import dataclass
 from fractions import Fraction
@@ -16,37 +16,40 @@ from aomgen.conventions import srgb_from_linear
 from aomgen.errors import MalformedFileError
 
 Transfer = Literal["HLG", "PQ"]
-# Transfer characteristics of ITU-T H.273.
+# Transfer functions by their code in ITU-T H.273.
 _TRANSFERS: Final[dict[int, Transfer]] = {16: "PQ", 18: "HLG"}
 # Unit of the entries of a display matrix.
 _ONE: Final = 1 << 16
-# Pixels whose sides differ by less are square: 1920 of 1919.4 columns.
+# Pixels whose aspect ratio differs from 1 by at most this count as square.
 _SQUARE: Final = 0.002
 # Constants of the hybrid log-gamma curve, BT.2100-2, table 5.
 _A: Final = 0.17883277
 _B: Final = 1 - 4 * _A
 _C: Final = 0.5 - _A * np.log(4 * _A)
-# Peak luminance of the reference display of HLG and of PQ, and its exponent for HLG, [cd/m^2] and [1].
+# Peak luminance, [cd/m^2], of the reference displays of HLG and PQ, and system gamma of HLG.
 _HLG_PEAK, _PQ_PEAK, _HLG_GAMMA = 1000.0, 10_000.0, 1.2
-# Luminance of a white page in both, BT.2408-7, [cd/m^2]; it becomes the white of the image.
+# Luminance of diffuse white in HLG and PQ, BT.2408-7, [cd/m^2]; it corresponds to linear 1 of the sRGB image.
 _WHITE: Final = 203.0
 # Constants of the perceptual quantizer, BT.2100-2, table 4.
 _M1, _M2 = 2610 / 16384, 2523 / 4096 * 128
 # Constants of the same curve, continued.
 _C1, _C2, _C3 = 3424 / 4096, 2413 / 4096 * 32, 2392 / 4096 * 32
-# Luminance of the BT.2020 primaries.
+# Luminance coefficients of the BT.2020 primaries.
 _LUMA_2020: Final = np.array([0.2627, 0.6780, 0.0593])
-# Their conversion to those of sRGB, BT.2087-0.
+# Conversion of linear values from BT.2020 to sRGB primaries, BT.2087-0.
 _SRGB_FROM_2020: Final = np.array(
     [[1.6605, -0.5876, -0.0728], [-0.1246, 1.1329, -0.0083], [-0.0182, -0.1006, 1.1187]]
 )
-# Linear values below this stay as they are; brighter ones approach 1 smoothly.
+# Linear values up to this remain unchanged; higher ones are compressed smoothly below 1.
 _KNEE: Final = 0.75
 
 
 @cache
 def _light_of_levels(transfer: Transfer) -> NDArray[np.float32]:
-    """Light (65536,) of each level: of HLG the scene's, as a share of its peak, of PQ the display's, white = 1."""
+    """Compute the linear value (65536,) of each 16-bit level.
+
+    For HLG this is scene light relative to its peak, for PQ display light relative to diffuse white.
+    """
     levels = np.arange(65536) / 65535
     if transfer == "HLG":
         light = np.where(levels <= 0.5, levels**2 / 3, (np.exp((levels - _C) / _A) + _B) / 12)
@@ -59,13 +62,14 @@ def _light_of_levels(transfer: Transfer) -> NDArray[np.float32]:
 def tone_map(signal: NDArray[np.uint16], transfer: Transfer) -> NDArray[np.uint8]:
     """Convert a BT.2020 signal of high dynamic range to an sRGB image.
 
-    A white page (203 cd/m^2) becomes nearly white; highlights above it are compressed, with their hue kept.
+    Diffuse white (203 cd/m^2) becomes nearly white; brighter highlights are compressed with their hue preserved.
 
     Args:
         signal: Non-linear R'G'B' (H, W, 3), full range, 0..65535.
+        transfer: Transfer function of the signal.
 
     Returns:
-        sRGB image (H, W, 3).
+        sRGB image (H, W, 3) uint8.
 
     Source: ITU-R BT.2100-2 (curves), BT.2087-0 (primaries), BT.2408-7 (white).
     """
@@ -82,13 +86,13 @@ def tone_map(signal: NDArray[np.uint16], transfer: Transfer) -> NDArray[np.uint8
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FrameDisplay:
-    """Transformation from the stored frames of a stream to the frames that a player shows.
+    """Conversion of the stored frames of a stream to displayed frames.
 
     Attributes:
-        transposed: Rows and columns are exchanged first.
-        mirrored: Columns, then rows are reversed.
-        aspect: Width of a stored pixel over its height.
-        transfer: Curve of a signal of high dynamic range, or None.
+        transposed: Whether rows and columns are exchanged, before they are reversed.
+        mirrored: Whether the order of the columns, and that of the rows, is reversed.
+        aspect: Ratio of width and height of a stored pixel.
+        transfer: Transfer function of a signal of high dynamic range; None for standard range.
     """
 
     transposed: bool
@@ -98,11 +102,11 @@ class FrameDisplay:
 
     @property
     def turned(self) -> bool:
-        """True where the frames are not stored upright."""
+        """True if the frames are not stored upright."""
         return self.transposed or any(self.mirrored)
 
     def describe(self) -> str:
-        """Description of the transformation; empty where frames are shown as stored."""
+        """Describe the conversion in words; the text is empty if frames are displayed as stored."""
         done = [
             "turned upright" if self.turned else "",
             "stretched to square pixels" if self.aspect != 1 else "",
@@ -111,7 +115,7 @@ class FrameDisplay:
         return ", ".join(filter(None, done))
 
     def apply(self, frame: VideoFrame) -> VideoFrame:
-        """The frame as it is shown; the same object where nothing has to be done."""
+        """Convert a stored frame to a displayed one; return the same object if no conversion is needed."""
         if not (self.turned or self.transfer or self.aspect != 1):
             return frame
         if self.aspect != 1:
@@ -132,14 +136,19 @@ class FrameDisplay:
 
 
 def read_display(stream: VideoStream, frame: VideoFrame, path: Path) -> FrameDisplay:
-    """Read from header and first frame how a player shows a stream.
+    """Read the conversion for display from a stream and its first frame.
+
+    Args:
+        stream: Video stream.
+        frame: First decoded frame of the stream.
+        path: File of the video, for messages.
 
     Raises:
-        MalformedFileError: A display matrix that does not turn by quarter turns.
+        MalformedFileError: The display matrix is not a rotation by multiples of 90 degrees, with or without mirroring.
     """
     aspect = Fraction(stream.sample_aspect_ratio or 1)
     data = frame.side_data.get(Type.DISPLAYMATRIX)  # pyright: ignore[reportCallIssue, reportArgumentType]
-    # Pixel (p, q) is shown at (a p + c q, b p + d q).
+    # The display matrix maps pixel (p, q) to (a p + c q, b p + d q).
     values = np.eye(3) if data is None else np.frombuffer(bytes(data), np.int32).reshape(3, 3) / _ONE
     (a, b), (c, d) = np.round(values[:2, :2]).astype(int).tolist()
     if not (np.abs(values[:2, :2] - [[a, b], [c, d]]).max() < 0.01 and abs(a * d - b * c) == 1):

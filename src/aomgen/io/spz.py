@@ -1,8 +1,9 @@
-"""Gaussians in Niantic's SPZ format, version 3: one gzip stream of quantized attributes, some tenth of a 3DGS PLY.
+"""Gaussians in Niantic's SPZ format, version 3: one gzip stream of quantized attributes.
 
-After a header of 16 bytes come, for all N Gaussians each: positions (24-bit fixed point), opacities (8 bits), colors
-(8 bits), logarithms of scales (8 bits, a sixteenth apart), rotations (the three smallest components of xyzw, 10 bits
-each), and spherical harmonics by coefficient (8 bits). Coordinates are y up, z towards the viewer.
+A file has about a tenth of the size of a 3DGS PLY. A header of 16 bytes is followed by one array for each attribute of
+the N Gaussians: positions (24-bit fixed point), opacities (8 bits), colors (8 bits), logarithms of scales (8 bits, in
+steps of 1/16), rotations (the three smallest components of xyzw, 10 bits each), and spherical harmonics by coefficient
+(8 bits). In the coordinate frame of the format, y points up and z towards the viewer.
 """
 
 import gzip
@@ -24,32 +25,32 @@ HEADER: Final = np.dtype(
     [("magic", "<u4"), ("version", "<u4"), ("count", "<u4"),
      ("degree", "u1"), ("fraction", "u1"), ("flags", "u1"), ("reserved", "u1")]
 )  # fmt: skip
-# "NGSP" as a little-endian integer, and the newest version that is one gzip stream.
+# "NGSP" as a little-endian integer, and the newest version of the format that is a single gzip stream.
 MAGIC, VERSION = 0x5053474E, 3
-# Positions have 23 bits and a sign. As many of them are the fraction as the farthest Gaussian leaves, at most these:
-# 15 micrometers within 128 m.
+# A position has 23 bits and a sign. The fraction gets the bits that the integer part of the farthest Gaussian does not
+# need, but at most this many, which gives a resolution of 15 micrometers within 128 m.
 MOST_FRACTION_BITS: Final = 16
-LARGEST: Final = (1 << 23) - 1  # of a signed integer of 24 bits
-# Color = 0.5 + 0.15 * (coefficient of degree 0): colors up to 1.4 beyond white are kept.
+LARGEST: Final = (1 << 23) - 1  # largest signed integer of 24 bits
+# A stored color is 0.5 + 0.15 * (coefficient of degree 0), in 0..1. Its range covers colors up to 1.4, where 1 is white.
 COLOR_SCALE: Final = 0.15
-# Byte of a scale: 16 (log + 10), of a harmonic: 128 + 128 h.
+# A scale s is stored as the byte 16 (log(s) + 10), a coefficient h of a spherical harmonic as 128 + 128 h.
 LOG_STEPS, LOG_OFFSET, SH_HALF = 16, 10, 128
-# Magnitude of a rotation's stored components, of which none exceeds sqrt(1/2).
+# Stored magnitude of a component sqrt(1/2), which the three smallest components of a unit quaternion do not exceed.
 ROTATION_MAX: Final = (1 << 9) - 1
 _REMEDY = "export the Gaussians again as SPZ version 3"
 
 
 def read_spz(path: Path, *, max_gaussians: int = MAX_GAUSSIANS) -> Gaussians:
-    """Read the Gaussians of an SPZ file; coordinates stay as the file has them.
+    """Read the Gaussians of an SPZ file, in the coordinates of the file.
 
     Args:
-        path: File of version 3.
-        max_gaussians: Larger files are refused before anything is allocated.
+        path: SPZ file of version 3.
+        max_gaussians: Limit of the number of Gaussians, checked before memory is allocated.
 
     Raises:
-        MissingFileError: No such file, or it cannot be opened.
-        LimitExceededError: Too many Gaussians.
-        MalformedFileError: No SPZ file, another version, or truncated.
+        MissingFileError: The file does not exist.
+        LimitExceededError: The file holds too many Gaussians.
+        MalformedFileError: The file is not an SPZ file, has another version, is truncated or cannot be read.
     """
     if not path.is_file():
         raise MissingFileError(path, "is missing", "check the path")
@@ -60,7 +61,7 @@ def read_spz(path: Path, *, max_gaussians: int = MAX_GAUSSIANS) -> Gaussians:
                 raise MalformedFileError(path, "ends inside its header", _REMEDY)
             header = np.frombuffer(head, HEADER)[0]
             count, terms = _check_header(path, header, max_gaussians)
-            # One byte more than announced shows a file that is longer.
+            # One byte more than the header announces is requested, so that a longer file is detected.
             data = stream.read(count * (19 + 1 + 3 * terms) + 1)
     except (OSError, EOFError, zlib.error) as error:
         raise MalformedFileError(path, f"cannot be unpacked ({error})", _REMEDY) from error
@@ -88,15 +89,15 @@ def read_spz(path: Path, *, max_gaussians: int = MAX_GAUSSIANS) -> Gaussians:
 
 
 def write_spz(path: Path, gaussians: Gaussians) -> None:
-    """Write Gaussians in their order; lossy, their coordinates are not changed.
+    """Write Gaussians to an SPZ file, in their order and coordinates; the format is lossy.
 
-    Positions are rounded to 15 micrometers where all lie within 128 m, to 0.12 mm within 1 km; scales by up to 3 %,
-    rotations to 0.1 degree, the rest to 8 bits;
-    harmonics beyond -1 .. 1 and scales outside 4.5e-5 .. 380 are cut.
+    Positions are rounded to 15 micrometers if all lie within 128 m of the origin, and to 0.12 mm within 1 km. Scales are
+    rounded by up to 3 %, rotations by about 0.1 degree, and all other values to 8 bits. Coefficients of spherical harmonics
+    above degree 0 are clipped to -1..1, scales to 4.5e-5..380.
 
     Raises:
         NonFiniteError: A value is NaN or infinite, or a quaternion is zero.
-        LimitExceededError: A position is farther than 8 million units from the origin.
+        LimitExceededError: A coordinate exceeds 8 million units.
         StorageError: Writing to the disk failed.
     """
     check_readable(path, gaussians)
@@ -121,7 +122,7 @@ def write_spz(path: Path, gaussians: Gaussians) -> None:
 
 
 def _check_header(path: Path, header: np.void, max_gaussians: int) -> tuple[int, int]:
-    """Number of Gaussians, and of harmonics above degree 0."""
+    """Check the header and return the number of Gaussians and the number of coefficients above degree 0."""
     if header["magic"] != MAGIC:
         raise MalformedFileError(path, "does not start as an SPZ file", _REMEDY)
     if header["version"] != VERSION or header["degree"] > 3:
@@ -138,7 +139,11 @@ def _to_bytes(values: NDArray[np.floating]) -> NDArray[np.uint8]:
 
 
 def _pack_rotations(quats_wxyz: NDArray[np.float64]) -> NDArray[np.uint32]:
-    """Index of the largest component of xyzw, then sign and magnitude of the others, from high bits to low (N,)."""
+    """Pack quaternions (N, 4) into integers (N,).
+
+    From high bits to low, an integer holds the index of the largest component of xyzw, then sign and magnitude of the
+    other components.
+    """
     quats = xyzw_from_wxyz(quats_wxyz / np.linalg.norm(quats_wxyz, axis=1, keepdims=True))
     largest = np.abs(quats).argmax(1)
     rows = np.arange(len(quats))
@@ -153,7 +158,7 @@ def _pack_rotations(quats_wxyz: NDArray[np.float64]) -> NDArray[np.uint32]:
 
 
 def _unpack_rotations(packed: NDArray[np.uint32]) -> NDArray[np.float64]:
-    """Unit quaternions xyzw (N, 4)."""
+    """Unpack integers (N,) of `_pack_rotations` to unit quaternions xyzw (N, 4)."""
     largest = (packed >> np.uint32(30)).astype(np.int64)
     quats = np.zeros((len(packed), 4))
     for component in range(3, -1, -1):

@@ -1,8 +1,7 @@
-"""OpenUSD: stages written as one file, and Gaussians as a prim `ParticleField3DGaussianSplat` (26.03).
+"""Writing of OpenUSD stages as one file, and of Gaussians as a `ParticleField3DGaussianSplat` prim (OpenUSD 26.03).
 
-USD stores what `Gaussians` holds: real scales (standard deviations) and opacities, and harmonics
-by Gaussian with the coefficients in the order of the 3DGS files. Only quaternions differ: their
-arrays lie in memory as xyzw.
+USD stores the same values as `Gaussians`: scales (standard deviations), opacities, and spherical harmonics by Gaussian,
+with the coefficients in the order of 3DGS files. Only quaternions differ: their arrays have the order xyzw in memory.
 """
 
 from pathlib import Path
@@ -19,16 +18,23 @@ from aomgen.io.atomic import scratch_folder, write_bytes
 from aomgen.io.ply import check_readable
 
 PRIM: Final = "/Gaussians"
-# Radius of a Gaussian's extent in standard deviations, as the kernel's schema suggests.
+# Radius of a Gaussian's extent, in standard deviations; the schema of the kernel recommends this value.
 REACH: Final = 3.0
 SUFFIXES: Final = (".usda", ".usdc", ".usdz")
 
 
 def new_stage(path: Path, meters_per_unit: float = 1.0) -> Any:
-    """Create an empty stage in memory, Z up, of the format that the suffix of `path` names.
+    """Create an empty stage in memory, with z up.
+
+    Args:
+        path: Future file; its suffix, .usda (text), .usdc (binary) or .usdz (packed), selects the format.
+        meters_per_unit: Length of the stage's unit, [m].
+
+    Returns:
+        The stage, a `pxr.Usd.Stage`.
 
     Raises:
-        ConfigError: A suffix other than .usda (text), .usdc (binary) and .usdz (packed).
+        ConfigError: The suffix is a different one.
     """
     from pxr import Usd, UsdGeom
 
@@ -41,7 +47,7 @@ def new_stage(path: Path, meters_per_unit: float = 1.0) -> Any:
 
 
 def export_stage(stage: Any, path: Path) -> None:
-    """Write a stage's root layer as one file; readers see the old content or the new.
+    """Write a stage's root layer as one file; readers get the complete old or the complete new content.
 
     Raises:
         StorageError: Writing to the disk failed.
@@ -59,7 +65,7 @@ def export_stage(stage: Any, path: Path) -> None:
                     package.AddFile(str(layer), layer.name)
             content = file.read_bytes()
     except (OSError, Tf.ErrorException) as error:
-        # USD's messages are many lines long, with positions in its sources.
+        # Messages of USD are many lines long and contain locations in its source code, so they are not shown.
         why = error.strerror if isinstance(error, OSError) else "USD was refused by the disk"
         raise StorageError(
             path, f"cannot be written ({why})", "free space or choose another folder"
@@ -68,15 +74,15 @@ def export_stage(stage: Any, path: Path) -> None:
 
 
 def write_gaussians(path: Path, gaussians: Gaussians, *, meters_per_unit: float = 1.0) -> None:
-    """Write Gaussians as the default prim of a new USD file; exact in float32.
+    """Write Gaussians as the default prim of a new USD file, as float32 without loss.
 
     Args:
-        path: Ends in .usda (text), .usdc (binary) or .usdz (packed).
-        gaussians: Their coordinates are not changed; Z is up.
-        meters_per_unit: Length of their unit, [m].
+        path: File to write; its suffix, .usda (text), .usdc (binary) or .usdz (packed), selects the format.
+        gaussians: Gaussians in a frame with z up; their coordinates are not changed.
+        meters_per_unit: Length of the unit of their coordinates, [m].
 
     Raises:
-        ConfigError: Another suffix.
+        ConfigError: The suffix is a different one.
         NonFiniteError: A value is NaN or infinite, or a quaternion is zero.
         StorageError: Writing to the disk failed.
     """
@@ -87,9 +93,9 @@ def write_gaussians(path: Path, gaussians: Gaussians, *, meters_per_unit: float 
 
 
 def define_gaussians(stage: Any, prim_path: str, gaussians: Gaussians) -> Any:
-    """Define Gaussians on a stage, in the frame of the parent prim, and return their prim.
+    """Define a prim of Gaussians on a stage, in the frame of its parent prim, and return it.
 
-    Colors stay sRGB, as in 3DGS files; the schema names no color space.
+    Colors remain sRGB, as in 3DGS files; the schema does not specify a color space.
     """
     from pxr import UsdVol, Vt
 
@@ -103,7 +109,7 @@ def define_gaussians(stage: Any, prim_path: str, gaussians: Gaussians) -> Any:
     coefficients = field.CreateRadianceSphericalHarmonicsCoefficientsAttr(
         Vt.Vec3fArray.FromNumpy(np.ascontiguousarray(gaussians.sh.reshape(-1, 3)))
     )
-    # For renderers that read the coefficients as a primvar and do not look at the degree.
+    # These metadata serve renderers that read the coefficients as a primvar and ignore the degree.
     coefficients.SetMetadata("elementSize", gaussians.sh.shape[1])
     coefficients.SetMetadata("interpolation", "vertex")
     field.CreateExtentAttr(Vt.Vec3fArray.FromNumpy(extent(gaussians)))
@@ -113,7 +119,10 @@ def define_gaussians(stage: Any, prim_path: str, gaussians: Gaussians) -> Any:
 
 
 def extent(gaussians: Gaussians) -> NDArray[np.float32]:
-    """Corners (2, 3) of the smallest box that holds every Gaussian up to `REACH`; zeros for none."""
+    """Compute the corners (2, 3) of the smallest axis-aligned box that contains the Gaussians.
+
+    Each Gaussian extends to `REACH` standard deviations. Without Gaussians, the corners are zero.
+    """
     if not len(gaussians):
         return np.zeros((2, 3), np.float32)
     rotations = matrix_from_quat(gaussians.quats)

@@ -1,4 +1,4 @@
-"""Video in and out through PyAV, counted by decoding."""
+"""Reading and writing of videos with PyAV; frames are counted by decoding them."""
 
 import fractions
 import io
@@ -28,9 +28,9 @@ from aomgen.errors import (
 )
 from aomgen.io.shown_frame import FrameDisplay, read_display
 
-# Eleven minutes at 30 fps; a demonstration takes less than one.
+# Largest number of frames that is read, eleven minutes at 30 fps; a demonstration takes less than one minute.
 MAX_FRAMES = 20_000
-# Decoded frames stay in memory: 24 GB at three bytes a pixel.
+# Largest number of pixels of a video whose decoded frames are held in memory; they take 24 GB at three bytes per pixel.
 MAX_PIXELS_TOTAL = 8_000_000_000
 
 Codec = Literal["h264", "av1"]
@@ -46,9 +46,9 @@ class Video:
     """Decoded frames with the container's timestamps.
 
     Attributes:
-        times_s: (T,), first frame at its own container time.
-        frames_srgb: (T, H, W, 3) uint8.
-        fps: Mean rate of the frames, [1/s].
+        times_s: Times of the frames (T,), [s], as the container states them; the first may differ from 0.
+        frames_srgb: Frames (T, H, W, 3) uint8.
+        fps: Mean frame rate, [1/s].
     """
 
     times_s: Annotated[Array, "T"]
@@ -56,7 +56,7 @@ class Video:
     fps: float
 
     def __post_init__(self) -> None:
-        # Gigabytes: held, not copied.
+        # `freeze_arrays` would copy a writable array, which may take gigabytes.
         self.frames_srgb.flags.writeable = False
         freeze_arrays(self)
 
@@ -66,9 +66,9 @@ class VideoInfo:
     """Size, length and rate of a video, read without decoding all of it.
 
     Attributes:
-        width, height: Size of the frames as they are shown, [px].
-        frames: Number of the frames that are shown.
-        fps: Their mean rate, [1/s].
+        width, height: Size of a displayed frame, [px].
+        frames: Number of displayed frames.
+        fps: Mean frame rate, [1/s].
         display: Conversion of stored frames for display.
     """
 
@@ -80,9 +80,9 @@ class VideoInfo:
 
 
 def probe_video(path: Path) -> VideoInfo:
-    """Count a video's frames and decode its first one.
+    """Count the frames of a video and decode the first one.
 
-    Frames that an edit list cuts away, as the trim of a phone does, do not count.
+    Frames that an edit list excludes, for example after trimming on a phone, are not counted.
 
     Raises:
         MissingFileError, MalformedFileError, LimitExceededError: The file is missing, malformed or too large.
@@ -104,23 +104,23 @@ def probe_video(path: Path) -> VideoInfo:
 
 
 def _rate(times_s: Sequence[float], path: Path) -> float:
-    """Mean rate of frames from their times, [1/s]."""
+    """Compute the mean frame rate, [1/s]; `path` names the video in messages."""
     if not (len(times_s) > 1 and max(times_s) > min(times_s)):
         raise MalformedFileError(path, "does not state the times of its frames", "export the video again")
     return (len(times_s) - 1) / (max(times_s) - min(times_s))
 
 
 def decode_frames(path: Path) -> Iterator[tuple[float, av.VideoFrame]]:
-    """Time, [s], and frame as it is shown, one after the other, so that long videos need no memory.
+    """Yield the time, [s], and the displayed frame of each frame of a video, one at a time.
 
-    A frame is upright (the file's display matrix is obeyed, as EXIF is in images), has square pixels and the
-    range of a screen (HLG and PQ are tone-mapped).
+    Displayed frames are upright according to the file's display matrix, have square pixels and the dynamic range of
+    sRGB (HLG and PQ are tone-mapped).
 
     Raises:
-        MissingFileError: No such file.
-        MalformedFileError: Not a video, no frames, damaged or truncated stream, times that do not
-            increase.
-        LimitExceededError: More frames than are read without asking.
+        MissingFileError: The file does not exist.
+        MalformedFileError: The file is not a video, has no frames, has a damaged or truncated stream, or has times that do
+            not increase.
+        LimitExceededError: The video has more than `MAX_FRAMES` frames.
     """
     return ((time_s, frame) for time_s, frame, _ in _decode(path))
 
@@ -159,7 +159,7 @@ def _decode(path: Path) -> Iterator[tuple[float, av.VideoFrame, FrameDisplay]]:
 
 
 def _count_stored(path: Path) -> int:
-    """Number of the frames in a file, also of those that its edit list does not show."""
+    """Count the frames in a file, including those that its edit list excludes."""
     with open_stream(path, ignore_editlist="1") as (container, stream):
         return sum(1 for packet in container.demux(stream) if packet.size and not packet.is_corrupt)
 
@@ -169,7 +169,7 @@ def read_video(path: Path) -> Video:
 
     Raises:
         MissingFileError, MalformedFileError: See `decode_frames`.
-        LimitExceededError: More frames or pixels than are read without asking.
+        LimitExceededError: The video has more than `MAX_FRAMES` frames or `MAX_PIXELS_TOTAL` pixels.
     """
     frames, times = [], []
     for time_s, frame in decode_frames(path):
@@ -181,10 +181,10 @@ def read_video(path: Path) -> Video:
 
 
 def read_frames(path: Path, numbers: Sequence[int]) -> list[NDArray[np.uint8]]:
-    """Some frames (H, W, 3) of a video, in the order asked for; decodes no farther than the last.
+    """Decode some frames (H, W, 3) of a video, given by their numbers from 0, in the requested order.
 
     Raises:
-        MissingFileError, MalformedFileError: See `decode_frames`; or there are fewer frames.
+        MissingFileError, MalformedFileError: See `decode_frames`; or the video has fewer frames.
     """
     found: dict[int, NDArray[np.uint8]] = {}
     for number, (_, frame) in enumerate(islice(decode_frames(path), max(numbers) + 1)):
@@ -197,15 +197,15 @@ def read_frames(path: Path, numbers: Sequence[int]) -> list[NDArray[np.uint8]]:
 
 @contextmanager
 def open_stream(path: Path, **options: str) -> Iterator[tuple[InputContainer, VideoStream]]:
-    """Open a container and its video stream; cover images are not considered.
+    """Open a container, with FFmpeg `options`, and its video stream; streams of cover images are skipped.
 
     Raises:
-        MissingFileError, MalformedFileError: No such file, or it holds no video.
+        MissingFileError, MalformedFileError: The file does not exist, or it holds no video.
     """
     if not path.is_file():
         raise MissingFileError(path, "is missing", "copy the video or correct capture.toml")
     try:
-        # Tags are not used, and some cameras write them in another encoding.
+        # Metadata tags are not used, and some cameras write them in an encoding other than UTF-8.
         container = av.open(str(path), options=options, metadata_errors="replace")
     except av.error.FFmpegError as error:
         raise MalformedFileError(
@@ -226,23 +226,24 @@ def open_stream(path: Path, **options: str) -> Iterator[tuple[InputContainer, Vi
 def encode_video(
     frames: Iterable[NDArray[np.uint8]], fps: int, *, codec: Codec = "h264", crf: int | None = None
 ) -> bytes:
-    """MP4 bytes (yuv420p, a key frame every second frame) of frames (H, W, 3) uint8.
+    """Encode frames (H, W, 3) uint8 to the content of an MP4 file (yuv420p, a key frame every second frame).
 
-    One thread for colors and one for the encoder, so the same frames always give the same bytes.
-    For the same reason x264's macroblock tree is off: its AVX-512 code reads memory that was never
-    written, so that small images came out in one of several ways. This makes files 8 % larger.
+    Equal frames give equal bytes: color conversion and encoder use one thread each, and x264's macroblock tree is off,
+    because its AVX-512 code reads uninitialized memory, which made small images vary. This makes files 8 % larger.
 
     Args:
-        codec: H.264 is read everywhere, AV1 is smaller.
-        crf: Quality, lower is better; None takes the codec's usual one.
+        frames: Frames of one size.
+        fps: Frame rate, [1/s].
+        codec: H.264 is supported by most programs; AV1 gives smaller files.
+        crf: Constant rate factor; lower values give higher quality. None selects the default of the codec.
 
     Raises:
-        BackendError: This PyAV has no such encoder.
+        BackendError: The installed PyAV does not have this encoder.
     """
     encoder, options = _ENCODERS[codec]
     if encoder not in av.codecs_available:
         raise BackendError("PyAV", f"has no encoder {encoder}", "install PyAV's own wheel, or choose h264")
-    # SVT-AV1 prints its settings otherwise; 1 leaves errors.
+    # By default, SVT-AV1 prints its settings; at level 1 it prints errors only.
     os.environ.setdefault("SVT_LOG", "1")
     buffer = io.BytesIO()
     with av.open(buffer, "w", format="mp4") as container:
@@ -265,17 +266,19 @@ def encode_video(
 
 
 def halve_colors(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """An image (H, W, 3) as the best video would show it: with one color for two by two pixels (yuv420p)."""
+    """Reduce the chroma of an image (H, W, 3) to half resolution (yuv420p), as a video without other losses would."""
     frame = av.VideoFrame.from_ndarray(np.ascontiguousarray(image), format="rgb24")
     halved = frame.reformat(format="yuv420p", threads=1)
     return np.asarray(halved.to_ndarray(format="rgb24", threads=1), np.uint8)
 
 
 def decode_samples(data: bytes, where: Path, step: int) -> tuple[int, list[NDArray[np.uint8]]]:
-    """Count the frames that a video's bytes really hold, and decode every `step`-th of them (H, W, 3).
+    """Count the frames of a video by decoding it, and return every `step`-th of them (H, W, 3).
+
+    `data` is the content of a video file; `where` names it in messages.
 
     Raises:
-        CorruptArtifactError: The bytes cannot be decoded; `where` names them.
+        CorruptArtifactError: The video cannot be decoded.
     """
     count, samples = 0, []
     try:
@@ -297,13 +300,13 @@ def decode_samples(data: bytes, where: Path, step: int) -> tuple[int, list[NDArr
 
 
 def concatenate_videos(paths: Sequence[Path], fps: int) -> tuple[bytes, list[int]]:
-    """MP4 bytes of several videos one after the other, and the number of frames of each.
+    """Concatenate videos to the content of one MP4 file, and count the frames of each.
 
-    Packets are copied, so images do not change; equal inputs give equal bytes.
+    Packets are copied without decoding, so images do not change; equal inputs give equal bytes.
 
     Args:
         paths: Videos written by `encode_video` at one size and rate.
-        fps: Their rate.
+        fps: Frame rate of the videos, [1/s].
 
     Raises:
         MissingFileError, MalformedFileError: A video is missing, damaged or of another encoding.
@@ -326,7 +329,7 @@ def concatenate_videos(paths: Sequence[Path], fps: int) -> tuple[bytes, list[int
                             path, "has another size or encoding", "generate the episodes again"
                         )
                     count = 0
-                    # A frame's length in the ticks of the source's clock.
+                    # Duration of a frame in units of the source's time base.
                     ticks = 1 / (fractions.Fraction(video.time_base or 1) * fps)
                     for packet in source.demux(video):
                         if packet.pts is None or packet.dts is None:
