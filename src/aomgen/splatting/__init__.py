@@ -1,11 +1,11 @@
-"""3D Gaussians to images on a CPU, and back by gradients; usable without the rest of AOMGen.
+"""Rendering of 3D Gaussians on a CPU, with gradients, and training; usable without the rest of AOMGen.
 
 >>> from aomgen.splatting import framing_camera, read_gaussians, render
 >>> gaussians = read_gaussians(Path("scene.ply"))
 >>> image = render(gaussians, framing_camera(gaussians, (640, 480))).rgb
 
-Names are imported when they are first used: drawing needs numpy alone; tensors, rasterizers with
-gradients and training need torch. Conventions and file formats are in `docs/splatting.md`.
+Names are imported when they are first used: rendering needs only numpy; differentiable rasterizers and training need
+torch. `docs/splatting.md` documents conventions and file formats.
 """
 
 from importlib import import_module

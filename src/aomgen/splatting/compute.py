@@ -1,6 +1,6 @@
-"""Computations of the training on its device: rasterizer, image loss and steps of the optimizer.
+"""Computations of the training on its device: rasterizer, image loss and optimizer steps.
 
-On the processor the engine does all of it; for tensors on a GPU, loss and Adam have twins in plain torch.
+On a CPU, the engine performs all of them. On a GPU, gsplat rasterizes, and loss and Adam are equivalent torch functions.
 """
 
 from typing import Any, Protocol
@@ -17,24 +17,24 @@ from aomgen.splatting.gsplat_backend import GsplatRasterizer
 
 
 class Compute(Protocol):
-    """Tensors given to its functions are on `device`."""
+    """Computations on one device; all tensors that its methods receive must be on `device`."""
 
     device: str
     draw: Rasterizer
 
     def image_loss(self, rendered: Tensor, target: Tensor, *, gains: Tensor | None) -> Tensor:
-        """L1 and D-SSIM, see the function `image_loss`."""
+        """Compute L1 and D-SSIM; see the function `image_loss`."""
         ...
 
     def adam_step(
         self, values: Tensor, gradient: Tensor, moments: tuple[Tensor, Tensor], rates: Tensor, step: int
     ) -> None:
-        """Adam in place, see `torch_adam_step`."""
+        """Perform a step of Adam in place; see `torch_adam_step`."""
         ...
 
 
 class NativeCompute:
-    """The engine, on the processor; implements `Compute`."""
+    """Computations by the engine on the CPU; implements `Compute`."""
 
     device = "cpu"
 
@@ -52,7 +52,7 @@ class NativeCompute:
 
 
 class TorchCompute:
-    """Plain torch around a rasterizer, on its device; implements `Compute`."""
+    """Computations by torch and a rasterizer on any device; implements `Compute`."""
 
     def __init__(self, device: str, draw: Rasterizer) -> None:
         self.device, self.draw = device, draw
@@ -67,17 +67,21 @@ class TorchCompute:
 
 
 def make_compute(device: str) -> Compute:
-    """The engine for "cpu", torch and gsplat for "cuda"; raises as `make_rasterizer`."""
+    """Create the computations of a device: the engine for "cpu", torch and gsplat for "cuda".
+
+    Raises:
+        BackendError: The device is unknown, or a dependency of the device is missing.
+    """
     if device == "cpu":
         return NativeCompute()
     return TorchCompute(device, make_rasterizer(device))
 
 
 def make_rasterizer(device: str) -> Rasterizer:
-    """The engine for tensors on "cpu", gsplat for tensors on "cuda".
+    """Create a differentiable rasterizer: the engine for tensors on "cpu", gsplat for tensors on "cuda".
 
     Raises:
-        BackendError: Another device, or what the device needs is missing.
+        BackendError: The device is unknown, or a dependency of the device is missing.
     """
     if device == "cpu":
         return CpuRasterizer()
@@ -94,19 +98,23 @@ def image_loss(
     dssim_weight: float = 0.2,
     context: native.Context | None = None,
 ) -> Tensor:
-    """(1 - w) * mean|g x - y| + w * (1 - SSIM(g x, y)), differentiable by x and g.
+    """Compute the image loss (1 - w) * mean|g x - y| + w * (1 - SSIM(g x, y)).
 
     SSIM uses an 11x11 Gaussian window of sigma 1.5 and zeros outside the image, as 3DGS does.
 
     Args:
-        rendered: x, (C, H, W) float32.
-        target: y, (C, H, W) float32, no gradient.
-        gains: g, (C,) float32, a factor for every channel (exposure).
-        dssim_weight: w, 0..1.
-        context: Engine memory to use; may be the one of the rasterizer.
+        rendered: Rendered image x, (C, H, W) float32.
+        target: Target image y, (C, H, W) float32; it receives no gradient.
+        gains: Factor g of each channel (exposure), (C,) float32.
+        dssim_weight: Weight w of D-SSIM, 0..1.
+        context: Context of the engine; may be that of the rasterizer. None creates a new one.
+
+    Returns:
+        Scalar float32, differentiable with respect to x and g.
 
     Raises:
-        TypeError: A tensor is not float32 on the CPU; the engine reads by address.
+        TypeError: A tensor is not float32 on the CPU, which the engine requires.
+        ValueError: The shapes do not match.
     """
     for tensor in (rendered, target) if gains is None else (rendered, target, gains):
         if tensor.dtype != torch.float32 or tensor.device.type != "cpu":
@@ -119,7 +127,7 @@ def image_loss(
 
 
 class _ImageLoss(torch.autograd.Function):
-    """The engine gives the loss and its gradients at once; backward only scales them."""
+    """Image loss of the engine, which computes the gradients in the forward pass; the backward pass scales them."""
 
     @staticmethod
     def forward(  # type: ignore[override]
@@ -155,7 +163,7 @@ class _ImageLoss(torch.autograd.Function):
 def torch_image_loss(
     rendered: Tensor, target: Tensor, *, gains: Tensor | None = None, dssim_weight: float = 0.2
 ) -> Tensor:
-    """As `image_loss`, for floats on any device.
+    """Compute `image_loss` with torch, for floating-point tensors on any device.
 
     Source: Wang et al. 2004, doi:10.1109/TIP.2003.819861; Kerbl et al. 2023, eq. 7.
     """
@@ -167,7 +175,7 @@ def torch_image_loss(
 
 
 def _ssim(x: Tensor, y: Tensor) -> Tensor:
-    """Structural similarity (C, H, W) of every channel and window."""
+    """Compute the structural similarity (C, H, W) of each channel and window."""
     u, v, xx, yy, xy = _blur(torch.cat([x, y, x * x, y * y, x * y])).chunk(5)
     c1, c2 = 0.01**2, 0.03**2
     luminance = (2 * u * v + c1) / (u * u + v * v + c1)
@@ -176,10 +184,10 @@ def _ssim(x: Tensor, y: Tensor) -> Tensor:
 
 
 def _blur(planes: Tensor) -> Tensor:
-    """Gaussian window over planes (M, H, W), one axis after the other.
+    """Convolve planes (M, H, W) with the Gaussian window, one axis after the other.
 
-    One group for every plane: grouped convolutions run in full float32, where an ungrouped one would be
-    rounded to TF32 on recent GPUs, more coarsely than the variances of smooth windows can bear.
+    Each plane is a group of the convolution, because grouped convolutions are computed in full float32. Recent GPUs round
+    ungrouped ones to TF32, whose error exceeds the variances of smooth windows.
     """
     radius, sigma = 5, 1.5
     offsets = torch.arange(-radius, radius + 1, device=planes.device, dtype=planes.dtype)
@@ -197,7 +205,7 @@ def native_adam_step(
     rates: Tensor,
     step: int,
 ) -> None:
-    """As `torch_adam_step`, by the engine."""
+    """Perform `torch_adam_step` with the engine, for contiguous float32 tensors on the CPU."""
     columns = values[0].numel() if len(values) else 1
     tensors = (values, gradient.contiguous(), *moments, rates)
     context.adam_step((len(values), columns), tuple(tensor.data_ptr() for tensor in tensors), step)
@@ -207,9 +215,18 @@ def native_adam_step(
 def torch_adam_step(
     values: Tensor, gradient: Tensor, average: Tensor, square: Tensor, rates: Tensor, step: int
 ) -> None:
-    """Change values (N, ...) and the running moments of their gradient in place; `step` counts from 1.
+    """Perform a step of Adam in place.
 
-    `rates` (C,) has a learning rate for each of the C numbers of a row.
+    Args:
+        values: Parameters (N, ...), changed in place.
+        gradient: Gradient of the loss with respect to `values`.
+        average: First moment of the gradient, changed in place.
+        square: Second moment of the gradient, changed in place.
+        rates: Learning rate (C,) of each of the C numbers of a row of `values`.
+        step: Number of this step, from 1.
+
+    Raises:
+        ValueError: `step` is less than 1.
 
     Source: Kingma & Ba 2015, arXiv:1412.6980, algorithm 1.
     """

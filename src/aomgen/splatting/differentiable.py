@@ -1,6 +1,6 @@
-"""Gaussians as torch tensors, and the engine as a differentiable function of them.
+"""Gaussians as torch tensors, and differentiable rendering of them.
 
-`Rasterizer` is the interface that training requires; `CpuRasterizer` is the engine on the processor.
+`Rasterizer` is the interface that training requires; `CpuRasterizer` implements it with the engine.
 """
 
 from dataclasses import dataclass
@@ -17,15 +17,15 @@ from aomgen.splatting.rasterizer import NEAR_DEPTH, image_shape, native_view
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class GaussianTensors:
-    """N Gaussians as the optimizer sees them, float32.
+    """N Gaussians in the parametrization of the optimizer, float32.
 
     Attributes:
-        means: (N, 3), [m].
-        quats: (N, 4), wxyz, normalised inside.
-        log_scales: (N, 3), logarithms of standard deviations.
-        logit_opacities: (N,).
-        sh: (N, K, 3), K = 1, 4, 9 or 16.
-        features: (N, D), blended like colors, or None. With gradients D is at most 256.
+        means: Means (N, 3), [m].
+        quats: Rotations (N, 4) wxyz; the rasterizer normalizes them.
+        log_scales: Logarithms of the standard deviations (N, 3).
+        logit_opacities: Logits of the opacities (N,).
+        sh: Spherical harmonics (N, K, 3), K = 1, 4, 9 or 16.
+        features: Features (N, D), which are blended like colors, or None. Gradients require D <= 256.
     """
 
     means: Tensor
@@ -38,10 +38,10 @@ class GaussianTensors:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PartTensors:
-    """Gaussians that move in rigid groups: each is given in the frame of its part.
+    """Rigid parts of a set of Gaussians; each Gaussian is given in the frame of its part.
 
     Attributes:
-        indices: Part of every Gaussian (N,) int32, 0..P-1.
+        indices: Part of each Gaussian (N,) int32, 0..P-1.
         Ts_world_part: Rigid poses of the parts (P, 4, 4) float32, differentiable.
     """
 
@@ -54,11 +54,11 @@ class RasterOptions:
     """Options of the rasterizer.
 
     Attributes:
-        sh_degree: Degree that is evaluated, at most that of the coefficients.
-        background: sRGB color 0..1 behind everything.
-        antialiased: Lower the opacity of Gaussians smaller than a pixel.
-        with_ids: Also give median depth and the most contributing Gaussian.
-        near_depth: Gaussians at or before this depth are not drawn, [m].
+        sh_degree: SH degree that is evaluated, at most that of the coefficients.
+        background: sRGB color 0..1 behind the Gaussians.
+        antialiased: Reduce the opacity of Gaussians smaller than a pixel.
+        with_ids: Also compute median depth and the Gaussian with the largest weight.
+        near_depth: Gaussians at or before this depth are not rendered, [m].
     """
 
     sh_degree: int
@@ -70,16 +70,17 @@ class RasterOptions:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TensorRendering:
-    """Images on the device of the Gaussians; rgb, depth, alpha and features carry gradients.
+    """Images on the device of the Gaussians; rgb, depth, alpha and features are differentiable.
 
     Attributes:
-        rgb: (3, H, W) float32, not clipped above.
-        depth: (H, W), sum of weight times depth (not divided by alpha), [m].
-        alpha: (H, W).
-        features: (H, W, D), sum of weight times feature; None without features.
-        median_depth: (H, W), depth at which less than half of the light is left, 0 where half is
-            never reached, [m]; None unless asked for.
-        max_id: (H, W) int32, Gaussian with the largest weight, -1 for none; None unless asked for.
+        rgb: Colors (3, H, W) float32, sRGB, not limited to 1.
+        depth: Sum of weight times depth (H, W), not divided by alpha, [m].
+        alpha: Accumulated alpha (H, W), 0..1.
+        features: Sum of weight times feature (H, W, D); None without features.
+        median_depth: Depth of the Gaussian that reduces the transmittance below one half (H, W), [m]; 0 if it remains
+            above. None without `RasterOptions.with_ids`.
+        max_id: Index of the Gaussian with the largest weight (H, W) int32, -1 for none. None without
+            `RasterOptions.with_ids`.
     """
 
     rgb: Tensor
@@ -91,7 +92,7 @@ class TensorRendering:
 
 
 class Rasterizer(Protocol):
-    """Draws Gaussians and differentiates the images."""
+    """Function that renders Gaussians to images, differentiably."""
 
     def __call__(
         self,
@@ -102,27 +103,28 @@ class Rasterizer(Protocol):
         T_cam_world: Tensor | None = None,
         parts: PartTensors | None = None,
     ) -> TensorRendering:
-        """Draw.
+        """Render Gaussians.
 
         Args:
-            gaussians: In the world frame, or in the frames of `parts`.
-            camera: Intrinsics, size and pose.
+            gaussians: Gaussians in the world frame of the camera, or in the frames of `parts`.
+            camera: Intrinsic parameters, image size and pose.
             options: Options of the rasterizer.
-            T_cam_world: Pose (4, 4) float32 to use instead of the camera's, differentiable; rigid.
-            parts: Poses of the parts.
+            T_cam_world: Rigid pose (4, 4) float32 that replaces the camera's, differentiable.
+            parts: Parts of the Gaussians.
 
         Raises:
             BackendError: The backend is missing or refuses the scene.
+            TypeError, ValueError: Tensors have the wrong type, device or shape; see `check_tensors`.
         """
         ...
 
 
 class CpuRasterizer:
-    """The engine on the processor.
+    """Rasterizer that uses the engine on the CPU; implements `Rasterizer`.
 
     Args:
-        context: Engine memory to use. The backward pass of an image must come before the next
-            image of the same context.
+        context: Context of the engine; None creates a new one. The backward pass of an image must precede the rendering of
+            the next image with the same context.
     """
 
     def __init__(self, context: native.Context | None = None) -> None:
@@ -137,7 +139,7 @@ class CpuRasterizer:
         T_cam_world: Tensor | None = None,
         parts: PartTensors | None = None,
     ) -> TensorRendering:
-        """See `Rasterizer`."""
+        """Render as described in `Rasterizer`."""
         check_tensors(gaussians, torch.device("cpu"))
         if T_cam_world is None:
             T_cam_world = torch.tensor(camera.T_cam_world, dtype=torch.float32)
@@ -223,7 +225,7 @@ class _Rasterize(torch.autograd.Function):
         )
         call.context.forward(call.scene(inputs, features), call.view(poses), images)
         ctx.call, ctx.forward_number = call, call.context.forward_number
-        # The engine reads these again in the backward pass, whatever hooks do to the saved tensors.
+        # The engine reads these arrays again in the backward pass, so they must stay alive even if hooks replace saved tensors.
         ctx.arrays_of_scene = (inputs, features)
         ctx.set_materialize_grads(False)
         ctx.mark_non_differentiable(*(image for image in (median, max_id) if image is not None))
@@ -241,7 +243,7 @@ class _Rasterize(torch.autograd.Function):
             by_rgb = torch.zeros((3, ctx.call.camera.height, ctx.call.camera.width))
         results = [torch.empty_like(tensor) for tensor in inputs]
         by_poses = torch.empty_like(poses) if ctx.needs_input_grad[6] else None
-        # Constant features still have gradients by the positions of the Gaussians.
+        # The engine requires this array also for constant features, which still affect the gradients of the Gaussians.
         result_features = None if features is None else torch.empty_like(features)
         images = native.ImageGradients(
             rgb=by_rgb.data_ptr(),
@@ -260,11 +262,13 @@ class _Rasterize(torch.autograd.Function):
 
 
 def check_tensors(gaussians: GaussianTensors, device: torch.device) -> None:
-    """Refuse tensors that do not fit each other: engines read by address, and on a GPU a wrong index ends the process.
+    """Check that the tensors of Gaussians are float32, on a device and of consistent shapes.
+
+    Rasterizers access memory by address; on a GPU, an invalid index terminates the process.
 
     Raises:
-        TypeError: Not float32, or not on the device.
-        ValueError: Shapes that do not belong together.
+        TypeError: A tensor is not float32 or not on the device.
+        ValueError: The shapes are not consistent.
     """
     count, features, sh = len(gaussians.means), gaussians.features, gaussians.sh
     shapes = {

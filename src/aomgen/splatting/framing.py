@@ -1,4 +1,4 @@
-"""A camera for Gaussians of unknown content."""
+"""Automatic choice of a camera for Gaussians of unknown content."""
 
 from typing import Final
 
@@ -10,11 +10,11 @@ from aomgen.core.gaussians import Gaussians
 from aomgen.core.values import Array
 from aomgen.splatting.rasterizer import render
 
-# Factor by which the camera approaches while its view is blocked.
+# Factor on the camera's distance in each step towards the content while the view is blocked.
 STEP: Final = 0.8
-# Largest number of such steps, to 7 % of the distance.
+# Largest number of such steps; together they reduce the distance to 7 %.
 STEPS: Final = 12
-# Width of the image in which that is judged, [px].
+# Width of the image that is tested for blockage, [px].
 LOOK_WIDTH: Final = 64
 
 
@@ -26,21 +26,23 @@ def framing_camera(
     angles_deg: tuple[float, float] = (30.0, 15.0),
     zoom: float = 1.0,
 ) -> Camera:
-    """A camera that looks at the middle of the content and has it in view.
+    """Choose a camera that is directed at the center of the content and shows it.
 
-    An object is seen from outside as a whole. Where something large would hang before the camera
-    (the walls of a room that was recorded from inside), the camera goes nearer until it sees past it.
+    An object is shown completely from outside. If large surfaces between camera and center block the view (for example
+    the walls of a room that was recorded from inside), the camera moves closer until they are behind it.
 
     Args:
-        gaussians: In any frame and unit.
-        size: Width and height, [px].
-        up: Direction (3,) that points up in the image; y points down in most 3DGS files.
-        angles_deg: Azimuth around `up` and elevation above the horizon, [deg]; elevations are cut
-            to +-89.
-        zoom: Larger values go nearer.
+        gaussians: Gaussians in any frame and length unit.
+        size: Width and height of the image, [px].
+        up: Direction (3,) that points up in the image; the default suits most 3DGS files, whose y axis points down.
+        angles_deg: Azimuth around `up` and elevation above the horizon, [deg]; elevations are clipped to +-89.
+        zoom: Factor by which the distance to the center is divided.
+
+    Returns:
+        Camera in the frame of the Gaussians.
 
     Raises:
-        ValueError: Nothing visible, or a direction of length zero.
+        ValueError: No Gaussian is visible, or `up` has length zero.
         BackendError: The engine is missing.
     """
     center, radius = content(gaussians)
@@ -51,7 +53,7 @@ def framing_camera(
         fx=focal_px, fy=focal_px, cx=width / 2, cy=height / 2, width=width, height=height,
         T_world_cam=np.eye(4),
     )  # fmt: skip
-    # The shorter side sees up to this angle from the axis; a little air is left around.
+    # Half of the field of view along the shorter side; the factor 1.05 below leaves a margin.
     half_angle = np.arctan(0.5 * min(width, height) / focal_px)
     distance = 1.05 * radius / np.sin(half_angle)
     for _ in range(STEPS):
@@ -63,13 +65,13 @@ def framing_camera(
 
 
 def content(gaussians: Gaussians) -> tuple[Array, float]:
-    """Middle (3,) and radius of what there is to see: almost all of an object, less of a wide scene.
+    """Compute the center (3,) and the radius of the visible content, in the frame and unit of the Gaussians.
 
-    Gaussians count by their opacity, so that many small ones (detail) weigh more than a few large
-    ones (walls, sky).
+    The sphere contains almost all of an object, but only the central part of an extended scene. Gaussians are weighted by
+    their opacity, so that regions of many small Gaussians (detail) count more than a few large ones (walls, sky).
 
     Raises:
-        ValueError: Nothing visible.
+        ValueError: No Gaussian is visible.
     """
     means, reach = gaussians.means.astype(np.float64), 2 * gaussians.scales.max(1).astype(np.float64)
     weights = gaussians.opacities.astype(np.float64)
@@ -83,21 +85,21 @@ def content(gaussians: Gaussians) -> tuple[Array, float]:
 
 
 def _is_view_blocked(gaussians: Gaussians, camera: Camera, distance: float) -> bool:
-    """Return whether a fifth of the image shows content in the nearer half of the distance to the middle."""
+    """Return whether more than a fifth of the image shows content nearer than half of the distance to the center."""
     height = max(1, round(LOOK_WIDTH * camera.height / camera.width))
     drawn = render(gaussians, camera.resize(LOOK_WIDTH, height))
     return float(np.mean((drawn.alpha > 0.5) & (drawn.depth < 0.5 * distance))) > 0.2
 
 
 def _quantile(values: Array, weights: Array, share: float) -> float:
-    """Value below which a share of the weight lies."""
+    """Compute the value below which a share of the total weight lies."""
     order = np.argsort(values)
     total = np.cumsum(weights[order])
     return float(values[order][np.searchsorted(total, share * total[-1])])
 
 
 def _direction(up: Array, angles_deg: tuple[float, float]) -> Array:
-    """Unit vector at an azimuth around `up` and an elevation above its horizon."""
+    """Compute the unit vector at an azimuth around `up` and an elevation above the horizon."""
     length = np.linalg.norm(up)
     if not length > 0:
         raise ValueError("the up direction has length zero")

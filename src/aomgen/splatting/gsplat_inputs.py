@@ -1,4 +1,4 @@
-"""Checks of Gaussians and cameras before they reach a GPU, where a wrong index ends the process."""
+"""Checks and conversions of Gaussians and cameras for gsplat; an invalid index on a GPU would terminate the process."""
 
 import importlib
 from dataclasses import replace
@@ -17,10 +17,11 @@ _EXTRA = "pip install 'aomgen[gpu]'"
 
 
 def check_scene(gaussians: GaussianTensors, camera: Camera, sh_degree: int) -> None:
-    """Refuse tensors that do not fit each other (see `check_tensors`) or the camera.
+    """Check the tensors of Gaussians (see `check_tensors`), the size of the image and the SH degree.
 
     Raises:
-        BackendError: An image without pixels, or more SH degrees than coefficients.
+        BackendError: The image has no pixels, or the coefficients do not reach the SH degree.
+        TypeError, ValueError: See `check_tensors`.
     """
     if camera.width < 1 or camera.height < 1:
         raise BackendError(
@@ -33,7 +34,12 @@ def check_scene(gaussians: GaussianTensors, camera: Camera, sh_degree: int) -> N
 
 
 def check_parts(gaussians: GaussianTensors, parts: PartTensors) -> None:
-    """Refuse parts that some Gaussian's index does not name."""
+    """Check that parts have valid shapes and that each Gaussian's index refers to one of them.
+
+    Raises:
+        BackendError: An index is out of range.
+        ValueError: A shape is invalid.
+    """
     count, shape = len(gaussians.means), tuple(parts.Ts_world_part.shape)
     if parts.indices.shape != (count,) or shape[1:] != (4, 4):
         raise ValueError(f"parts {tuple(parts.indices.shape)} and transforms {shape} of {count} Gaussians")
@@ -45,7 +51,7 @@ def check_parts(gaussians: GaussianTensors, parts: PartTensors) -> None:
 
 
 def finite_only(gaussians: GaussianTensors) -> GaussianTensors:
-    """The same tensors, with Gaussians of NaN or infinite values invisible and without gradient."""
+    """Make Gaussians with NaN or infinite values invisible, without gradients; other Gaussians do not change."""
     with torch.no_grad():
         good = gaussians.logit_opacities.isnan().logical_not_() & (gaussians.quats != 0).any(-1)
         for values in (gaussians.means, gaussians.quats, gaussians.log_scales.exp(), gaussians.sh.flatten(1)):
@@ -64,10 +70,10 @@ def finite_only(gaussians: GaussianTensors) -> GaussianTensors:
 
 
 def load_gsplat() -> ModuleType:
-    """gsplat with its kernels, which are compiled at the first call on a machine (minutes).
+    """Import gsplat with its kernels; their compilation at the first call on a machine takes minutes.
 
     Raises:
-        BackendError: No CUDA device, no gsplat, an unknown version, or kernels that do not build.
+        BackendError: There is no CUDA device, gsplat is missing or of an unsupported version, or its kernels do not build.
     """
     if not torch.cuda.is_available():
         build = f"CUDA {torch.version.cuda}" if torch.version.cuda else "the CPU"
@@ -94,7 +100,11 @@ def load_gsplat() -> ModuleType:
 
 
 def check_version(version: str) -> None:
-    """Refuse versions of gsplat whose functions are not known here."""
+    """Check that a version of gsplat is supported.
+
+    Raises:
+        BackendError: The version is outside the supported range.
+    """
     numbers = tuple(int(part) for part in version.split("+")[0].split(".") if part.isdigit())
     if not FIRST_VERSION <= numbers < END_VERSION:
         first, end = (".".join(map(str, limit)) for limit in (FIRST_VERSION, END_VERSION))
@@ -102,7 +112,10 @@ def check_version(version: str) -> None:
 
 
 def place_in_world(means: Tensor, quats: Tensor, parts: PartTensors) -> tuple[Tensor, Tensor]:
-    """Means (N, 3) and quaternions (N, 4) of Gaussians in the world, of any length; differentiable by all inputs."""
+    """Transform means (N, 3) and quaternions (N, 4) wxyz from the frames of their parts to the world frame.
+
+    The result is differentiable with respect to all inputs; quaternions are not normalized.
+    """
     rows = parts.indices.long()
     R_world_part, t_world_part = parts.Ts_world_part[:, :3, :3], parts.Ts_world_part[:, :3, 3]
     turned = (R_world_part[rows] * means[:, None, :]).sum(-1)
@@ -110,10 +123,9 @@ def place_in_world(means: Tensor, quats: Tensor, parts: PartTensors) -> tuple[Te
 
 
 def view_directions(means: Tensor, T_cam_world: Tensor, parts: PartTensors | None) -> Tensor:
-    """Directions (N, 3) from the camera to the Gaussians in the frame their SH are written in, any length.
+    """Compute directions (N, 3) from the camera to the Gaussians, in the frames of their SH coefficients; not normalized.
 
-    The camera's centre is carried into every part's frame, which turns the directions exactly without
-    touching the coefficients.
+    The camera center is transformed to the frame of each part, which is exact and requires no rotation of the coefficients.
     """
     center_world = -T_cam_world[:3, :3].T @ T_cam_world[:3, 3]
     if parts is None:
@@ -122,16 +134,17 @@ def view_directions(means: Tensor, T_cam_world: Tensor, parts: PartTensors | Non
         R_world_part, t_world_part = parts.Ts_world_part[:, :3, :3], parts.Ts_world_part[:, :3, 3]
         centers_part = ((center_world - t_world_part)[:, :, None] * R_world_part).sum(1)
         directions = means - centers_part[parts.indices.long()]
-    # At the camera's centre there is no direction; the Gaussian is not drawn, but must not spoil gradients.
+    # A Gaussian at the camera center has no direction. It is not rendered, but a zero direction would give NaN gradients.
     nowhere = (directions == 0).all(-1, keepdim=True)
     return torch.where(nowhere, torch.ones_like(directions), directions)
 
 
 def rotation_quats(rotations: Tensor) -> Tensor:
-    """Unit quaternions (P, 4) wxyz of rotation matrices (P, 3, 3), differentiable at every rotation.
+    """Convert rotation matrices (P, 3, 3) to unit quaternions (P, 4) wxyz; differentiable at every rotation.
 
-    Source: Shepperd 1978, doi:10.2514/3.55767b: of the rows of 4 q q^T, which are linear in the
-    matrix, the one with the largest diagonal entry.
+    The entries of 4 q q^T are linear in the matrix; its row with the largest diagonal entry is normalized.
+
+    Source: Shepperd 1978, doi:10.2514/3.55767b.
     """
     (a, b, c), (d, e, f), (g, h, i) = (row.unbind(-1) for row in rotations.unbind(-2))
     x, y, z = h - f, c - g, d - b
@@ -144,7 +157,7 @@ def rotation_quats(rotations: Tensor) -> Tensor:
 
 
 def multiply_quats(first: Tensor, second: Tensor) -> Tensor:
-    """Products (N, 4) wxyz of quaternions (N, 4): the rotation `second`, then `first`."""
+    """Multiply quaternions (N, 4) wxyz; the product (N, 4) rotates by `second`, then by `first`."""
     (a, b, c, d), (w, x, y, z) = first.unbind(-1), second.unbind(-1)
     products = [
         a * w - b * x - c * y - d * z,

@@ -1,4 +1,4 @@
-"""Similarity of two images."""
+"""Metrics of the similarity of two images."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -6,17 +6,20 @@ from scipy.ndimage import correlate1d
 
 
 def psnr(a: NDArray[np.floating], b: NDArray[np.floating]) -> float:
-    """Peak signal-to-noise ratio of images with values in 0..1, [dB]; infinite for equal images."""
+    """Compute the peak signal-to-noise ratio of images of one shape with values in 0..1, [dB]; infinite for equal images."""
     error = float(np.mean((np.asarray(a, np.float64) - np.asarray(b, np.float64)) ** 2))
     return float("inf") if error == 0 else -10 * float(np.log10(error))
 
 
 def ssim(a: NDArray[np.floating], b: NDArray[np.floating]) -> float:
-    """Mean structural similarity of images (H, W, C) with values in 0..1.
+    """Compute the mean structural similarity of images (H, W, C) with values in 0..1.
 
-    11x11 Gaussian window of sigma 1.5 and zeros outside the image, as in the 3DGS evaluations.
-    Source: Wang et al., "Image quality assessment: from error visibility to structural
-    similarity", 2004.
+    The window is an 11x11 Gaussian of sigma 1.5, with zeros outside the image, as in the 3DGS evaluations.
+
+    Raises:
+        ValueError: The shapes differ or are not (H, W, C).
+
+    Source: Wang et al., "Image quality assessment: from error visibility to structural similarity", 2004.
     """
     x, y = np.asarray(a, np.float64), np.asarray(b, np.float64)
     if x.shape != y.shape or x.ndim != 3:

@@ -52,7 +52,7 @@ class NativeView(Structure):
 
 
 class Images(Structure):
-    """AomgenImages: where a forward pass writes."""
+    """AomgenImages: output arrays of a forward pass."""
 
     _fields_ = (
         ("rgb", c_void_p),
@@ -67,13 +67,13 @@ class Images(Structure):
 
 
 class ImageGradients(Structure):
-    """AomgenImageGradients: the loss's gradients by the images, and the features as drawn."""
+    """AomgenImageGradients: gradients of the loss with respect to the images, and the rendered features."""
 
     _fields_ = tuple((name, c_void_p) for name in ("rgb", "depth", "alpha", "features", "drawn_features"))
 
 
 class SceneGradients(Structure):
-    """AomgenSceneGradients: where a backward pass writes; packed rows if `rows` is given."""
+    """AomgenSceneGradients: output arrays of a backward pass; they are packed if `rows` is given."""
 
     _fields_ = tuple(
         (name, c_void_p)
@@ -82,7 +82,7 @@ class SceneGradients(Structure):
 
 
 class Frame(Structure):
-    """AomgenFrame: poses of what moves in one frame of a session, and where it is drawn."""
+    """AomgenFrame: poses of the moving parts in one frame of a session, and output arrays."""
 
     _fields_ = tuple(
         (name, c_void_p)
@@ -129,10 +129,10 @@ _SIGNATURES = {
 
 @cache
 def library() -> ctypes.CDLL:
-    """The engine's shared library, loaded on the first call.
+    """Return the engine's shared library, which the first call loads.
 
     Raises:
-        BackendError: It is missing, does not load or belongs to another version.
+        BackendError: The library is missing, does not load or has another interface version.
     """
     path = Path(__file__).with_name(LIBRARY_NAME)
     if not path.is_file():
@@ -153,24 +153,25 @@ def library() -> ctypes.CDLL:
 
 
 def instruction_sets() -> tuple[str, ...]:
-    """Instruction sets of the engine that this machine can run, best first."""
+    """List the instruction sets of the engine that this processor supports, fastest first."""
     return tuple(library().aomgen_instruction_sets().decode().split(","))
 
 
 class Context:
-    """Scratch memory and tile lists of one caller; not to be shared between threads.
+    """Scratch memory and tile lists of one caller; threads must not share a context.
 
     Args:
-        threads: Worker threads, None for all processors of the process.
-        instruction_set: One of `instruction_sets()`, None for the best.
+        threads: Number of worker threads; None uses all processors available to the process.
+        instruction_set: One of `instruction_sets()`; None selects the fastest.
 
     Raises:
-        BackendError: The library is unusable, or the machine lacks the instruction set.
+        BackendError: The library cannot be used, or the processor does not support the instruction set.
     """
 
     def __init__(self, threads: int | None = None, instruction_set: str | None = None) -> None:
         self._library = library()
-        self.forward_number = 0  # of the last pass, so that a backward pass can name its forward pass
+        # Number of the last forward pass, by which a backward pass identifies its forward pass.
+        self.forward_number = 0
         self._handle = self._library.aomgen_context_new()
         if not self._handle:
             raise BackendError("splatting engine", "not enough memory for a context")
@@ -181,17 +182,21 @@ class Context:
             self._library.aomgen_context_free(self._handle)
 
     def configure(self, threads: int | None = None, instruction_set: str | None = None) -> None:
-        """Choose threads and instruction set for the passes that follow."""
+        """Set the number of threads and the instruction set of later passes; see the class."""
         name = instruction_set.encode() if instruction_set else None
         self._check(self._library.aomgen_context_configure(self._handle, threads or 0, name))
 
     def forward(self, scene: NativeScene, view: NativeView, images: Images) -> None:
-        """Draw the scene."""
+        """Render a scene into `images`."""
         self.forward_number += 1
         self._check(self._library.aomgen_forward(self._handle, scene, view, images))
 
     def backward(self, images: ImageGradients, gradients: SceneGradients, forward_number: int) -> None:
-        """Gradients of the last differentiable forward pass of this context, which must be the numbered one."""
+        """Compute the gradients of the last forward pass of this context, which must have been differentiable.
+
+        Raises:
+            BackendError: The last forward pass does not have the number `forward_number`, or the engine fails.
+        """
         if forward_number != self.forward_number:
             raise BackendError(
                 "splatting engine",
@@ -203,13 +208,13 @@ class Context:
     def contribution_weights(
         self, scene: NativeScene, view: NativeView, count: int, masks: int, weights: int
     ) -> None:
-        """Sums of weight times mask; `masks` and `weights` are addresses."""
+        """Compute sums (N, M) of blended weight times mask; `masks` (M, H, W) and `weights` are addresses, `count` is M."""
         self.forward_number += 1
         call = self._library.aomgen_contribution_weights
         self._check(call(self._handle, scene, view, count, masks, weights))
 
     def open_session(self, scene: NativeScene, view: NativeView) -> int:
-        """Handle of a new session, for `library().aomgen_session_free`."""
+        """Open a session and return its handle, which the caller frees by `library().aomgen_session_free`."""
         self.forward_number += 1
         handle = c_void_p()
         self._check(self._library.aomgen_session_open(self._handle, scene, view, handle))
@@ -218,7 +223,7 @@ class Context:
     def draw_session(
         self, moving: NativeScene, part_count: int, colored_count: int, frames: list[Frame]
     ) -> None:
-        """Draw frames of sessions, whose arrays must stay alive."""
+        """Render frames of sessions; the arrays of scene and frames must stay alive during the call."""
         array = (Frame * len(frames))(*frames)
         call = self._library.aomgen_session_draw
         self._check(call(self._handle, moving, part_count, colored_count, len(frames), array))
@@ -231,37 +236,48 @@ class Context:
         dssim_weight: float,
         gradients: tuple[int, int | None],
     ) -> float:
-        """Fused L1 and D-SSIM of planar images of a shape (channels, H, W); arguments are addresses."""
+        """Compute the weighted sum of L1 and D-SSIM of two images, and its gradients.
+
+        Args:
+            shape: Shape (channels, H, W) of both planar images.
+            images: Addresses of the rendered image and of the target.
+            gains: Address of one gain per channel of the rendered image, or None.
+            dssim_weight: Weight of D-SSIM, 0..1.
+            gradients: Addresses for the gradients with respect to the rendered image and to the gains.
+        """
         loss = c_double()
         call = self._library.aomgen_image_loss
         self._check(call(self._handle, *shape, *images, gains, dssim_weight, loss, *gradients))
         return loss.value
 
     def adam_step(self, shape: tuple[int, int], addresses: tuple[int, ...], step: int) -> None:
-        """Adam in place; addresses of values, gradients, means, squares (rows, columns), rates (columns,)."""
+        """Perform a step of Adam in place; `step` counts from 1.
+
+        `addresses` are those of values, gradients, first and second moments (rows, columns), and learning rates (columns,).
+        """
         self._check(self._library.aomgen_adam_step(self._handle, *shape, *addresses, step))
 
     def stage_times_ms(self) -> dict[str, float]:
-        """Wall time of the last passes by stage, [ms]."""
+        """Return the wall time of each stage of the last passes, [ms]."""
         times = (c_double * 6)()
         self._check(self._library.aomgen_stage_times(self._handle, times))
         names = ("project", "sort", "bin", "blend", "blend_backward", "project_backward")
         return dict(zip(names, times, strict=True))
 
     def counts(self) -> tuple[int, int]:
-        """Gaussians in view and (Gaussian, tile) pairs of the last forward pass."""
+        """Return the numbers of visible Gaussians and of (Gaussian, tile) pairs of the last forward pass."""
         visible, intersections = c_int64(), c_int64()
         self._check(self._library.aomgen_counts(self._handle, visible, intersections))
         return visible.value, intersections.value
 
     def count_pairs(self) -> tuple[int, int]:
-        """(Gaussian, pixel) pairs that the last differentiable forward pass computed, and those it drew; slow."""
+        """Count the (Gaussian, pixel) pairs that the last differentiable forward pass evaluated and blended; slow."""
         evaluated, blended = c_int64(), c_int64()
         self._check(self._library.aomgen_count_pairs(self._handle, evaluated, blended))
         return evaluated.value, blended.value
 
     def vector_throughput(self) -> float:
-        """Fused multiply-adds per second of one thread in this instruction set, measured."""
+        """Measure the fused multiply-adds per second of one thread with the instruction set of this context."""
         result = c_double()
         self._check(self._library.aomgen_vector_throughput(self._handle, result))
         return result.value
@@ -273,9 +289,9 @@ class Context:
 
 
 def scratch_context() -> Context:
-    """A context that the calling thread may use until its next call of this function.
+    """Return the context of the calling thread, which is valid until its next use by the same thread.
 
-    It is kept until the thread ends, because allocating its memory costs as much as a small frame.
+    It is kept until the thread ends, because allocating its memory takes as long as rendering a small image.
     """
     own = _own_of_thread()
     if not hasattr(own, "context"):

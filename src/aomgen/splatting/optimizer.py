@@ -1,4 +1,4 @@
-"""Gaussians as the optimizer holds them: logs, logits and running averages of their gradients."""
+"""Parameters of Gaussians under optimization: logarithms, logits and moments of the gradients; relocation of Gaussians."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -15,13 +15,13 @@ from aomgen.splatting.compute import Compute
 from aomgen.splatting.rasterizer import contribution_weights, render
 
 NAMES = ("means", "quats", "log_scales", "logit_opacities", "sh")
-# Keeps logarithms finite; far below any real scale, [m].
+# Lower limit of scales, [m], far below any real one; it keeps logarithms finite.
 MIN_SCALE = 1e-9
-# A Gaussian of standard deviation s becomes two of SHRINK s at +-OFFSET s along its longest axis:
-# the pair covers what the one did (SHRINK^2 + OFFSET^2 = 1) and is free to separate.
+# A Gaussian of standard deviation s along its longest axis is split into two of SHRINK s at +-OFFSET s. Together they have
+# the variance of the original (SHRINK^2 + OFFSET^2 = 1).
 SHRINK, OFFSET = 0.8, 0.6
-# Learning rates at the start of a training that is seeded from its images: of means and translations of the
-# cameras in scene extents, of rotations in rad, of logarithms and of colors 0..1. Quaternions have no length.
+# Initial learning rates, for a training that starts from dense points. Units: scene extents for means and for translations of
+# cameras, rad for rotations of cameras, and 1 for logarithms, logits, colors and (not normalized) quaternions.
 RATES: Final[Mapping[str, float]] = {
     "means": 8e-4,
     "quats": 4e-3,
@@ -36,16 +36,16 @@ RATES: Final[Mapping[str, float]] = {
 
 @dataclass(slots=True, kw_only=True)
 class Parameters:
-    """Parameters of N Gaussians under optimization; the only mutable value of the training.
+    """Parameters of N Gaussians under optimization; `step` changes them in place.
 
     Attributes:
-        values: By name: means (N, 3), quats (N, 4) wxyz, log_scales (N, 3), logit_opacities
-            (N,), sh (N, K, 3), all float32.
-        averages: First moments of the gradients, same shapes.
-        squares: Second moments.
-        reach: (N,) factor on the steps of the means: a step moves far Gaussians as far in an
-            image as near ones.
-        steps: Optimizer steps taken.
+        values: Tensors by name: means (N, 3), quats (N, 4) wxyz, log_scales (N, 3), logit_opacities (N,), sh (N, K, 3), all
+            float32.
+        averages: First moments of the gradients, of the same shapes.
+        squares: Second moments of the gradients, of the same shapes.
+        reach: Factor (N,) on the steps of the means, larger for distant Gaussians, so that a step moves them in an image
+            as far as near ones.
+        steps: Number of completed optimizer steps.
     """
 
     values: dict[str, Tensor]
@@ -58,7 +58,7 @@ class Parameters:
         return len(self.values["means"])
 
     def move(self, device: str) -> "Parameters":
-        """The same parameters on a device."""
+        """Copy the parameters to a device."""
         values, averages, squares = (
             {name: tensor.to(device) for name, tensor in tensors.items()}
             for tensors in (self.values, self.averages, self.squares)
@@ -67,15 +67,15 @@ class Parameters:
         return Parameters(values=values, averages=averages, squares=squares, reach=reach, steps=self.steps)
 
     def opacities(self) -> Tensor:
-        """(N,), 0..1."""
+        """Compute the opacities (N,), 0..1."""
         return self.values["logit_opacities"].sigmoid()
 
     def leaves(self) -> dict[str, Tensor]:
-        """Views of the values that collect gradients."""
+        """Return views of the values that are leaves and collect gradients."""
         return {name: value.detach().requires_grad_() for name, value in self.values.items()}
 
     def step(self, gradients: dict[str, Tensor], rates: dict[str, Tensor], compute: Compute) -> None:
-        """Adam in place; `rates` has one learning rate for every column of a parameter."""
+        """Perform a step of Adam in place; `rates` has one learning rate for each column of a parameter."""
         self.steps += 1
         means = self.values["means"].clone()
         for name in NAMES:
@@ -84,7 +84,13 @@ class Parameters:
         torch.lerp(means, self.values["means"], self.reach[:, None], out=self.values["means"])
 
     def rebuild(self, kept: Tensor, parents: Tensor, added: dict[str, Tensor]) -> "Parameters":
-        """The rows `kept` (indices) followed by new rows of these parents, whose gradient averages start at zero."""
+        """Return the rows `kept` (indices) followed by new rows.
+
+        Args:
+            kept: Indices of the rows to keep.
+            parents: Index of the parent of each new row, from which it inherits `reach`.
+            added: Values of the new rows by name; their moments are zero.
+        """
         rest = {name: torch.zeros_like(value) for name, value in added.items()}
         values, averages, squares = (
             {name: torch.cat([tensors[name][kept], new[name]]) for name in NAMES}
@@ -97,7 +103,7 @@ class Parameters:
 def parameter_rates(
     rates: Mapping[str, float], means: float, decay: float, sh_degree: int
 ) -> dict[str, Tensor]:
-    """A learning rate for every column of every parameter: `means` for these, else `rates` times `decay`."""
+    """Return the learning rate of each column of each parameter: `means` for the means, `rates` times `decay` for others."""
     by_coefficient = [rates["color"]] + [rates["sh"]] * ((sh_degree + 1) ** 2 - 1)
     return {
         "means": torch.full((3,), means),
@@ -111,7 +117,7 @@ def parameter_rates(
 def parameters_of(
     gaussians: Gaussians, sh_degree: int, reach: NDArray[np.float64] | None = None
 ) -> Parameters:
-    """Parameters that start at the given Gaussians, with room for SH up to a degree 0..3; `reach` is ones by default."""
+    """Convert Gaussians to parameters with an SH degree of 0..3; `reach` (N,) is one by default."""
     padded = gaussians.with_sh_degree(sh_degree)
     opacities = np.clip(padded.opacities.astype(np.float64), 1e-6, 1 - 1e-6)
     arrays = {
@@ -131,7 +137,7 @@ def parameters_of(
 
 
 def gaussians_of(parameters: Parameters) -> Gaussians:
-    """Real values of the parameters."""
+    """Convert parameters to Gaussians."""
     parameters = parameters.move("cpu")
     values = parameters.values
     return Gaussians(
@@ -144,7 +150,7 @@ def gaussians_of(parameters: Parameters) -> Gaussians:
 
 
 def error_shares(gaussians: Gaussians, cameras: list[Camera], images: list[np.ndarray]) -> np.ndarray:
-    """Share of each Gaussian (N,) in the absolute error of images, planar (3, H, W) sRGB 0..1."""
+    """Compute the contribution (N,) of each Gaussian to the absolute error of planar images (3, H, W), sRGB 0..1."""
     shares = np.zeros(len(gaussians))
     for camera, image in zip(cameras, images, strict=True):
         error = np.abs(render(gaussians, camera).rgb - image.transpose(1, 2, 0)).mean(-1)
@@ -160,18 +166,24 @@ def relocate_and_grow(
     rng: np.random.Generator,
     dropped: NDArray[np.bool_] | None = None,
 ) -> tuple[Parameters, NDArray[np.int64]]:
-    """Drop faint and unwanted Gaussians and split others, until there are `count`; and the row that each comes from.
+    """Remove faint and marked Gaussians, and split others until there are `count`.
 
-    Parents are drawn with a probability proportional to their share of the error. A lower
-    `count` than what is left after dropping adds nothing.
+    The Gaussians to split are sampled with a probability proportional to their contribution to the error. If `count` or more
+    remain after the removal, none is split.
 
     Args:
-        shares: Error by each, (N,), see `error_shares`.
-        min_opacity: Fainter ones are dropped.
-        dropped: Gaussians (N,) to drop however opaque they are.
+        parameters: N Gaussians.
+        shares: Contribution of each to the error (N,); see `error_shares`.
+        count: Number of Gaussians of the result. It is lower if too few Gaussians contribute to the error.
+        min_opacity: Gaussians of lower opacity are removed.
+        rng: Random generator of the sampling.
+        dropped: Mask (N,) of Gaussians to remove regardless of their opacity.
 
-    Source: relocation within a fixed budget follows Kheradmand et al., "3D Gaussian splatting as
-    Markov chain Monte Carlo", 2024; drawing by error and splitting the longest axis are ours.
+    Returns:
+        New parameters, and for each row the index in `parameters` from which it originates.
+
+    Source: relocation within a fixed budget follows Kheradmand et al., "3D Gaussian splatting as Markov chain Monte Carlo",
+    2024. Sampling by error and splitting along the longest axis are specific to AOMGen.
     """
     alive = (parameters.opacities() >= min_opacity).cpu().numpy()
     alive &= True if dropped is None else ~dropped
@@ -193,7 +205,7 @@ def _rows(parameters: Parameters, rows: Tensor) -> dict[str, Tensor]:
 
 
 def _halves(rows: dict[str, Tensor]) -> dict[str, Tensor]:
-    """Both halves of every Gaussian, split along its longest axis."""
+    """Split each of M Gaussians along its longest axis; rows i and i + M of the result come from Gaussian i."""
     longest = rows["log_scales"].argmax(1)
     pick = torch.arange(len(longest), device=longest.device)
     axis = rotation_columns(rows["quats"], longest) * rows["log_scales"][pick, longest].exp()[:, None]
@@ -206,7 +218,7 @@ def _halves(rows: dict[str, Tensor]) -> dict[str, Tensor]:
 
 
 def rotation_columns(quats: Tensor, column: Tensor) -> Tensor:
-    """Column (N,) 0..2 of each quaternion's rotation matrix, (N, 3)."""
+    """Compute one column (N, 3) of the rotation matrix of each quaternion (N, 4) wxyz; `column` (N,) is its index 0..2."""
     w, x, y, z = torch.nn.functional.normalize(quats, dim=-1).unbind(-1)
     rows = [
         torch.stack([1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)], -1),

@@ -1,4 +1,4 @@
-"""Gaussians to images on the CPU, without gradients."""
+"""Rendering of Gaussians on the CPU, without gradients."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -13,11 +13,11 @@ from aomgen.core.values import Array, freeze_arrays
 from aomgen.errors import BackendError
 from aomgen.splatting import native
 
-# Accumulated alpha below which a pixel has no depth.
+# Accumulated alpha up to which a pixel has no depth.
 MIN_ALPHA = 1e-3
-# Longest side of an image, [px]; the engine's indices hold it.
+# Longest side of an image, [px]; the engine's indices support this size.
 MAX_SIDE = 16384
-# Gaussians nearer to the camera than this are not drawn, [m].
+# Gaussians at or before this depth are not rendered, [m].
 NEAR_DEPTH = 0.01
 
 
@@ -26,13 +26,13 @@ class Rendering:
     """Images of one camera.
 
     Attributes:
-        rgb: (H, W, 3), sRGB 0..1, blended over the background.
-        alpha: (H, W), 0..1.
-        depth: (H, W), blended depth divided by alpha, [m]; 0 where alpha is about 0.
-        median_depth: (H, W), depth of the Gaussian at which less than half of the light is left,
-            [m]; 0 where half is never reached. Only with `with_ids`.
-        max_id: (H, W), index of the Gaussian with the largest weight, -1 for none. Only with `with_ids`.
-        features: (H, W, D), blended (not divided by alpha). Only with features.
+        rgb: Colors (H, W, 3), sRGB 0..1, blended over the background.
+        alpha: Accumulated alpha (H, W), 0..1.
+        depth: Blended depth divided by alpha (H, W), [m]; 0 where alpha is at most `MIN_ALPHA`.
+        median_depth: Depth of the Gaussian that reduces the transmittance below one half (H, W), [m]; 0 if it remains
+            above. None without `with_ids`.
+        max_id: Index of the Gaussian with the largest weight (H, W), -1 for none. None without `with_ids`.
+        features: Blended features (H, W, D), not divided by alpha. None without features.
     """
 
     rgb: NDArray[np.float32]
@@ -45,11 +45,11 @@ class Rendering:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RigidParts:
-    """Gaussians that move in rigid groups: each is given in the frame of its part.
+    """Rigid parts of a set of Gaussians; each Gaussian is given in the frame of its part.
 
     Attributes:
-        indices: Part of every Gaussian, 0..P-1.
-        Ts_world_part: Rigid poses of the parts.
+        indices: Part of each Gaussian (N,), 0..P-1.
+        Ts_world_part: Rigid poses of the parts (P, 4, 4).
     """
 
     indices: Annotated[NDArray[np.int32], "_"]
@@ -69,22 +69,23 @@ def render(
     with_ids: bool = False,
     threads: int | None = None,
 ) -> Rendering:
-    """Draw Gaussians; bitwise the same for any number of threads.
+    """Render Gaussians; the result is bitwise equal for any number of threads.
 
-    Gaussians with NaN or infinite values are left out.
+    Gaussians with NaN or infinite values are omitted.
 
     Args:
-        gaussians: In the frame that `camera.T_world_cam` maps to, or in the frames of `parts`.
+        gaussians: Gaussians in the world frame of the camera, or in the frames of `parts`.
         camera: Camera of the image.
-        background: sRGB color 0..1 behind everything.
-        features: (N, D) values to blend like colors.
-        parts: Poses of the scene's parts; their view-dependent colors turn along.
-        antialiased: Lower the opacity of Gaussians smaller than a pixel, as Mip-Splatting does.
-        with_ids: Also give median depth and the most contributing Gaussian.
-        threads: None for all processors of the process.
+        background: sRGB color 0..1 behind the Gaussians.
+        features: Features (N, D), which are blended like colors.
+        parts: Parts of the Gaussians; view-dependent colors rotate with them.
+        antialiased: Reduce the opacity of Gaussians smaller than a pixel, as Mip-Splatting does.
+        with_ids: Also compute median depth and the Gaussian with the largest weight.
+        threads: Number of threads; None uses all processors available to the process.
 
     Raises:
         BackendError: The engine is missing, or refuses the scene or camera.
+        ValueError: Features or parts do not match the number of Gaussians.
     """
     images = empty_images(camera, with_ids)
     if features is not None:
@@ -105,15 +106,19 @@ def render(
 def contribution_weights(
     gaussians: Gaussians, camera: Camera, masks: NDArray[np.float32]
 ) -> NDArray[np.float32]:
-    """Contribution of each Gaussian to every mask: sums (N, M) of blended weight times mask value.
+    """Compute the contribution of each Gaussian to each mask.
 
     Args:
-        gaussians: N Gaussians.
-        camera: View of the masks.
-        masks: (M, H, W), any real values, 1 <= M.
+        gaussians: N Gaussians in the world frame of the camera.
+        camera: Camera of the masks.
+        masks: Masks (M, H, W) of any real values, M >= 1.
+
+    Returns:
+        Sums over the pixels of blended weight times mask value (N, M).
 
     Raises:
         BackendError: The engine is missing, or refuses the scene or camera.
+        ValueError: The masks do not have the size of the camera.
     """
     masks = np.ascontiguousarray(masks, np.float32)
     if masks.ndim != 3 or masks.shape[1:] != (camera.height, camera.width):
@@ -128,7 +133,7 @@ def contribution_weights(
 
 
 def empty_images(camera: Camera, with_ids: bool) -> dict[str, NDArray]:
-    """The arrays of a `Rendering` by name, for the engine to write into."""
+    """Allocate the arrays of a `Rendering`, by name, as output arrays of the engine."""
     shape = image_shape(camera)
     images: dict[str, NDArray] = {"rgb": np.empty((*shape, 3), np.float32)}
     images |= {name: np.empty(shape, np.float32) for name in ("alpha", "depth")}
@@ -139,12 +144,12 @@ def empty_images(camera: Camera, with_ids: bool) -> dict[str, NDArray]:
 
 
 def addresses_of(arrays: Mapping[str, NDArray]) -> dict[str, int]:
-    """Addresses of the arrays, those without elements left out."""
+    """Return the addresses of arrays, by name; arrays without elements are omitted."""
     return {name: array.ctypes.data for name, array in arrays.items() if array.size}
 
 
 def settle(images: Mapping[str, NDArray]) -> None:
-    """In place, from the engine's sums to what `Rendering` holds: colors up to 1, depth divided by alpha."""
+    """Convert the engine's sums to the values of `Rendering` in place: limit colors to 1, divide depth by alpha."""
     rgb, alpha, depth = (images[name] for name in ("rgb", "alpha", "depth"))
     np.minimum(rgb, 1, out=rgb)
     np.divide(depth, alpha, out=depth, where=alpha > MIN_ALPHA)
@@ -152,7 +157,11 @@ def settle(images: Mapping[str, NDArray]) -> None:
 
 
 def image_shape(camera: Camera) -> tuple[int, int]:
-    """Height and width of a camera's images, refused before anyone allocates more than `MAX_SIDE` pixels a side."""
+    """Return height and width of a camera's images, [px].
+
+    Raises:
+        BackendError: A side is outside 1..`MAX_SIDE`.
+    """
     shape = (camera.height, camera.width)
     if not all(1 <= side <= MAX_SIDE for side in shape):
         raise BackendError(
@@ -166,7 +175,7 @@ def image_shape(camera: Camera) -> tuple[int, int]:
 def native_scene(
     gaussians: Gaussians, features: NDArray[np.float32] | None = None, parts: RigidParts | None = None
 ) -> native.NativeScene:
-    """The engine's view of arrays, which must stay alive while it is used."""
+    """Build the engine's description of Gaussians; it refers to the arrays, which must outlive it."""
     if parts is not None and len(parts.indices) != len(gaussians):
         raise ValueError(f"{len(parts.indices)} part indices for {len(gaussians)} Gaussians")
     return native.NativeScene(
@@ -185,7 +194,7 @@ def native_scene(
 
 
 def cam_from_parts(camera: Camera, parts: RigidParts | None = None) -> NDArray[np.float32]:
-    """Upper rows (P, 3, 4) of the transforms from each part, or from the world, to the camera."""
+    """Compute the upper rows (P, 3, 4) of the transforms from each part to the camera; without parts, from the world (P = 1)."""
     Ts = camera.T_cam_world[None] if parts is None else camera.T_cam_world @ parts.Ts_world_part
     return np.ascontiguousarray(Ts[:, :3], np.float32)
 
@@ -198,7 +207,7 @@ def native_view(
     antialiased: bool = False,
     near_depth: float = NEAR_DEPTH,
 ) -> native.NativeView:
-    """The engine's view of a camera; `poses` (P, 3, 4) must stay alive while it is used."""
+    """Build the engine's description of a camera; it refers to `poses` (P, 3, 4), see `cam_from_parts`, which must outlive it."""
     height, width = image_shape(camera)
     return native.NativeView(
         width=width,

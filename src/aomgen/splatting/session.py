@@ -1,6 +1,6 @@
-"""Many frames from a fixed camera: static Gaussians are drawn once, and only tiles that change are drawn again.
+"""Rendering of many frames from a fixed camera: static Gaussians are rendered once, then only tiles that change.
 
-Exact: a frame equals `render` of the static and the moving Gaussians together.
+A frame equals `render` of static and moving Gaussians together.
 """
 
 from collections.abc import Sequence
@@ -27,19 +27,20 @@ from aomgen.splatting.rasterizer import (
 
 # Side of the engine's tiles, [px].
 TILE = 16
-# Channels of an output beyond one, and element types.
+# Additional axes of outputs with several channels, and element types of the outputs.
 _CHANNELS = {"rgb8": (3,)}
 _TYPES = {"rgb8": np.uint8, "alpha": np.float32, "median_depth": np.float32, "max_id": np.int32}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Motion:
-    """Poses and colors that change from frame to frame, T frames.
+    """Poses and colors of moving Gaussians in T frames.
 
     Attributes:
-        parts: Part of every moving Gaussian, 0..P-1; each is given in its part's frame.
-        Ts_world_part: Rigid poses of the parts.
-        colors: sRGB of the last M moving Gaussians, in place of their harmonics' constant term; None for none.
+        parts: Part of each moving Gaussian (N,), 0..P-1; each Gaussian is given in the frame of its part.
+        Ts_world_part: Rigid poses of the parts (T, P, 4, 4).
+        colors: sRGB colors (T, M, 3) of the last M moving Gaussians, which replace the constant terms of their spherical
+            harmonics; None changes no colors.
     """
 
     parts: Annotated[NDArray[np.int32], "_"]
@@ -54,12 +55,12 @@ class Motion:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RenderedFrame:
-    """An image of a session that can be drawn into again.
+    """An image of a session, whose arrays a later frame can reuse.
 
     Attributes:
-        image_srgb: (H, W, 3) uint8.
-        changed: (H / 16, W / 16) uint8, rounded up: 1 for the tiles of 16 x 16 pixels that show
-            anything else than what never moves.
+        image_srgb: Image (H, W, 3) uint8.
+        changed: Flags (ceil(H / 16), ceil(W / 16)) uint8: 1 for the tiles of 16 x 16 pixels that differ from the rendering
+            of the static Gaussians.
     """
 
     image_srgb: NDArray[np.uint8]
@@ -67,15 +68,15 @@ class RenderedFrame:
 
 
 class RenderSession:
-    """A camera's view of what never moves; it does not change, and any number of threads may share it.
+    """Rendering of static Gaussians by a static camera; it is immutable, and any number of threads may share it.
 
     Args:
-        static: Gaussians that never move, world frame.
-        camera: Camera that never moves.
-        background: sRGB color 0..1 behind everything.
+        static: Static Gaussians, world frame.
+        camera: Static camera.
+        background: sRGB color 0..1 behind the Gaussians.
         antialiased: See `render`.
-        threads: For opening and drawing; None for all processors of the process.
-        instruction_set: One of `native.instruction_sets()`, None for the best.
+        threads: Number of threads of all methods; None uses all processors available to the process.
+        instruction_set: Instruction set of this rendering, one of `native.instruction_sets()`; None selects the fastest.
 
     Raises:
         BackendError: The engine is missing, or refuses the scene or camera.
@@ -113,17 +114,18 @@ class RenderSession:
         shade: NDArray[np.float32] | None = None,
         with_ids: bool = False,
     ) -> Rendering:
-        """Draw one frame with all threads, as `render` draws static and moving Gaussians together.
+        """Render one frame with all threads; it equals `render` of static and moving Gaussians together.
 
         Args:
-            moving: Gaussians in the world frame, or in the frames of `parts`.
-            parts: Poses of the parts; view-dependent colors rotate with them.
-            shade: Factor (H, W) on the sRGB colors of what never moves, for shadows.
-            with_ids: Also give median depth and the most contributing Gaussian; indices of
-                moving Gaussians follow those of static ones.
+            moving: Moving Gaussians in the world frame, or in the frames of `parts`.
+            parts: Parts of the moving Gaussians; view-dependent colors rotate with them.
+            shade: Factor (H, W) on the sRGB colors of static Gaussians and background, for shadows.
+            with_ids: Also compute median depth and the Gaussian with the largest weight; indices of moving Gaussians follow
+                those of static ones.
 
         Raises:
             BackendError: The engine refuses the Gaussians.
+            ValueError: `shade` or `parts` has the wrong shape.
         """
         images = empty_images(self.camera, with_ids)
         self._draw_one(moving, parts, shade, {**images, "tiles": self._unknown_tiles(1)})
@@ -138,10 +140,18 @@ class RenderSession:
         shade: NDArray[np.float32] | None = None,
         into: RenderedFrame | None = None,
     ) -> RenderedFrame:
-        """Draw one 8-bit image with all threads; arguments as in `draw`.
+        """Render one 8-bit image with all threads.
 
-        `into` is an image of this session that is no longer needed. It is overwritten, and only
-        where something has changed: the fastest way to one frame after the other.
+        Args:
+            moving: See `draw`.
+            parts: See `draw`.
+            shade: See `draw`.
+            into: Image of this session to overwrite. Only changed tiles are written, which is faster than rendering to a
+                new image.
+
+        Raises:
+            BackendError: The engine refuses the Gaussians.
+            ValueError: An array has the wrong shape or type.
         """
         shape = (self.camera.height, self.camera.width, 3)
         if into is None:
@@ -160,7 +170,13 @@ class RenderSession:
         motion: Motion,
         shades: NDArray[np.float32] | None = None,
     ) -> NDArray[np.uint8]:
-        """Frames (T, H, W, 3) uint8 of moving Gaussians, each drawn by one thread; see `draw_outputs`."""
+        """Render frames (T, H, W, 3) uint8, sRGB, each by one thread; see `draw_outputs`.
+
+        Args:
+            moving: N Gaussians in the frames of their parts.
+            motion: Poses of the parts in each frame.
+            shades: Factors (T, H, W), see `shade` of `draw`.
+        """
         (images,) = draw_outputs([self], moving, motion, ("rgb8",), [shades], self.threads)
         return images["rgb8"]
 
@@ -194,7 +210,7 @@ class RenderSession:
     def _frames(
         self, motion: Motion, shades: ArrayLike | None, outputs: Sequence[str]
     ) -> tuple[dict[str, NDArray], list[native.Frame], dict[str, NDArray]]:
-        """Images to be drawn, what the engine draws them by, and arrays that must stay alive meanwhile."""
+        """Allocate images; return them, the engine's frames that refer to them, and all arrays that must stay alive."""
         shape = (len(motion), self.camera.height, self.camera.width)
         images = {name: np.empty(shape + _CHANNELS.get(name, ()), _TYPES[name]) for name in outputs}
         Ts = self.camera.T_cam_world @ motion.Ts_world_part
@@ -225,15 +241,22 @@ def draw_outputs(
     shades: Sequence[NDArray[np.float32] | None] | None = None,
     threads: int | None = None,
 ) -> list[dict[str, NDArray]]:
-    """Frames (T, H, W, ...) of each session by output, all of them spread over threads.
+    """Render frames of several sessions, distributed over threads.
 
     Args:
-        sessions: Cameras; their static Gaussians need not be the same.
+        sessions: Sessions; their static Gaussians may differ.
         moving: N Gaussians in the frames of their parts.
         motion: Poses of the parts in each frame.
-        outputs: Some of "rgb8", "alpha", "median_depth" and "max_id" (the last two only together).
-        shades: For each session factors (T, H, W) as in `RenderSession.draw`, or None.
-        threads: None for all processors of the process.
+        outputs: Some of "rgb8", "alpha", "median_depth" and "max_id"; the last two require each other.
+        shades: Factors (T, H, W) of each session, see `RenderSession.draw`, or None.
+        threads: Number of threads; None uses all processors available to the process.
+
+    Returns:
+        Arrays (T, H, W, ...) by output, for each session.
+
+    Raises:
+        BackendError: The engine refuses the Gaussians.
+        ValueError: `motion` does not match `moving`, or an array of `shades` has the wrong shape.
     """
     if len(motion.parts) != len(moving):
         raise ValueError(f"{len(motion.parts)} part indices for {len(moving)} Gaussians")

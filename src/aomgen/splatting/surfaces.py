@@ -1,4 +1,4 @@
-"""Depth of surfaces in views, and Gaussians in the free space before them."""
+"""Depth of the surfaces in views, and detection of Gaussians in the free space in front of them."""
 
 from dataclasses import dataclass
 
@@ -10,32 +10,33 @@ from aomgen.core.gaussians import Gaussians
 from aomgen.core.values import Array
 from aomgen.splatting.rasterizer import Rendering, render
 
-# Views are looked at in this width: a pixel is then as wide as depth is uncertain, roughly.
+# Width of depth maps, [px]; at this width, the accuracy of the depth corresponds to about one pixel.
 WIDTH_PX = 320
-# Parallax that stereo works with. Depth is uncertain by a pixel's width over it; what lies less
-# than that behind a drawn surface is on it.
+# Typical parallax between views, [deg]. The uncertainty of depth is the width of a pixel divided by its tangent; points
+# closer than this to a rendered surface are on it.
 PARALLAX_DEG = 8.0
-# Views that must look through a Gaussian, and how many times as many as have it on their surface.
+# A Gaussian is in free space if it is before the surface in at least MIN_BEFORE views, and in more than BEFORE_TO_ON times as
+# many views as it is on the surface.
 MIN_BEFORE, BEFORE_TO_ON = 2, 3
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ViewDepth:
-    """Depth of a view.
+    """Depth map of a view.
 
     Attributes:
-        camera: At the map's size, any frame.
-        depth: (H, W) float32, of the nearest surface; infinite where nothing stops the view, NaN
-            where nothing is known.
+        camera: Camera of the size of the depth map, in any frame.
+        depth: Depth of the nearest surface (H, W) float32; infinite where there is no surface, NaN where it is unknown.
     """
 
     camera: Camera
     depth: NDArray[np.float32]
 
     def behind(self, points: Array) -> Array:
-        """Distance of points (N, 3) behind the surface, in uncertainties of depth.
+        """Compute the depth of points (N, 3) behind the surface (N,), in units of the uncertainty of depth.
 
-        Negative before it, about -1..1 on it, NaN where the view does not look or know.
+        Values are below -1 before the surface and in -1..1 on it. They are NaN outside of the image and where the depth of the
+        surface is unknown.
         """
         pixels, depths = self.camera.project(points)
         with np.errstate(invalid="ignore"):
@@ -50,7 +51,7 @@ class ViewDepth:
 
 
 def view_depths(gaussians: Gaussians, cameras: list[Camera], width: int = WIDTH_PX) -> list[ViewDepth]:
-    """Depth of a scene's surfaces in each view, at most `width` pixels wide."""
+    """Render the depth maps of a scene, at most `width` pixels wide."""
     result = []
     for camera in cameras:
         small = camera.narrow(width)
@@ -60,23 +61,23 @@ def view_depths(gaussians: Gaussians, cameras: list[Camera], width: int = WIDTH_
 
 
 def compute_surface_points(gaussians: Gaussians, camera: Camera) -> Array:
-    """World points (H, W, 3) of the surface at each pixel, NaN where less than half of the light is stopped.
+    """Compute the point of the surface at each pixel (H, W, 3), world frame; NaN where the transmittance stays above one half.
 
-    The median depth: the mean one is no surface where a few Gaussians shine past an edge from far behind.
+    The points have the median depth. At edges, the mean depth lies between the foreground and the background.
     """
     return compute_rendered_points(render(gaussians, camera, with_ids=True), camera)
 
 
 def compute_rendered_points(drawn: Rendering, camera: Camera) -> Array:
-    """As `compute_surface_points`, for an image that was rendered with ids."""
+    """Compute `compute_surface_points` from a rendering of the camera with ids."""
     depth = np.asarray(drawn.median_depth, np.float64)
     return camera.center + camera.directions() * np.where(depth > 0, depth, np.nan)[..., None]
 
 
 def in_free_space(points: Array, views: list[ViewDepth]) -> NDArray[np.bool_]:
-    """Points (N, 3) that hang where views look through: before the surface in some, on it in hardly any.
+    """Return a mask (N,) of the points (N, 3) that are before the surface in several views and on it in few.
 
-    Not checked: what is thinner than a pixel in most views hangs before their surfaces as well.
+    Not checked: an object thinner than a pixel in most views is before their surfaces as well.
     """
     before, on = np.zeros(len(points), np.int64), np.zeros(len(points), np.int64)
     for view in views:

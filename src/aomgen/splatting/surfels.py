@@ -1,7 +1,6 @@
-"""Meshes as Gaussians: flat discs spread evenly over the surface.
+"""Conversion of meshes to Gaussians: flat discs (surfels) that are distributed evenly over the surface.
 
-Each disc keeps its normal, its albedo and its transfer (`core.light`), so that it can be lit
-again wherever it goes.
+A disc stores its normal, its albedo and its transfer (`core.light`), so that it can be relit in any pose.
 """
 
 from collections.abc import Sequence
@@ -22,39 +21,39 @@ from aomgen.core.values import Array, freeze_arrays
 from aomgen.errors import AssetError
 from aomgen.io.images import resize
 
-# Candidates drawn for each disc that is kept; more gives a more even spread.
+# Number of candidates for each disc; more candidates give a more even distribution.
 OVERSAMPLING: Final = 5
-# Density of a Poisson-disc set of radius r is about this over r^2.
+# The density of a Poisson-disc set of radius r is approximately DISC_DENSITY / r^2.
 DISC_DENSITY: Final = 0.7
-# Standard deviation of a disc over its radius: wide enough that neighbours close the surface.
+# Ratio of a disc's standard deviation and its radius, large enough that neighboring discs leave no gaps.
 SPREAD: Final = 0.87
-# Thickness of a disc over its radius.
+# Ratio of a disc's thickness and its radius.
 THICKNESS: Final = 0.05
-# The most that the engine blends for one Gaussian: a surface hides what is behind it.
+# Opacity of opaque discs, the largest alpha of one Gaussian in the engine.
 OPACITY: Final = 0.99
-# A surface this opaque keeps light from what is behind it; one less opaque than the second is not there.
+# A surface of more than HIDES opacity blocks light; candidates of at most UNSEEN opacity are removed.
 HIDES, UNSEEN = 0.5, 0.02
-# Discs are this much finer where the texture changes or an edge is near.
+# Factor on the radius of discs where the texture changes or a crease is near.
 FINER: Final = 0.5
-# Difference of sRGB between a fine and a coarse look at the texture that counts as detail.
+# Difference of sRGB values between fine and coarse samples of the texture above which a point has detail.
 DETAIL: Final = 0.04
-# Cosine between normals from which on two surfaces lie on each other.
+# Absolute cosine between normals above which two surfaces are parallel.
 PARALLEL: Final = 0.98
-# Two faces that turn by more than this meet in a crease.
+# Cosine of the angle between the normals of two faces above which their common edge is not a crease.
 CREASE_COSINE = float(np.cos(np.deg2rad(30.0)))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Surfels:
-    """Discs of one link.
+    """N discs of one link, in the frame of its meshes.
 
     Attributes:
-        gaussians: N discs colored with their albedo, as opaque as the meshes, in the frame of the meshes.
-        normals: Unit, outward.
-        bends: Tangential offsets of the normals by normal maps.
-        albedo_linear: 0..1.
-        transfer: See `core.light`.
-        roughness, metallic: Values of the meshes, 0..1.
+        gaussians: Gaussians with the albedo as color and the opacity of the meshes.
+        normals: Outward unit normals (N, 3).
+        bends: Tangential offsets (N, 3) of the normals by normal maps.
+        albedo_linear: Linear albedo (N, 3), 0..1.
+        transfer: Transfer (N, 9), see `core.light`.
+        roughness, metallic: Material parameters (N,), 0..1.
     """
 
     gaussians: Annotated[Gaussians, "N"]
@@ -69,13 +68,13 @@ class Surfels:
 
     @property
     def shading_normals(self) -> NDArray[np.float32]:
-        """Unit normals (N, 3) that light falls on."""
+        """Unit normals (N, 3) for shading, including normal maps."""
         return bend_normals(self.normals, self.bends)
 
 
 @dataclass(frozen=True, slots=True)
 class _Candidates:
-    """Points on the surface among which discs are chosen; N of each."""
+    """N points on the surface, from which the discs are chosen."""
 
     points: Array
     normals: Array
@@ -95,13 +94,14 @@ class _Candidates:
 def surfels_of(
     meshes: Sequence[Mesh], count: int, rng: np.random.Generator, oversampling: float = OVERSAMPLING
 ) -> Surfels:
-    """Cover the meshes of one rigid link with discs, each of which sees the whole sky: `count` within about a third.
+    """Cover the meshes of one rigid link with about `count` discs, up to a third more or less.
 
-    `oversampling` is the number of candidates for each disc. Not checked: normals are those of the triangles, outward
-    only where the meshes are wound so.
+    The transfer is that of unoccluded discs. `oversampling` is the number of candidates for each disc.
 
     Raises:
-        AssetError: The meshes have no surface.
+        AssetError: The meshes have no surface, or are completely transparent.
+
+    Not checked: the orientation of the triangles, which determines the direction of the normals.
     """
     areas = np.array([face_normals_areas(mesh.vertices, mesh.faces)[1].sum() for mesh in meshes])
     total = float(areas.sum())
@@ -119,13 +119,16 @@ def surfels_of(
     fine_area = float(np.dot(fine_shares, areas[areas > 0]))
     radius = guess * float(np.sqrt(1 + (FINER**-2 - 1) * fine_area / total))
     parts = _select_uncovered(parts, radius)
-    # A mesh is thinned alone: a sticker must not lose its discs to the wall it lies on.
+    # Meshes are thinned separately, so that the discs of a sticker are not replaced by those of the wall behind it.
     chosen = [_thin(part, radius, rng) for part in parts]
     return _discs(_join([part for part, _ in chosen]), np.concatenate([radii for _, radii in chosen]))
 
 
 def hiding_points(meshes: Sequence[Mesh], count: int, rng: np.random.Generator) -> Array:
-    """Some `count` points (M, 3) spread evenly over what light does not pass; over all of it where it passes everything."""
+    """Sample points (M, 3) uniformly on surfaces that block light, or on all surfaces if none blocks it.
+
+    `count` is the number of points on all surfaces, before transparent ones are removed.
+    """
     areas = np.array([face_normals_areas(mesh.vertices, mesh.faces)[1].sum() for mesh in meshes])
     hiding, passing = [], []
     for mesh, share in zip(meshes, areas / areas.sum(), strict=True):
@@ -141,7 +144,7 @@ def hiding_points(meshes: Sequence[Mesh], count: int, rng: np.random.Generator) 
 
 
 def _candidates(mesh: Mesh, count: int, radius: float, rng: np.random.Generator) -> _Candidates:
-    # Twice as many where every second one may fall into a finer class.
+    # Twice as many points are sampled, because the finer discs need more candidates.
     points, face_ids, weights = sample_surface(mesh.vertices, mesh.faces, 2 * count, rng)
     distances, directions = crease_distances(mesh.vertices, mesh.faces, face_ids, points)
     places = mesh, face_ids, weights
@@ -171,21 +174,21 @@ def _candidates(mesh: Mesh, count: int, radius: float, rng: np.random.Generator)
 
 
 def _bends(mesh: Mesh, face_ids: NDArray[np.int64], weights: Array, footprint: float) -> Array:
-    """Offsets (N, 3) of a normal map to the normals, in the plane of the face; shorter than 1."""
+    """Compute tangential offsets (N, 3) of the normals by the normal map, of length at most 1; zero without a map."""
     if NORMAL_MAP not in mesh.maps:
         return np.zeros((len(face_ids), 3))
     local = 2 * _sample(mesh, face_ids, weights, footprint, mesh.maps[NORMAL_MAP], [0.5, 0.5, 1.0]) - 1
     local /= np.maximum(np.linalg.norm(local, axis=1, keepdims=True), 1e-6)
     edges = np.diff(mesh.vertices[mesh.faces[face_ids]], axis=1)
     steps = np.diff(mesh.uvs[face_ids], axis=1)
-    # Columns are the directions in space of the texture's u and v.
+    # The columns are the spatial directions of the texture coordinates u and v.
     along = np.einsum("nkd,nkc->ndc", edges, np.linalg.pinv(steps).transpose(0, 2, 1))
     along /= np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-12)
     return np.einsum("ndc,nc->nd", along, local[:, :2])
 
 
 def bend_normals(normals: NDArray[np.floating], bends: NDArray[np.floating]) -> NDArray[np.floating]:
-    """Unit normals (N, 3) with what a normal map adds to them."""
+    """Compute the unit normals (N, 3) that result from `normals` (N, 3) and tangential offsets `bends` (N, 3)."""
     bent = normals * np.sqrt(1 - np.minimum((bends**2).sum(-1, keepdims=True), 1)) + bends
     return bent / np.linalg.norm(bent, axis=-1, keepdims=True)
 
@@ -198,7 +201,7 @@ def _sample(
     image: NDArray[np.uint8] | None,
     else_value: ArrayLike,
 ) -> Array:
-    """Values (N, C), 0..1, of an image at points on faces, averaged over about `footprint` [m]; else one value."""
+    """Sample an image at points on faces (N, C), 0..1, averaged over about `footprint` [m]; without image, repeat a value."""
     value = np.asarray(else_value)
     if image is None or not image.size or not len(mesh.uvs):
         return np.broadcast_to(value, (len(face_ids), len(value)))
@@ -214,7 +217,7 @@ def _sample(
 
 
 def _bilinear(texture: Array, uv: Array) -> Array:
-    """Texture values (N, C) at uv (N, 2), v up; it repeats outside 0..1."""
+    """Interpolate texture values (N, C) at uv (N, 2), v up; the texture repeats outside 0..1."""
     height, width = texture.shape[:2]
     inside = np.where((uv < 0) | (uv > 1), uv - np.floor(uv), uv)
     places = np.stack([(1 - inside[:, 1]) * height - 0.5, inside[:, 0] * width - 0.5])
@@ -225,9 +228,9 @@ def _bilinear(texture: Array, uv: Array) -> Array:
 
 
 def _select_uncovered(parts: list[_Candidates], radius: float) -> list[_Candidates]:
-    """Candidates without those that another mesh covers closely, like a wall under a sticker.
+    """Remove candidates that a parallel surface of another mesh covers closely, for example a wall behind a sticker.
 
-    Discs that almost coincide would be blended in an order that changes with the view.
+    Nearly coincident discs would be blended in an order that depends on the view.
     """
     owners = np.repeat(np.arange(len(parts)), [len(part.points) for part in parts])
     joined = _join(parts)
@@ -244,12 +247,12 @@ def _select_uncovered(parts: list[_Candidates], radius: float) -> list[_Candidat
 
 
 def _thin(part: _Candidates, radius: float, rng: np.random.Generator) -> tuple[_Candidates, Array]:
-    """Candidates no two of which are nearer than their radius, and the radii."""
+    """Select candidates whose distance is at least their radius; return them and the radii, [m]."""
     kept = []
     for fine, reach in ((True, radius * FINER), (False, radius)):
         members = np.flatnonzero(part.fine == fine)
         if len(members):
-            # Both sides of a thin sheet are kept: the normal is part of the place.
+            # The normal is part of the position, so that both sides of a thin sheet are kept.
             places = np.column_stack([part.points[members], part.normals[members] * reach])
             kept.append(members[_poisson_discs(places, reach, rng)])
     selected = part.select(np.concatenate(kept))
@@ -257,7 +260,7 @@ def _thin(part: _Candidates, radius: float, rng: np.random.Generator) -> tuple[_
 
 
 def _poisson_discs(places: Array, reach: float, rng: np.random.Generator) -> NDArray[np.int64]:
-    """Indices of a largest set with pairwise distance >= reach, chosen in random order."""
+    """Return the indices of a maximal set of points with pairwise distance > reach, chosen in random order."""
     pairs = cKDTree(places).query_pairs(reach, output_type="ndarray")
     rank = rng.permutation(len(places))
     first, second = np.where((rank[pairs[:, 0]] < rank[pairs[:, 1]])[:, None], pairs, pairs[:, ::-1]).T
@@ -282,10 +285,10 @@ def _join(parts: list[_Candidates]) -> _Candidates:
 
 
 def _discs(kept: _Candidates, radii: Array) -> Surfels:
-    """Gaussians with axes along the crease, across it, and along the normal."""
+    """Build Gaussians with axes along the nearest crease, across it, and along the normal."""
     across = kept.crease_directions
     R = np.stack([np.cross(across, kept.normals), across, kept.normals], -1)
-    # Near a crease a disc is only as wide as the room it has, so that outlines stay sharp.
+    # Near a crease, the width of a disc is limited to the distance from it, so that outlines are sharp.
     room = np.clip(kept.crease_distances, 0.35 * radii, SPREAD * radii)
     scales = np.stack([SPREAD * radii, room, THICKNESS * radii], 1)
     gaussians = gaussians_of(
@@ -307,9 +310,9 @@ def _discs(kept: _Candidates, radii: Array) -> Surfels:
 
 
 def crease_edges(vertices: Array, faces: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """Mask (F, 3) of the edges that are creases or borders; edge k joins corners k and k + 1.
+    """Return a mask (F, 3) of the edges that are creases or borders; edge k joins the corners k and k + 1.
 
-    Vertices at the same place count as one, because exporters split them at seams.
+    Vertices at the same position count as one, because exporters duplicate them at seams.
     """
     size = max(float(np.ptp(vertices, axis=0).max()), 1e-9)
     _, merged = np.unique(np.round(vertices / (size * 1e-6)).astype(np.int64), axis=0, return_inverse=True)
@@ -319,7 +322,7 @@ def crease_edges(vertices: Array, faces: NDArray[np.int64]) -> NDArray[np.bool_]
     edge_ids = edge_ids.reshape(-1)
     normals, _ = face_normals_areas(vertices, faces)
     owners = np.repeat(np.arange(len(faces)), 3)
-    # The length of the sum of the unit normals at an edge gives the angle between two of them.
+    # The length of the sum of two unit normals at an edge is a function of the angle between them.
     total = np.zeros((len(counts), 3))
     np.add.at(total, edge_ids, normals[owners])
     flat = (counts == 2) & (np.linalg.norm(total, axis=1) > np.sqrt(2 + 2 * CREASE_COSINE))
@@ -329,9 +332,9 @@ def crease_edges(vertices: Array, faces: NDArray[np.int64]) -> NDArray[np.bool_]
 def crease_distances(
     vertices: Array, faces: NDArray[np.int64], face_ids: NDArray[np.int64], points: Array
 ) -> tuple[Array, Array]:
-    """Distance (N,) of points on faces to the nearest crease of their own face, and its direction.
+    """Compute distances (N,), [m], of points (N, 3) on faces from the nearest crease of their face, and directions (N, 3).
 
-    Distances are infinite without a crease; unit directions (N, 3) lie in the surface, across the crease.
+    Distances are infinite if the face has no crease. Directions are unit vectors in the face, perpendicular to the crease.
     """
     creased = crease_edges(vertices, faces)[face_ids]
     normals, _ = face_normals_areas(vertices, faces)

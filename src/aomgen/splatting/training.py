@@ -1,4 +1,4 @@
-"""Gaussians fitted to posed images: one loop, counted in iterations."""
+"""Training of Gaussians from posed images."""
 
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -39,41 +39,42 @@ from aomgen.splatting.training_views import (
     reduce_image,
 )
 
-# Shares of the iterations at which degrees 1, 2, 3 are switched on: constant colors settle first.
+# Shares of the iterations at which SH degrees 1, 2 and 3 are switched on; later starts let lower degrees converge first.
 SH_STARTS = (0.0, 0.2, 0.4)
-# Weight of the mean opacity in the loss: Gaussians that no image needs fade and are relocated.
+# Weight of the mean opacity in the loss; it makes Gaussians that no image needs fade, so that they are relocated.
 OPACITY_WEIGHT = 0.002
-# Final factor on the means' learning rate: they converge, as in 3DGS.
+# Final factor on the learning rate of the means, which lets them converge, as in 3DGS.
 MEANS_DECAY = 0.02
 # Final factor on all other learning rates.
 DECAY = 0.3
-# Shares of the iterations between which Gaussians are relocated and added: not before there is something to
-# see, and with time left to settle.
+# Shares of the iterations between which Gaussians are relocated and added. Earlier, the errors of the images do not yet
+# indicate missing detail; later, new Gaussians would not converge.
 GROW_WINDOW = (0.1, 0.75)
-# Shares from which on, at the next relocation, Gaussians in free space are dropped once.
+# Shares of the iterations; at the next relocation after each of them, Gaussians in free space are removed.
 CLEAR_AT = (0.45, 0.65)
-# Images of which the error is looked at for a relocation: as many as take a tenth of its time.
+# Number of images whose errors a relocation evaluates.
 ERROR_VIEWS = 8
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TrainingParams:
-    """Length, learning rates and growth of a training. Lengths are shares of the scene's extent.
+    """Parameters of a training.
 
     Attributes:
-        iterations: Images rendered and fitted to, in total.
-        sh_degree: Highest degree of the result, 0..3.
-        downsampling: (share of the iterations, factor): from that share on, images are reduced
-            by the factor.
-        max_gaussians: Never more than these.
+        iterations: Number of iterations; each renders one image.
+        sh_degree: SH degree of the result, 0..3.
+        downsampling: Pairs (share of the iterations, factor): from this share on, the sides of images are divided by
+            the factor.
+        max_gaussians: Limit of the number of Gaussians.
         grow_every: Iterations between relocations.
-        min_opacity: Fainter Gaussians are relocated.
-        background: sRGB behind everything; None draws a random color every iteration.
-        rates: Learning rates at the start, see `RATES`; means and poses fall by `MEANS_DECAY` until the
-            end, the others by `DECAY`.
-        exposure: Fit a gain for every color of every image (the product is kept at 1).
-        refine_poses: Correct the poses of the training cameras, see `PoseIncrements`.
-        refine_from: Share of the iterations before which poses stay: a scene that is not there yet pulls at them.
+        min_opacity: Gaussians of lower opacity are relocated, and removed from the result.
+        background: sRGB color 0..1 behind the Gaussians; None samples a random color in each iteration.
+        rates: Initial learning rates, see `RATES`. Those of means and poses decrease by the factor `MEANS_DECAY` until the
+            end, those of Gaussians' other parameters by `DECAY`.
+        exposure: Fit a gain for each color channel of each image, with a geometric mean of 1 over the images.
+        refine_poses: Correct the poses of the training cameras; see `PoseIncrements`.
+        refine_from: Share of the iterations before which poses are not corrected, because the errors of an incomplete scene
+            would change them.
     """
 
     iterations: int = 1800
@@ -100,25 +101,27 @@ def train(
     checkpoint: Checkpoint | None = None,
     device: str = "cpu",
 ) -> Gaussians:
-    """Fit Gaussians to images; the same inputs and generator give the same result on one machine.
+    """Fit Gaussians to images; on a CPU, equal inputs and generator states give equal results on one machine.
 
     Args:
-        initial: Initial Gaussians, in the frame of the cameras; its SH degree is raised to the
-            result's.
-        cameras: One for every image, at the image's size.
-        images: (H, W, 3) uint8 sRGB.
-        params: Length, rates, growth.
+        initial: Initial Gaussians, in the frame of the cameras; their SH degree is changed to `params.sh_degree`.
+        cameras: Camera of each image, at the size of the image.
+        images: Images (H, W, 3) uint8, sRGB.
+        params: Parameters of the training.
         progress: Called after every tenth iteration.
-        rng: Order of the images, background colors and choice of Gaussians to split.
-        checkpoint: File of the state. If it exists, the training continues from
-            it, to the same result bit by bit; it is left behind when the training is done.
-        device: "cpu", or "cuda" for gsplat, whose results repeat but for rounding.
+        rng: Random generator for the order of the images, background colors and the choice of Gaussians to split.
+        checkpoint: File for the state of the training. If it exists, the training continues from it with a bitwise equal
+            result. The file remains after the training.
+        device: "cpu", or "cuda" for gsplat, whose results are reproducible up to rounding.
+
+    Returns:
+        Trained Gaussians, in the frame of the cameras.
 
     Raises:
         BackendError: The splatting engine is missing or refuses the scene.
-        CorruptArtifactError: The checkpoint is damaged or belongs to another training.
-        StorageError: The disk refuses the checkpoint.
-        ValueError: No images, or images that do not fit their cameras.
+        LimitExceededError, CorruptArtifactError: The checkpoint is too large, damaged or belongs to another training.
+        StorageError: The checkpoint cannot be written.
+        ValueError: There are no Gaussians or images, or images do not match their cameras.
     """
     _check(initial, cameras, images)
     digest = training_digest(initial, cameras, images, params, rng) if checkpoint else ""
@@ -141,7 +144,7 @@ def train(
 def start_training(
     initial: Gaussians, cameras: list[Camera], params: TrainingParams, rng: np.random.Generator
 ) -> TrainingState:
-    """The state before the first iteration."""
+    """Create the state before the first iteration; see `train` for the arguments."""
     extent = scene_extent(initial, cameras)
     middle = np.median(initial.means, axis=0)
     reach = np.maximum(np.linalg.norm(initial.means - middle, axis=1) / extent, 1.0)
@@ -162,10 +165,17 @@ def learning(
     extent: float,
     compute: Compute | None = None,
 ) -> Iterator[float]:
-    """Advance a state, iteration by iteration, until the last; gives the loss of each.
+    """Run the remaining iterations of a training and yield the loss of each.
 
-    Between two iterations the state is whole: it may be looked at and saved. Steps are measured in `extent`,
-    `scene_extent` of the start; the state's Gaussians are on the device of `compute`, by default the engine's.
+    Whenever a loss is yielded, the state is consistent, so that the caller may read and save it.
+
+    Args:
+        state: State of the training, changed in place; its Gaussians are on the device of `compute`.
+        cameras: Camera of each image.
+        images: Images (H, W, 3) uint8, sRGB.
+        params: Parameters of the training.
+        extent: Unit of the steps of the means: `scene_extent` of the initial Gaussians.
+        compute: Computations of the training; None uses the engine on the CPU.
     """
     compute, context = compute or NativeCompute(), native.Context(threads=1)
     views: list[TrainingView] = []
@@ -190,14 +200,14 @@ def learning(
 
 
 def finish_training(state: TrainingState, params: TrainingParams) -> Gaussians:
-    """The Gaussians of a state without those that are hardly there."""
+    """Return the Gaussians of a state, without those that are not finite or fainter than `params.min_opacity`."""
     trained = gaussians_of(state.parameters)
     return trained.select(np.isfinite(trained.means).all(1) & (trained.opacities >= params.min_opacity))
 
 
 @contextmanager
 def one_torch_thread() -> Iterator[None]:
-    """The engine has its own threads; torch's would wait for each other by spinning on its cores."""
+    """Limit torch to one thread, because its idle threads would busy-wait on the cores of the engine's threads."""
     threads = torch.get_num_threads()
     torch.set_num_threads(1)
     try:
@@ -207,7 +217,7 @@ def one_torch_thread() -> Iterator[None]:
 
 
 def scene_extent(gaussians: Gaussians, cameras: list[Camera]) -> float:
-    """Length that steps are measured in: median distance from a camera to the middle of the Gaussians."""
+    """Compute the unit of the steps of the means: the median distance from the cameras to the median of the Gaussians."""
     middle = np.median(gaussians.means, axis=0)
     return float(np.median([np.linalg.norm(camera.center - middle) for camera in cameras]))
 
@@ -220,7 +230,7 @@ def _learn(
     extent: float,
     computes: tuple[Compute, native.Context],
 ) -> float:
-    """One iteration; returns the loss. The few numbers of an image are fitted on the processor."""
+    """Perform one iteration and return its loss; the parameters of the images are optimized on the CPU."""
     compute, context = computes
     parameters, exposure = state.parameters, state.exposure
     share = state.iteration / params.iterations
@@ -250,7 +260,7 @@ def _learn(
 
 
 def _grow(state: TrainingState, views: list[TrainingView], params: TrainingParams) -> Parameters:
-    """Relocate faint Gaussians and approach the maximum number towards the end of the window."""
+    """Relocate faint Gaussians, and add some so that their number reaches the limit at the end of `GROW_WINDOW`."""
     parameters, exposure = state.parameters, state.exposure
     share = state.iteration / params.iterations
     chosen = choose_error_views(len(views), ERROR_VIEWS, state.iteration // params.grow_every)
@@ -273,7 +283,7 @@ def _grow(state: TrainingState, views: list[TrainingView], params: TrainingParam
 
 
 def choose_error_views(views: int, count: int, turn: int) -> NDArray[np.int64]:
-    """Views spread evenly over the scan; the next turn takes their neighbours, until all had one."""
+    """Choose `count` of the indices of `views` views, evenly distributed; each increment of `turn` shifts them by one."""
     count = min(count, views)
     return np.unique((np.arange(count) * views // count + turn) % views)
 

@@ -1,4 +1,4 @@
-"""Training images: the size they are fitted at, and what is fitted of each: exposure and camera pose."""
+"""Images of a training at reduced size, and the parameters that are optimized for each: exposure and camera pose."""
 
 from dataclasses import dataclass, fields, replace
 
@@ -12,35 +12,35 @@ from aomgen.core.values import Array
 from aomgen.splatting import native
 from aomgen.splatting.compute import native_adam_step
 
-# A color value from which on a photograph only says "at least this bright".
+# Color values of at least this count as saturated: the scene may be brighter than the photo shows.
 SATURATED = 250 / 255
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TrainingView:
-    """One image at the size it is fitted at: camera and planar (3, H, W) uint8."""
+    """A training image at the current resolution: camera, and planar image (3, H, W) uint8."""
 
     camera: Camera
     image: Tensor
 
     def move(self, device: str) -> "TrainingView":
-        """The same view with its pixels on a device."""
+        """Copy the view to a device."""
         return TrainingView(camera=self.camera, image=self.image.to(device))
 
     def target(self) -> Tensor:
-        """(3, H, W) float32, sRGB 0..1."""
+        """Convert the image to float32 (3, H, W), sRGB 0..1."""
         return self.image.float().div_(255)
 
 
 @dataclass(slots=True, kw_only=True)
 class ImageParameters:
-    """C numbers of every image that are fitted with the Gaussians, and their optimizer state.
+    """C parameters of each of M images that are optimized together with the Gaussians, and their optimizer state.
 
     Attributes:
-        enabled: False leaves them as they are.
-        values: (M, C) float32.
-        averages, squares: Moments of their gradients (M, C).
-        steps: (M,) int64 optimizer steps.
+        enabled: Whether the parameters are optimized.
+        values: Parameters (M, C) float32.
+        averages, squares: First and second moments of their gradients (M, C).
+        steps: Number of optimizer steps of each image (M,) int64.
     """
 
     enabled: bool
@@ -50,15 +50,15 @@ class ImageParameters:
     steps: Tensor
 
     def tensors(self) -> dict[str, Tensor]:
-        """Tensors to store, by name."""
+        """Return the tensors that a checkpoint stores, by name."""
         return {field.name: getattr(self, field.name) for field in fields(self) if field.name != "enabled"}
 
     def leaf(self, index: int) -> Tensor | None:
-        """The numbers (C,) of an image, to collect a gradient; None when they are not fitted."""
+        """Return the parameters (C,) of an image as a leaf that collects a gradient; None if they are not optimized."""
         return self.values[index].clone().requires_grad_() if self.enabled else None
 
     def adam_step(self, index: int, gradient: Tensor, rate: float, context: native.Context) -> None:
-        """One step of one image's numbers."""
+        """Perform a step of Adam on the parameters of one image, with a gradient (C,) and a learning rate."""
         self.steps[index] += 1
         row = slice(index, index + 1)
         moments, rates = (self.averages[row], self.squares[row]), torch.full(gradient.shape, rate)
@@ -72,56 +72,57 @@ def _zeros(count: int, columns: int) -> dict[str, Tensor]:
 
 @dataclass(slots=True, kw_only=True)
 class Exposure(ImageParameters):
-    """Logarithms of the gains of every image's colors, C = 3."""
+    """Logarithms of the color gains of each image, C = 3."""
 
     @staticmethod
     def neutral(count: int, enabled: bool) -> "Exposure":
-        """Gains of one."""
+        """Create the parameters of `count` images, with gains of one."""
         return Exposure(enabled=enabled, **_zeros(count, 3))
 
     def step(self, index: int, gradient: Tensor, rate: float, context: native.Context) -> None:
-        """Adam on one image's gains; afterwards the mean over the images is zero again."""
+        """Perform a step of Adam on the gains of one image, then subtract the mean over all images from their logarithms."""
         self.adam_step(index, gradient, rate, context)
         self.values -= self.values.mean(0)
 
 
 def clip_to_sensor(rendered: Tensor, target: Tensor, gains: Tensor | None) -> Tensor:
-    """The rendering (3, H, W), but no brighter than a saturated photograph could show.
+    """Limit a rendering (3, H, W) to the target (3, H, W) where the target is saturated.
 
-    A scene that a sensor clips is brighter than its image. Without this, gains would be fitted
-    to clipped values, and clipped values to gains. Where the target is saturated, what the gains
-    (3,) lift above it equals it and has no gradient; elsewhere nothing changes.
+    A scene that saturates the sensor is brighter than its photo. At saturated values of the target, a rendering that exceeds
+    the target after multiplication with the gains (3,) is set to the target divided by the gains. It then has no error and no
+    gradient, so that gains and colors are not fitted to clipped values. Other values do not change.
     """
     shown = target if gains is None else target / gains[:, None, None]
     return torch.where(target >= SATURATED, torch.minimum(rendered, shown), rendered)
 
 
 def reduce_image(camera: Camera, image: NDArray[np.uint8], factor: int) -> TrainingView:
-    """A view whose pixels are means of factor x factor pixels; what does not fill a pixel is cut."""
+    """Reduce an image (H, W, 3) uint8 and its camera by averaging blocks of factor x factor pixels.
+
+    Incomplete blocks at the right and bottom are removed. The factor is limited so that each side keeps at least 16 pixels.
+    """
     planar = torch.tensor(np.ascontiguousarray(image.transpose(2, 0, 1)))
     factor = max(1, min(factor, image.shape[0] // 16, image.shape[1] // 16))
     if factor == 1:
         return TrainingView(camera=camera, image=planar)
     pooled = torch.nn.functional.avg_pool2d(planar.float(), factor).round_().to(torch.uint8)
     height, width = pooled.shape[1:]
-    # Cropping at the border shifts nothing, so `Camera.resize` would be wrong.
+    # The removed border does not change the scale, whereas `Camera.resize` would scale by the ratio of the sizes.
     optics = {name: getattr(camera, name) / factor for name in ("fx", "fy", "cx", "cy")}
     return TrainingView(camera=replace(camera, width=width, height=height, **optics), image=pooled)
 
 
 @dataclass(slots=True, kw_only=True)
 class PoseIncrements(ImageParameters):
-    """A rigid motion (twist) before every camera: T_cam_world = T_given exp(twist), with optimizer state.
+    """Corrections of the camera poses by twists, T_cam_world = T_given exp(twist), with optimizer state.
 
-    Twists are taken about the middle of the scene and translations measured in its extent, so
-    that all six numbers move an image about as far.
-
-    C = 6: rotation [rad], translation [extents], world axes.
+    A twist has C = 6 numbers: rotation, [rad], about the center of the scene, and translation in units of the scene's extent,
+    both along world axes. In these units all six numbers shift an image by similar amounts.
 
     Attributes:
-        gauge: (6 M, 7) float32, orthonormal: motions of all cameras at once that change no image,
-            because the scene could move along (rotation, translation, scale).
-        to_middle: (4, 4) float32, from the world to middle and extent.
+        gauge: Orthonormal basis (6 M, 7) float32 of the gauge motions: joint motions of all cameras that a rotation,
+            translation or scaling of the scene compensates, so that no image changes.
+        to_middle: Transformation (4, 4) float32 from the world frame to a frame at the center, in units of the extent.
     """
 
     gauge: Tensor
@@ -129,7 +130,7 @@ class PoseIncrements(ImageParameters):
 
     @staticmethod
     def neutral(cameras: list[Camera], middle: Array, extent: float, enabled: bool) -> "PoseIncrements":
-        """No corrections yet, for a scene with this middle (3,) and extent."""
+        """Create zero corrections for a scene with a center `middle` (3,) and an extent."""
         to_middle = np.eye(4)
         to_middle[:3] = np.column_stack([np.eye(3), -middle]) / extent
         centers = (np.array([camera.center for camera in cameras]) - middle) / extent
@@ -141,7 +142,7 @@ class PoseIncrements(ImageParameters):
         )
 
     def T_cam_world(self, camera: Camera, twist: Tensor) -> Tensor:
-        """The camera's pose (4, 4) after a twist (6,), differentiable by it."""
+        """Compute the pose (4, 4) of a camera after a twist (6,); differentiable with respect to the twist."""
         T_given = torch.tensor(camera.T_cam_world, dtype=torch.float32)
         x, y, z = twist[:3].unbind()
         zero = torch.zeros(())
@@ -155,27 +156,27 @@ class PoseIncrements(ImageParameters):
         return T_given @ torch.linalg.solve(self.to_middle, motion @ self.to_middle)
 
     def correct(self, index: int, camera: Camera) -> Camera:
-        """The camera of an image (at any resolution) with its correction."""
+        """Apply the correction of an image to its camera, which may have any resolution."""
         if not self.enabled:
             return camera
         T_cam_world = self.T_cam_world(camera, self.values[index]).double().numpy()
         return camera.move(np.linalg.inv(T_cam_world))
 
     def step(self, index: int, gradient: Tensor, rate: float, context: native.Context) -> None:
-        """Adam on one image's twist; afterwards all twists together hold no gauge motion."""
+        """Perform a step of Adam on the twist of one image, then remove gauge motions from all twists."""
         self.adam_step(index, gradient, rate, context)
         flat = self.values.view(-1)
         flat -= self.gauge @ (self.gauge.T @ flat)
 
 
 def gauge_motions(centers: Array) -> Array:
-    """Orthonormal (6 M, 7): twists of M cameras that a similarity of the whole scene explains.
+    """Compute an orthonormal basis (6 M, 7) of the twists of M cameras that equal a similarity of the whole scene.
 
-    Centers (M, 3) are relative to the point that twists are taken about.
+    `centers` (M, 3) are the camera centers relative to the center of the twists.
     """
     count = len(centers)
     motions = np.zeros((count, 6, 7))
     motions[:, :, :6] = np.eye(6)
-    # A camera at c goes to c - rotation x c - translation: growing about the middle is c itself.
+    # A twist moves a camera center c by -(rotation x c) - translation, so translations c scale about the center.
     motions[:, 3:, 6] = centers
     return np.linalg.qr(motions.reshape(6 * count, 7))[0]
