@@ -1,8 +1,7 @@
-"""Prepare a robot for simulation: position servos, pads on its fingers, and no false contacts.
+"""Preparation of a robot for simulation: position servos, finger pads, and exclusion of false contacts.
 
-Files come with torque motors, with soft demonstration gains or, as every URDF, without any
-actuator. Whether a plan works must not depend on that, so all of them get the same servos, as stiff
-and as fast as an arm's own controller.
+Model files have torque motors, weak gains or, like all URDFs, no actuators. The result of a replay must not depend on these,
+so every robot gets the same kind of servos, with the stiffness and bandwidth of the controllers of real arms.
 """
 
 from collections.abc import Mapping, Sequence
@@ -20,21 +19,27 @@ from aomgen.io.mujoco_model import compile_model
 from aomgen.robots.description import ActuatorSection, GripperSection, PadSection
 from aomgen.robots.reading import ArmChain
 
-# An arm gives way by 1 cm under 50 N at its end effector, in each joint; the UR5e's model does too, [N/m].
-# Joints whose axes pass near the end effector hold like a lever of the second number, [m].
+# Stiffness of a revolute joint, measured at the end effector, [N/m]: 50 N move it by 1 cm, as in the model of the UR5e.
+# Joints whose axes pass near the end effector get the stiffness that corresponds to the lever LEAST_LEVER_M, [m].
 END_STIFFNESS, LEAST_LEVER_M = 5000.0, 0.3
-# Stiffness of a joint that slides, [N/m]: 1 kg of load moves it by half a millimetre.
+# Stiffness of a prismatic joint, [N/m]: a load of 1 kg moves it by half a millimeter.
 SLIDE_STIFFNESS: Final = 20_000.0
-# Rotors and gears keep each servo slower than this, well below the simulation's step rate, [rad/s].
+# Largest natural frequency of a servo, [rad/s], far below the rate of the simulation's steps; armature is added to limit it.
 MAX_RATE: Final = 100.0
-# Pads press like those of common parallel grippers (20 to 140 N), [N], reached when a share of the stroke is missing.
+# Grip force of the pads, [N]; common parallel grippers have 20 to 140 N. The servo reaches it at a position error of the share
+# GRIP_GIVE of the stroke.
 GRIP_FORCE_N, GRIP_GIVE = 50.0, 0.05
-# Random arm configurations from which levers, inertias and overlaps are read.
+# Number of random arm configurations from which levers, inertias and overlaps are determined.
 SAMPLES: Final = 40
 
 
 def sort_shapes(spec: mujoco.MjSpec, model: mujoco.MjModel) -> None:
-    """Assign the shapes of a robot to the visual and the collision group, and state masses apart from shapes."""
+    """Assign the geoms of a robot to the visual or the collision group, and set explicit inertias of its bodies.
+
+    Args:
+        spec: Description of the robot, changed in place.
+        model: Compiled model of `spec`.
+    """
     for number, seen in enumerate(find_visible_geoms(model)):
         spec.geom(model.geom(number).name).group = VISUAL_GROUP if seen else COLLIDER_GROUP
     _fix_inertias(spec, model)
@@ -48,9 +53,21 @@ def add_actuation(
     pad_way_m: float,
     path: Path,
 ) -> ActuatorSection | None:
-    """Add pad boxes, servos and contact exclusions to descriptions of one robot, the last of which compiles fastest.
+    """Add pad boxes, servos and contact exclusions to a robot.
 
-    The pads approach each other by `pad_way_m` from open to closed. Returns the actuator of the gripper.
+    Args:
+        specs: Descriptions of the same robot, changed in place; the last one, which is compiled, should be the smallest.
+        chain: Joints and bodies of the arm and the gripper.
+        ee_site: Name of the end effector site.
+        gripper: Description of the gripper, or None.
+        pad_way_m: Distance by which the pads approach each other from open to closed.
+        path: File of the robot, for messages.
+
+    Returns:
+        Actuator of the gripper; None without a gripper.
+
+    Raises:
+        MalformedFileError: MuJoCo cannot compile the robot.
     """
     if gripper is not None:
         model = compile_model(specs[-1], path)
@@ -72,7 +89,7 @@ def add_actuation(
 
 
 def drop_visual(spec: mujoco.MjSpec) -> None:
-    """Remove visual geoms and their meshes; this takes fifty times as long once a description has been compiled."""
+    """Remove visual geoms and their meshes from a description; this is fifty times slower after it has been compiled."""
     for geom in list(spec.geoms):
         if geom.contype == 0 and geom.conaffinity == 0 and geom.group == VISUAL_GROUP:
             spec.delete(geom)
@@ -83,7 +100,7 @@ def drop_visual(spec: mujoco.MjSpec) -> None:
 
 
 def _fix_inertias(spec: mujoco.MjSpec, model: mujoco.MjModel) -> None:
-    """Write every body's mass down, so that shapes may come and go."""
+    """Set explicit masses and inertias of all bodies, so that they do not depend on the geoms."""
     for number in range(1, model.nbody):
         body = spec.body(model.body(number).name)
         body.explicitinertial = True
@@ -98,7 +115,7 @@ def _add_pad(spec: mujoco.MjSpec, side: str, pad: PadSection) -> None:
         name=f"pad_{side}", type=mujoco.mjtGeom.mjGEOM_BOX, mass=0.0, group=COLLIDER_GROUP,
         pos=pad.center, quat=pad.quat_wxyz, size=pad.half_extents,
     )  # fmt: skip
-    # Rubber: it holds by friction, and gives way a little.
+    # These contact parameters represent rubber, which has high friction and is slightly compliant.
     geom.friction, geom.condim, geom.priority = [0.8, 0.01, 0.0005], 4, 1
     geom.solref, geom.solimp = [0.004, 1.0], [0.95, 0.99, 0.001, 0.5, 2.0]
 
@@ -106,7 +123,7 @@ def _add_pad(spec: mujoco.MjSpec, side: str, pad: PadSection) -> None:
 def _tie_drivers(
     spec: mujoco.MjSpec, model: mujoco.MjModel, strokes: Mapping[str, tuple[float, float]]
 ) -> None:
-    """Let the other driving joints follow the first."""
+    """Constrain the other driving joints to follow the first one linearly."""
     (first, (start, end)), *others = strokes.items()
     for name, (other_start, other_end) in others:
         ratio = (other_end - other_start) / (end - start)
@@ -125,7 +142,7 @@ def _tie_drivers(
 def _arm_servos(
     model: mujoco.MjModel, joints: tuple[str, ...], ee_site: str
 ) -> dict[str, tuple[float, float]]:
-    """Stiffness of the position servo of every arm joint, and the joint's largest inertia."""
+    """Compute the stiffness of the servo of each arm joint, [N m/rad] or [N/m], and the largest inertia of the joint."""
     levers, inertias = _levers_and_inertias(model, joints, model.site(ee_site).id)
     slides = [int(model.joint(name).type[0]) == mujoco.mjtJoint.mjJNT_SLIDE for name in joints]
     turning = END_STIFFNESS * np.maximum(levers, LEAST_LEVER_M) ** 2
@@ -134,9 +151,9 @@ def _arm_servos(
 
 
 def _add_arm_servos(spec: mujoco.MjSpec, servos: Mapping[str, tuple[float, float]]) -> None:
-    """Give every arm joint a critically damped position servo.
+    """Add a critically damped position servo to each arm joint.
 
-    Damping and friction of the file's arm joints are taken to be compensated by the drive.
+    Damping and friction of the joints in the file are removed, as drives of real arms compensate them.
     """
     for name, (kp, inertia) in servos.items():
         mass = max(inertia, kp / MAX_RATE**2)
@@ -151,7 +168,7 @@ def _add_grip_servo(
 ) -> ActuatorSection:
     (driver, (start, end)), *_ = strokes.items()
     stroke = abs(end - start)
-    # Virtual work: the two pads press against each other over the distance that they approach.
+    # Virtual work: the force of the driving joint times its stroke equals the grip force times the travel of the pads.
     force = GRIP_FORCE_N * pad_way_m / stroke
     kp = force / (GRIP_GIVE * stroke)
     joint = spec.joint(driver)
@@ -181,7 +198,10 @@ def _servo(spec: mujoco.MjSpec, joint: str, kp: float, kv: float, limit: float) 
 
 
 def _levers_and_inertias(model: mujoco.MjModel, joints: tuple[str, ...], site: int) -> tuple[Array, Array]:
-    """Largest lever (J,) [m] of the end effector about each joint, and largest inertia (J,), over arm configurations."""
+    """Compute the largest lever (J,) [m] of the end effector about each joint, and the largest inertia (J,) of the joint.
+
+    The maxima are over random arm configurations.
+    """
     data = mujoco.MjData(model)
     dofs = np.array([model.joint(name).dofadr[0] for name in joints])
     levers, inertias = np.zeros(len(joints)), np.zeros(len(joints))
@@ -198,7 +218,7 @@ def _levers_and_inertias(model: mujoco.MjModel, joints: tuple[str, ...], site: i
 
 
 def _sample_configurations(model: mujoco.MjModel, joints: tuple[str, ...], count: int) -> Array:
-    """States (count, nq) with the arm anywhere within its limits, from a fixed seed."""
+    """Sample states (count, nq) with random arm joints within their limits, from a fixed seed."""
     rng = np.random.default_rng(0)
     states = np.repeat(model.qpos0[None], count, 0)
     for name in joints:
@@ -209,7 +229,7 @@ def _sample_configurations(model: mujoco.MjModel, joints: tuple[str, ...], count
 
 
 def _structural_overlaps(model: mujoco.MjModel, joints: tuple[str, ...]) -> list[tuple[str, str]]:
-    """Pairs of bodies that touch in nearly every arm configuration: their shapes are rough, the plan is not wrong."""
+    """Find pairs of bodies that overlap in nearly all arm configurations, because their collision shapes are inaccurate."""
     data = mujoco.MjData(model)
     counts: dict[tuple[int, int], int] = {}
     for qpos in _sample_configurations(model, joints, SAMPLES):
@@ -227,7 +247,10 @@ def _structural_overlaps(model: mujoco.MjModel, joints: tuple[str, ...]) -> list
 
 
 def _false_contacts(model: mujoco.MjModel, chain: ArmChain) -> list[tuple[str, str]]:
-    """Pairs of bodies inside the gripper or of shapes that always overlap; their contacts do not depend on the plan."""
+    """Find pairs of bodies whose contacts do not indicate a collision: those of the gripper, and structural overlaps.
+
+    Pairs that the model already excludes are omitted.
+    """
     hand = [model.body(body).name for body in (chain.last_body, *chain.hand_bodies)]
     pairs = {(a, b) for i, a in enumerate(hand) for b in hand[i + 1 :]}
     pairs |= set(_structural_overlaps(model, chain.joints))

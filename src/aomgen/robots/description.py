@@ -14,7 +14,7 @@ from aomgen.io.paths import find_inside
 from aomgen.io.schema import read_toml
 
 FILE_NAME: Final = "robot.toml"
-# Descriptions of the robots that are known by name.
+# Folder with the descriptions of the robots that are known by name.
 MODELS: Final = Path(__file__).parent / "models"
 PACKAGE: Final = "package://"
 Three = Annotated[tuple[FiniteFloat, ...], Field(min_length=3, max_length=3)]
@@ -26,7 +26,14 @@ class _Section(BaseModel):
 
 
 class PadSection(_Section):
-    """The gripping face of a finger, as a box behind it whose z axis points to the other finger."""
+    """Gripping face of a finger, given by a box behind it whose z axis points to the other finger.
+
+    Attributes:
+        body: Name of the body.
+        center: Center of the box in the body frame, [m].
+        quat_wxyz: Orientation of the box in the body frame.
+        half_extents: Half of the side lengths, [m].
+    """
 
     body: str
     center: Three
@@ -35,7 +42,7 @@ class PadSection(_Section):
 
 
 class ActuatorSection(_Section):
-    """The model's own actuator that closes the gripper, and its control at gripper 0 and 1."""
+    """Actuator of the model that closes the gripper, and its control at gripper 0 and 1."""
 
     name: str
     open: FiniteFloat
@@ -43,7 +50,10 @@ class ActuatorSection(_Section):
 
 
 class EndEffectorSection(_Section):
-    """A site of the model, or a pose on a body: z out of the palm, y from the left to the right finger."""
+    """End effector frame: a site of the model, or a pose on a body, position in [m].
+
+    The z axis points out of the palm, the y axis from the left to the right finger.
+    """
 
     site: str = ""
     body: str = ""
@@ -55,12 +65,12 @@ class GripperSection(_Section):
     """Model, driving joints and pads of the gripper.
 
     Attributes:
-        model, attach, prefix: Its own file, the arm's site that it is attached to, and what is put before
-            its names; empty when the arm's file holds it.
-        open, closed: Values of the joints that drive it at gripper 0 and 1, [rad] or [m]. The joint log's
-            gripper value measures the first; the others follow it.
+        model, attach, prefix: Model file of the gripper, the arm's site to which it is attached, and the prefix of its
+            names; empty if the model of the arm contains the gripper.
+        open, closed: Values of the driving joints at gripper 0 and 1, [rad] or [m]. The gripper value of the joint log
+            refers to the first; the others follow it.
         actuator: If given, the actuators and contact shapes of the model are used without changes.
-        left, right: The pads.
+        left, right: Pads of the fingers.
     """
 
     model: str = ""
@@ -78,12 +88,20 @@ class GripperSection(_Section):
 
     @property
     def strokes(self) -> Mapping[str, tuple[float, float]]:
-        """Value of every driving joint at gripper 0 and 1."""
+        """Values of each driving joint at gripper 0 and 1, [rad] or [m]."""
         return {name: (self.open[name], self.closed[name]) for name in self.open}
 
 
 class MountSection(_Section):
-    """A camera on a body: its pose there (x right, y down, z forward), vertical field of view, and size, [px]."""
+    """A camera on a body.
+
+    Attributes:
+        name: Name of the camera.
+        body: Name of the body.
+        position, quat_wxyz: Pose in the body frame, [m]; x right, y down, z forward.
+        fov_deg: Vertical field of view.
+        width, height: Image size, [px].
+    """
 
     name: str = Field(pattern=r"^[a-z0-9_]+$")
     body: str
@@ -110,7 +128,7 @@ def read_description(path: Path) -> RobotDescription:
     """Read a robot.toml.
 
     Raises:
-        InputError: The file is missing or malformed.
+        MissingFileError, LimitExceededError, MalformedFileError: The file is missing, too large or malformed.
     """
     found = read_toml(path, RobotDescription, "write it with `aomgen robot propose`")
     gripper = found.gripper
@@ -126,10 +144,10 @@ def read_description(path: Path) -> RobotDescription:
 
 
 def find_known_description(name: str) -> Path:
-    """The file that describes a robot known by name.
+    """Find the file that describes a robot known by name.
 
     Raises:
-        ConfigError: Unknown.
+        ConfigError: The name is unknown.
     """
     known = {path.stem: path for path in MODELS.glob("*.toml")}
     if name not in known:
@@ -138,10 +156,10 @@ def find_known_description(name: str) -> Path:
 
 
 def find_description(model_file: Path) -> Path | None:
-    """Find the robot.toml in the folder of a model.
+    """Find the robot.toml in the folder of a model; None if there is none.
 
     Raises:
-        MalformedFileError: It describes another model.
+        MalformedFileError: The robot.toml is malformed or describes another model.
     """
     path = model_file.parent / FILE_NAME
     if not path.is_file():
@@ -156,9 +174,13 @@ def find_description(model_file: Path) -> Path | None:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RobotFiles:
-    """The files, read and checked, of the arm and, if it has its own, of the gripper.
+    """Checked model files of a robot.
 
-    That is attached to a site of the arm, and its names get a prefix.
+    Attributes:
+        arm: Model of the arm, which may contain the gripper.
+        gripper: Separate model of the gripper, or None.
+        attach: Site of the arm to which the separate gripper is attached.
+        prefix: Prefix of the names of the separate gripper.
     """
 
     arm: RobotXml
@@ -168,10 +190,16 @@ class RobotFiles:
 
 
 def read_models(description: RobotDescription, path: Path, root: Path) -> RobotFiles:
-    """Read the files that a description names, relative to its own `path` and inside `root`.
+    """Read the model files of a description.
+
+    Args:
+        description: Content of a robot.toml.
+        path: File of the description, to whose folder the references are relative.
+        root: Folder that the references must not leave.
 
     Raises:
-        ConfigError, InputError: A package or file is missing or unusable.
+        ConfigError: A package is missing.
+        InputError: A file is missing or cannot be used.
     """
     arm, gripper = _model(description.model, path, root), description.gripper
     if gripper is None or not gripper.model:
@@ -193,10 +221,10 @@ def _model(reference: str, path: Path, root: Path) -> RobotXml:
 
 
 def robot_references(model_file: Path, root: Path) -> tuple[Path, ...]:
-    """List all files that a robot needs in addition to its model, robot.toml included.
+    """List all files that a robot needs in addition to its model, including robot.toml.
 
     Raises:
-        InputError: One of them is missing or unusable.
+        ConfigError, InputError: A package or a file is missing or cannot be used.
     """
     path = find_description(model_file)
     if path is None:
@@ -207,7 +235,7 @@ def robot_references(model_file: Path, root: Path) -> tuple[Path, ...]:
 
 
 def description_toml(description: RobotDescription) -> str:
-    """The text of a robot.toml."""
+    """Format a description as the text of a robot.toml."""
     end, gripper = description.end_effector, description.gripper
     joints = ", ".join(f'"{name}"' for name in description.joints)
     place = f'body = "{end.body}"\nposition = {list(end.position)}\nquat_wxyz = {list(end.quat_wxyz)}'

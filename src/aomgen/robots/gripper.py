@@ -1,6 +1,6 @@
-"""All finger joints of a gripper over its opening value, couplings and closed loops included.
+"""Finger joints of a gripper as a function of the gripper value, including couplings and closed kinematic loops.
 
-Forward kinematics alone leaves loops open, so the fingers settle once in simulation.
+Forward kinematics does not satisfy loop constraints, so the finger positions are determined once by simulation.
 """
 
 from collections.abc import Mapping
@@ -16,17 +16,23 @@ from aomgen.core.values import Array, freeze_arrays
 from aomgen.errors import MalformedFileError
 from aomgen.robots.reading import ArmChain
 
-# Rows of the table from open to closed; between them positions are linear to far below a millimetre.
+# Number of rows of the table from open to closed; the error of linear interpolation between them is far below a millimeter.
 STEPS = 33
-# Time in which the held joints come to rest, [s]; a loop or stroke that is farther open after it is refused, [m] or [rad].
+# Simulated time in which the fingers come to rest, [s], and the largest constraint error after it, [m] or [rad].
 SETTLE_S, OPEN_LOOP_M = 0.3, 0.002
-# Fingers that come less than this nearer are no gripper, [m].
+# Smallest distance by which the fingers of a gripper approach each other, [m].
 MIN_TRAVEL_M = 0.004
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class GripperTable:
-    """Positions of the N finger joints, [rad] or [m], settled at increasing gripper values."""
+    """Positions of the finger joints at increasing gripper values.
+
+    Attributes:
+        joint_names: Names of the N finger joints.
+        values: Gripper values (K,), from 0 (open) to 1 (closed).
+        positions: Joint positions (K, N), [rad] or [m].
+    """
 
     joint_names: Annotated[tuple[str, ...], "N"]
     values: Annotated[Array, "K"]
@@ -35,38 +41,45 @@ class GripperTable:
     __post_init__ = freeze_arrays
 
     def at(self, gripper: ArrayLike) -> Array:
-        """Finger joints (T, F) for gripper values (T,), linear between rows, ends held."""
+        """Interpolate the finger joints (T, N) linearly at gripper values (T,); values outside of the table are clipped."""
         values = np.asarray(gripper, np.float64)
         return np.stack([np.interp(values, self.values, column) for column in self.positions.T], -1)
 
 
 def no_fingers() -> GripperTable:
-    """The table of an arm without a gripper."""
+    """Return the table of an arm without a gripper."""
     return GripperTable(joint_names=(), values=np.zeros(1), positions=np.zeros((1, 0)))
 
 
 def settle_fingers(
     spec: mujoco.MjSpec, chain: ArmChain, strokes: Mapping[str, tuple[float, float]], path: Path
 ) -> GripperTable:
-    """Move the driving joints evenly from open to closed; the rest settles, without gravity and contacts.
+    """Simulate the closing of a gripper and record the finger joints.
 
-    The arm is held. `strokes` are the driving joints' values at gripper 0 and 1, [rad] or [m].
+    The driving joints move from open to closed in equal steps, the arm is fixed, and the other finger joints come to rest
+    under the constraints of the model, without gravity, friction and contacts.
+
+    Args:
+        spec: Description of the robot; a copy is simulated.
+        chain: Joints and bodies of the arm and the gripper.
+        strokes: Values of each driving joint at gripper 0 and 1, [rad] or [m].
+        path: File of the robot, for messages.
 
     Raises:
-        MalformedFileError: A loop cannot be closed, or a stroke leads out of the limits.
+        MalformedFileError: The fingers do not reach the values of a driving joint, or a loop cannot be closed.
     """
     spec = spec.copy()
     spec.option.gravity = np.zeros(3)
     flags = mujoco.mjtDisableBit
     spec.option.disableflags |= int(flags.mjDSBL_CONTACT | flags.mjDSBL_FRICTIONLOSS)
     for name in chain.joints:
-        # The zero at which the arm is held may lie outside its limits.
+        # The arm is fixed at zero, which may be outside its limits.
         spec.joint(name).limited = mujoco.mjtLimited.mjLIMITED_FALSE
     for actuator in list(spec.actuators):
         spec.delete(actuator)
     for name in (*strokes, *chain.joints):
         hold = spec.add_equality(name=f"hold_{name}", type=mujoco.mjtEq.mjEQ_JOINT, name1=name)
-        # As stiff as the time step allows.
+        # The smallest time constant that is stable at this time step.
         hold.solref, hold.objtype = [0.004, 1.0], mujoco.mjtObj.mjOBJ_JOINT
     model = spec.compile()
     data = mujoco.MjData(model)

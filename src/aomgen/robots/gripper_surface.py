@@ -1,4 +1,4 @@
-"""The surface of a gripper: the finger that each point belongs to, and the gripping faces of the fingers."""
+"""Sampling of a gripper's surface, assignment of its points to fingers, and detection of the fingers' gripping faces."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -20,27 +20,30 @@ from aomgen.robots.reading import ArmChain, ancestors
 from aomgen.robots.robot import RobotModel, body_poses
 
 PALM = "palm"
-# Points on a whole gripper: some 3 mm apart on one with two fingers.
+# Number of sample points on a gripper; on one with two fingers, they are about 3 mm apart.
 POINTS = 12000
-# A body that moves less than this relative to the palm while the gripper closes is palm, [m].
+# A body whose motion relative to the palm is at most this while the gripper closes belongs to the palm, [m].
 _STILL_M = 1e-4
-# A pair of fingers moves at least this share of what the pair that moves most does.
+# Smallest approach of a pair of fingers, as a share of the largest approach of all pairs.
 TRAVEL_SHARE = 0.7
-# Contact zone of closing fingers, measured from their first contact: rubber gives way, [m].
+# Depth of the contact zone of closing fingers, measured from their first contact, [m]; it allows for the compliance of rubber.
 SOFT_M = 0.002
-# A face is directed to the other finger within 45 degrees (cosine); fewer sample points are no face.
+# Cosine of the largest angle (45 degrees) between the normals of a face and the direction to the other finger, and smallest
+# number of sample points of a face.
 FACING, MIN_FACE_POINTS = 0.7, 12
-# Least half size of the box behind a face, [m]; less than the half thickness of any finger.
+# Smallest half side length of the box behind a face, [m]; less than half of the thickness of any finger.
 HALF_THICKNESS_M = 0.002
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class HandSurface:
-    """Points on the whole surface of a gripper and their outward normals, in the frames of their bodies, [m].
+    """Points on the whole surface of a gripper.
 
     Attributes:
-        bodies: Index of each point's body.
-        fingers: Name of each point's finger (N,): that of its pad, or "palm".
+        points_body: Points (N, 3), each in the frame of its body, [m].
+        normals_body: Outward unit normals (N, 3), each in the frame of its body.
+        bodies: Index of each point's body (N,) in `RobotModel.body_names`.
+        fingers: Finger of each point (N,): "left", "right" or "palm".
     """
 
     points_body: Annotated[Array, "N 3"]
@@ -51,16 +54,16 @@ class HandSurface:
     __post_init__ = freeze_arrays
 
     def pose(self, Ts_to_body: Array) -> tuple[Array, Array]:
-        """Points and normals (N, 3) for poses (B, 4, 4) of all bodies, in the frame of these."""
+        """Transform points and normals (N, 3) to the frame in which the poses (B, 4, 4) of all bodies are given."""
         Ts = Ts_to_body[self.bodies]
         points = np.einsum("nij,nj->ni", Ts[:, :3, :3], self.points_body) + Ts[:, :3, 3]
         return points, np.einsum("nij,nj->ni", Ts[:, :3, :3], self.normals_body)
 
 
 def hand_surface(robot: RobotModel) -> HandSurface:
-    """Sample the visible surface of the gripper; no points for an arm without one.
+    """Sample the visible surface of the gripper; the result has no points for an arm without gripper.
 
-    Not checked: that the meshes are closed; a point inside the gripper is never nearest to a part.
+    Not checked: that the meshes are closed. Points inside the gripper do no harm, as they are never nearest to an object.
     """
     sides = _sides(robot)
     meshes = [mesh for mesh in robot.meshes if mesh.body in sides]
@@ -76,7 +79,7 @@ def hand_surface(robot: RobotModel) -> HandSurface:
 
 
 def _sides(robot: RobotModel) -> dict[int, str]:
-    """Assign every gripper body that moves as the gripper closes to the finger with the nearest pad, others to the palm."""
+    """Assign each gripper body that moves while the gripper closes to the finger with the nearest pad, others to the palm."""
     hand = [robot.body_names.index(name) for name in robot.hand_bodies]
     if not robot.pads:
         return dict.fromkeys(hand, PALM)
@@ -99,14 +102,20 @@ def _sides(robot: RobotModel) -> dict[int, str]:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SurfaceSamples:
-    """Points (N, 3) and outward normals (N, 3) all over bodies that are rigidly joined, root's frame."""
+    """Points (N, 3), [m], and outward normals (N, 3) on a group of rigidly connected bodies, in the frame of its root body."""
 
     points: Array
     normals: Array
 
 
 def sample_hand(model: mujoco.MjModel, chain: ArmChain) -> dict[int, SurfaceSamples]:
-    """Sample the surface of every rigid group of gripper bodies, by the id of its root; of visible geoms where it has any."""
+    """Sample the surface of each group of rigidly connected gripper bodies.
+
+    Only visible geoms are sampled if the group has any.
+
+    Returns:
+        Samples by the id of the group's root body.
+    """
     shown = find_visible_geoms(model)
     Ts = body_poses(model, model.qpos0[None])[0]
     bodies = (chain.last_body, *chain.hand_bodies)
@@ -127,9 +136,10 @@ def sample_hand(model: mujoco.MjModel, chain: ArmChain) -> dict[int, SurfaceSamp
 
 
 def _sample(vertices: Array, faces: NDArray[np.int64]) -> tuple[SurfaceSamples, NDArray[np.int64]]:
-    """Points at even steps of a surface's area, and the face of each (N,).
+    """Sample points at equal steps of the surface area, and return the face of each (N,).
 
-    A pushed patch is the mean of few of them: of random ones it is off by 0.5 to 2 mm, of these by 0.4 mm.
+    The center of a contact patch is the mean of a few points. Its error is 0.5 to 2 mm with random points, and 0.4 mm with
+    this low-discrepancy sequence.
     """
     normals, areas = face_normals_areas(vertices, faces)
     covered = np.cumsum(areas)
@@ -144,18 +154,20 @@ def _sample(vertices: Array, faces: NDArray[np.int64]) -> tuple[SurfaceSamples, 
 def find_fingers(
     model: mujoco.MjModel, chain: ArmChain, skins: Mapping[int, SurfaceSamples], Ts: Array
 ) -> tuple[tuple[int, int], float] | None:
-    """Find the pair of bodies that are the fingers; None if nothing moves.
+    """Find the pair of bodies that are the fingers.
 
-    Among the pairs that approach each other most, the pair that comes closest is chosen; a gripper with one
-    moving jaw holds against its own palm.
+    Among the pairs that approach each other most, the pair with the smallest distance is chosen. If only one jaw moves, the
+    palm is the other finger.
 
     Args:
-        model, chain: The robot and its gripper.
-        skins: From `sample_hand`.
-        Ts: Poses (K, B, 4, 4) from one end of the fingers' stroke to the other.
+        model: Compiled model of the robot.
+        chain: Joints and bodies of the arm and the gripper.
+        skins: Surface samples from `sample_hand`.
+        Ts: Poses (K, B, 4, 4) of all bodies from one end of the fingers' stroke to the other.
 
     Returns:
-        Ids of the two root bodies, and the distance by which they approach, negative if they separate, [m].
+        Ids of the two root bodies, and the distance by which they approach each other, [m], negative if they separate; None
+        if no pair moves by at least `MIN_TRAVEL_M`.
     """
     palm = int(model.body_weldid[chain.last_body])
     branch = {body: _branch(model, body, palm) for body in skins if body != palm}
@@ -179,18 +191,18 @@ def find_fingers(
 
 
 def _branch(model: mujoco.MjModel, body: int, palm: int) -> int:
-    """Find the child of the palm whose subtree holds a body."""
+    """Find the child of the palm whose subtree contains a body."""
     line = [body, *ancestors(model, body)]
     return next((b for b in line if model.body_weldid[model.body_parentid[b]] == palm), line[-1])
 
 
 def _distances(skins: Mapping[int, SurfaceSamples], Ts: Array, a: int, b: int) -> Array:
-    """Distance of a's points (N,) to b, [m]."""
+    """Compute the distance of each sample point of a (N,) from the nearest one of b, [m]."""
     return cKDTree(skins[b].points).query(apply(invert(Ts[b]) @ Ts[a], skins[a].points))[0]
 
 
 def find_contact_row(skins: Mapping[int, SurfaceSamples], Ts: Array, pair: tuple[int, int]) -> int:
-    """The first state (of K, opening to closing) in which the fingers touch; else the nearest one."""
+    """Return the index of the first of K states, from open to closed, whose finger distance is about the smallest one."""
     a, b = pair
     moving = _moving(skins, Ts, a, b)
     gaps = np.array([_distances(skins, T, a, b)[moving].min() for T in Ts])
@@ -198,7 +210,7 @@ def find_contact_row(skins: Mapping[int, SurfaceSamples], Ts: Array, pair: tuple
 
 
 def _moving(skins: Mapping[int, SurfaceSamples], Ts: Array, a: int, b: int) -> NDArray[np.bool_]:
-    """Mask of a's points that approach b by at least half of the largest approach."""
+    """Return a mask (N,) of the sample points of a that approach b by more than half of the largest approach."""
     nearer = _distances(skins, Ts[0], a, b) - _distances(skins, Ts[-1], a, b)
     return nearer > 0.5 * nearer.max()
 
@@ -206,17 +218,25 @@ def _moving(skins: Mapping[int, SurfaceSamples], Ts: Array, a: int, b: int) -> N
 def find_face(
     skins: Mapping[int, SurfaceSamples], Ts: Array, row: int, a: int, b: int
 ) -> tuple[Array, Array] | None:
-    """Find the face of finger a that meets finger b in state `row`; None when no side of it is directed there.
+    """Find the face of finger a that meets finger b.
+
+    Args:
+        skins: Surface samples from `sample_hand`.
+        Ts: Poses (K, B, 4, 4) of all bodies from open to closed.
+        row: Index of the state of contact; see `find_contact_row`.
+        a: Id of the finger's root body.
+        b: Id of the other finger's root body.
 
     Returns:
-        Pose of the box behind it (4, 4) in a's frame, z towards b, and its half extents (3,), [m].
+        Pose (4, 4) of the box behind the face, in the frame of a with z towards b, and its half extents (3,), [m]; None if no
+        part of the surface is directed towards b.
     """
     skin = skins[a]
     earlier = max(row - max(len(Ts) // 8, 1), 0)
     near = _distances(skins, Ts[row], a, b)
     moving = _moving(skins, Ts, a, b)
     middle = skin.points[moving][np.argsort(near[moving])[:MIN_FACE_POINTS]].mean(0)
-    # The point of b that touches a at the end, at its earlier position.
+    # `towards` points to the earlier position, in the frame of a, of the point of b that touches a in the state of contact.
     T_a_a = invert(Ts[earlier, a]) @ Ts[earlier, b] @ invert(Ts[row, b]) @ Ts[row, a]
     towards = apply(T_a_a, middle) - middle
     length = float(np.linalg.norm(towards))
@@ -230,7 +250,7 @@ def find_face(
 
 
 def _box(points: Array, normal: Array) -> tuple[Array, Array]:
-    """The box behind a face, its sides along the body's axes as far as the normal allows."""
+    """Compute the pose (4, 4) and half extents (3,) of the box behind a face, with sides along the body's axes if possible."""
     z = normal / np.linalg.norm(normal)
     axis = np.eye(3)[int(np.argmin(np.abs(z)))]
     x = axis - (axis @ z) * z

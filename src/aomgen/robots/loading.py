@@ -1,6 +1,6 @@
-"""Load a robot by its robot.toml, or by a guess, as one model for kinematics and physics.
+"""Loading of robots, by their robot.toml or by a proposal of it, as one model for kinematics and physics.
 
-A robot is also stored with results, so that they can be used without their capture.
+Robots are also stored with results, so that the results can be used without the capture.
 """
 
 import functools
@@ -43,7 +43,7 @@ from aomgen.robots.robot import FingerPad, HandDrive, RobotModel, body_poses, si
 HEADER = "robot"
 FILES = "robot"
 GRASP_SITE = "grasp_point"
-# The end effector's y axis may be off the line from the left to the right pad by 25 degrees.
+# Smallest cosine of the angle between the end effector's y axis and the line from the left to the right pad (25 degrees).
 MIN_COSINE = 0.9
 
 
@@ -56,17 +56,17 @@ def load_robot(
 ) -> RobotModel:
     """Load a robot known by name, or a URDF or MJCF file.
 
-    The roles of its parts are read from the robot.toml in the file's folder; without one they are guessed.
+    The roles of its parts are read from the robot.toml in the folder of the file; without this file they are estimated.
 
     Args:
-        model: "ur5e_2f85", or the path of a file.
-        base_frame: World frame: "base_link", or "ur_base", which is turned by 180 degrees about z.
-        joints: Arm joints in the requested order; empty takes the model's own.
-        root: Folder that all references of a file stay in; None takes the file's own.
+        model: Name such as "ur5e_2f85", or path of a file.
+        base_frame: World frame: "base_link", or "ur_base", which is rotated by 180 degrees about z.
+        joints: Arm joints in the requested order; empty keeps the order of the description.
+        root: Folder that the references of the file must not leave; None uses the folder of the file.
 
     Raises:
-        ConfigError: Unknown name, base frame or joint, or the asset package is missing.
-        InputError: A file cannot be used; of the kind that fits.
+        ConfigError: A name, base frame or joint is unknown, or the package with the model is missing.
+        InputError: A file is missing, malformed or otherwise cannot be used.
 
     Example:
         >>> robot = ag.load_robot("ur5e_2f85")
@@ -85,7 +85,7 @@ def load_robot(
     return _load_described(description, joints, path, root, turned=base_frame == "ur_base")
 
 
-# Loading takes seconds, and one process needs few arms.
+# Loading takes seconds, and a process uses few robots.
 @functools.lru_cache(maxsize=4)
 def _load_known(name: str, joints: tuple[str, ...], *, turned: bool) -> RobotModel:
     path = find_known_description(name)
@@ -95,7 +95,7 @@ def _load_known(name: str, joints: tuple[str, ...], *, turned: bool) -> RobotMod
 def _load_described(
     description: RobotDescription, joints: Sequence[str], path: Path, root: Path, *, turned: bool
 ) -> RobotModel:
-    """Check the requested order of the joints, and assemble the model."""
+    """Check the names of the requested joints, and assemble the model."""
     if joints and sorted(joints) != sorted(description.joints):
         raise ConfigError(
             "robot.joints",
@@ -111,14 +111,21 @@ def _load_described(
 
 
 def choose_robot(choice: RobotChoice) -> RobotModel:
-    """The robot of a capture, in the capture's world frame and joint order; raises as `load_robot`."""
+    """Load the robot of a capture, in the world frame and joint order of the capture; raises the errors of `load_robot`."""
     model = choice.model_file or choice.model
     return load_robot(model, choice.base_frame, joints=choice.joints, root=choice.root)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StoredRobot:
-    """A robot stored with results: known by name, or its file relative to their folder."""
+    """A robot that is stored with results.
+
+    Attributes:
+        model: Name of a known robot; not used if `file` is given.
+        file: Model file relative to the folder of the results; empty for a known robot.
+        base_frame: World frame; see `load_robot`.
+        joints: Arm joints in the order of the joint log.
+    """
 
     model: str
     file: str
@@ -127,7 +134,12 @@ class StoredRobot:
 
 
 def save_robot(folder: Path, choice: RobotChoice) -> None:
-    """Write which robot it is, its files and what they are for, into an existing folder."""
+    """Store the robot of a capture in an existing folder: its name, or its files and robot.toml.
+
+    Raises:
+        InputError: A file of the robot cannot be used.
+        StorageError: Writing to the disk failed.
+    """
     file = ""
     if choice.model_file:
         copied = copy_robot_files(choice.model_file, choice.references, folder / FILES)
@@ -140,9 +152,10 @@ def save_robot(folder: Path, choice: RobotChoice) -> None:
 
 
 def load_stored_robot(folder: Path) -> RobotModel:
-    """Load what `save_robot` wrote.
+    """Load the robot that `save_robot` stored in a folder.
 
     Raises:
+        ConfigError: The package with the model of a known robot is missing.
         InputError: A file is missing or damaged.
     """
     stored = load_artifact(folder, HEADER, StoredRobot)
@@ -153,7 +166,7 @@ def load_stored_robot(folder: Path) -> RobotModel:
 
 
 def copy_robot_files(model_file: Path, references: tuple[Path, ...], folder: Path) -> Path:
-    """Copy a URDF or MJCF and all it refers to, each at the same place relative to the others; the copied model."""
+    """Copy a URDF or MJCF and all files that it refers to, with their relative locations; return the copied model file."""
     files = [model_file.resolve(), *(file.resolve() for file in references)]
     top = Path(os.path.commonpath([file.parent for file in files]))
     for file in files:
@@ -212,7 +225,7 @@ def _assemble(description: RobotDescription, files: RobotFiles, path: Path, *, t
 
 
 def _check_names(description: RobotDescription, model: mujoco.MjModel, path: Path) -> None:
-    """Refuse bodies, joints, sites and actuators that the model does not have."""
+    """Check that the model has the bodies, joints, sites and actuators of the description."""
     end, gripper = description.end_effector, description.gripper
     wanted = [("site", end.site, "end_effector.site"), ("body", end.body, "end_effector.body")]
     wanted += [("body", camera.body, "camera.body") for camera in description.camera]
@@ -259,7 +272,7 @@ def _robot_camera(model: mujoco.MjModel, item: MountSection) -> tuple[int, Camer
 
 
 def _colliders(model: mujoco.MjModel, body: int) -> tuple[str, ...]:
-    """Colliding shapes of a body and of what is rigidly attached to it."""
+    """List the names of the colliding geoms of a body and of the bodies that are rigidly attached to it."""
     rigid = [
         number
         for number in range(body, model.nbody)
@@ -275,7 +288,11 @@ def _colliders(model: mujoco.MjModel, body: int) -> tuple[str, ...]:
 def _closing_way(
     model: mujoco.MjModel, ee_site: str, table: GripperTable, pads: tuple[FingerPad, ...], path: Path
 ) -> float:
-    """Distance that the pads approach each other from open to closed, [m]; refuses a gripper that does not close along y."""
+    """Compute the distance by which the pads approach each other from open to closed, [m].
+
+    Raises:
+        MalformedFileError: The distance is too small, or the pads are not on a line along the end effector's y axis.
+    """
     gaps = []
     states = np.repeat(model.qpos0[None], 2, 0)
     states[:, [model.joint(name).qposadr[0] for name in table.joint_names]] = table.positions[[0, -1]]

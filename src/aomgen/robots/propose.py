@@ -1,6 +1,6 @@
-"""A first draft of robot.toml, guessed from the joints and shapes of any URDF or MJCF.
+"""Proposal of a robot.toml, estimated from the joints and shapes of any URDF or MJCF.
 
-A person checks it; nothing else in AOMGen guesses what a robot's parts are for.
+The user checks the proposal. Other modules of AOMGen do not estimate the roles of a robot's parts.
 """
 
 from collections.abc import Mapping, Sequence
@@ -32,11 +32,11 @@ from aomgen.robots.gripper_surface import (
 from aomgen.robots.reading import ArmChain, ancestors, arm_chain, read_robot_spec
 from aomgen.robots.robot import RobotModel, body_poses
 
-# Sites that makers of arms without gripper put at the end, best first.
+# Common names of the end effector site in models of arms without gripper, in order of preference.
 EE_SITES = ("pinch", "ee", "attachment_site")
 HELP = "see `aomgen robot propose --help`"
 REMEDY = f"give the joint values of the open and closed gripper with --open and --closed: {HELP}"
-# Digits that a person reads: 10 um, far below what pads are known to; of quaternions 1e-5 rad.
+# Decimal digits of the numbers in a proposal: 10 micrometers, far below the accuracy of pads, and about 1e-5 rad.
 DIGITS = 5
 
 
@@ -49,22 +49,21 @@ def propose_description(
     closed: Mapping[str, float] | None = None,
     fingers: Sequence[str] = (),
 ) -> RobotDescription:
-    """Guess what the parts of a robot are for.
+    """Estimate the roles of the parts of a robot.
 
-    The arm are the joints before the fingers branch, where they are not given in the order of the log. The
-    gripper's driving joints go through their ranges; closed is where two of its bodies are nearer, and
-    what meets of them are the pads. The end effector lies between the pads.
+    By default, the arm consists of the joints before the kinematic tree branches. The driving joints of the gripper are
+    moved through their ranges. The gripper is closed at the end at which two of its bodies are closer to each other; their
+    surfaces that meet are the pads. The end effector is between the pads.
 
     Args:
         file: URDF or MJCF.
-        root: Folder that all references of the file stay in.
-        joints: Arm joints in the order of the log; empty finds them.
-        opened, closed: Value of each finger joint that drives at gripper value 0 and 1, [rad] or [m]; None
-            finds them.
-        fingers: Names of the two bodies that hold, left and right; empty finds them.
+        root: Folder that the references of the file must not leave.
+        joints: Arm joints in the order of the joint log; empty estimates them.
+        opened, closed: Value of each driving finger joint at gripper 0 and 1, [rad] or [m]; None estimates them.
+        fingers: Names of the left and the right finger body; empty estimates them.
 
     Raises:
-        InputError: The file cannot be used, or is not sufficient for a guess.
+        InputError: The file cannot be used, or its content does not determine the roles.
     """
     xml = read_robot_xml(file, root)
     spec, actuated = read_robot_spec(RobotFiles(arm=xml), turned=False)
@@ -99,7 +98,7 @@ def propose_description(
 
 
 def _list_unbranched_joints(model: mujoco.MjModel) -> tuple[str, ...]:
-    """Joints from the base on while only one of a body's branches moves; of a fork none."""
+    """List the joints from the base up to the first body with several moving branches."""
     moving = {int(body) for body in model.jnt_bodyid}
     moving |= {body for j in model.jnt_bodyid for body in ancestors(model, int(j))}
     names: list[str] = []
@@ -115,7 +114,7 @@ def _list_unbranched_joints(model: mujoco.MjModel) -> tuple[str, ...]:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Hand:
-    """The robot whose gripper is analyzed."""
+    """A robot whose gripper is analyzed."""
 
     spec: mujoco.MjSpec
     model: mujoco.MjModel
@@ -125,7 +124,14 @@ class _Hand:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Closing:
-    """A closing motion: driving joints from open to closed, poses (K, B, 4, 4), and how far the fingers (bodies) approach."""
+    """A closing motion of a gripper.
+
+    Attributes:
+        strokes: Values of each driving joint when open and closed, [rad] or [m].
+        Ts: Poses (K, B, 4, 4) of all bodies from open to closed, world frame.
+        fingers: Ids of the two finger bodies.
+        approach_m: Distance by which the fingers approach each other.
+    """
 
     strokes: Mapping[str, tuple[float, float]]
     Ts: Array
@@ -152,13 +158,13 @@ def _read_stated_strokes(
 def _guess_gripper(
     hand: _Hand, actuated: Sequence[str], strokes: Mapping[str, tuple[float, float]], fingers: Sequence[str]
 ) -> tuple[GripperSection, Array]:
-    """The gripper, and the pose (4, 4) of the point between its pads on the last arm body.
+    """Estimate the gripper, and the pose (4, 4) of the end effector between its pads, in the frame of the last arm body.
 
     Args:
-        hand: The robot whose gripper is analyzed.
-        actuated: Joints that actuators drive.
-        strokes: From open to closed of the driving joints; empty finds them.
-        fingers: Left and right body; empty finds them.
+        hand: Robot whose gripper is analyzed.
+        actuated: Names of the joints that actuators drive.
+        strokes: Values of the driving joints when open and closed; empty estimates them.
+        fingers: Names of the left and the right finger body; empty estimates them.
     """
     model, file = hand.model, hand.file
     skins = sample_hand(model, hand.chain)
@@ -192,7 +198,7 @@ def _guess_gripper(
 
 
 def _between(T_left: Array, T_right: Array) -> Array:
-    """The grasp point between two faces: z out of the palm, y from the left to the right one."""
+    """Compute the pose (4, 4) between two faces: z out of the palm, y from the left to the right face."""
     closing = T_left[:3, 2] - T_right[:3, 2]
     closing /= np.linalg.norm(closing)
     middle = (T_left[:3, 3] + T_right[:3, 3]) / 2
@@ -240,7 +246,7 @@ def _find_closing(
 
 
 def _drivers(hand: _Hand, actuated: Sequence[str]) -> list[str]:
-    """The finger joints that follow none; with closed loops, those of them that actuators drive."""
+    """List the finger joints that do not follow another joint; in grippers with closed loops, only actuated ones."""
     model = hand.model
     follows = {}
     for equality in np.flatnonzero(model.eq_type == mujoco.mjtEq.mjEQ_JOINT):
@@ -283,7 +289,7 @@ def _find_named_pair(model: mujoco.MjModel, fingers: Sequence[str], file: Path) 
 
 
 def _sides(model: mujoco.MjModel, pair: tuple[int, int]) -> tuple[int, int]:
-    """Left and right finger: as their names have it, else in the order of the file."""
+    """Order two fingers as left and right, by their names if these contain "left" or "right", else as in the file."""
     names = [model.body(body).name.lower() for body in pair]
     return (pair[1], pair[0]) if "right" in names[0] or "left" in names[1] else pair
 
@@ -293,7 +299,7 @@ def _round(values: Array) -> tuple[float, ...]:
 
 
 def describe_sizes(robot: RobotModel) -> str:
-    """Summarize arm, gripper and end effector for a person who checks them."""
+    """Describe the arm, gripper and end effector of a robot in a text that lets the user check them."""
     arm = f"arm            {len(robot.joint_names)} joints: {', '.join(robot.joint_names)}"
     if not robot.pads:
         return f"{arm}\ngripper        none: such a robot can be followed, but not verified"

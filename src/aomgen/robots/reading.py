@@ -1,4 +1,4 @@
-"""A robot's files as one editable MuJoCo model that holds the robot and nothing else."""
+"""Conversion of a robot's files to one editable MuJoCo model that contains nothing but the robot."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -11,9 +11,9 @@ from aomgen.errors import MalformedFileError
 from aomgen.io.mujoco_model import LEAST_INERTIA, LEAST_MASS, RobotXml, compile_model, parse_spec
 from aomgen.robots.description import RobotFiles
 
-# Every name of the file carries this while it is taken over, then loses it again.
+# Temporary prefix of the names while the content of a file is attached to a new model.
 TAKEOVER = "file/"
-# The file's scene may have set others.
+# Time step and gravity, [m/s^2], of all robots, whatever the scene in the file states.
 TIMESTEP_S, GRAVITY = 0.002, (0.0, 0.0, -9.81)
 SCENE_SIZES = ("nuser_actuator", "nuser_body", "nuser_cam", "nuser_geom", "nuser_jnt", "nuser_sensor",
                "nuser_site", "nuser_tendon", "njmax", "nconmax")  # fmt: skip
@@ -21,22 +21,24 @@ BASE_BODY = "robot_base"
 
 
 def set_options(spec: mujoco.MjSpec) -> None:
-    """Angles in radians and the solver settings that every model of ours shares."""
+    """Set angles in radians, and the solver settings that all robot models have in common."""
     spec.compiler.degree = False
     spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
     spec.option.impratio = 10.0
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
-    # MuJoCo 4.0.0 factorises sparse Newton systems wrongly; dense is also faster at this size.
+    # MuJoCo 4.0.0 factorizes sparse Newton systems incorrectly; dense ones are also faster at this size.
     spec.option.jacobian = mujoco.mjtJacobian.mjJAC_DENSE
 
 
 def read_finished_spec(files: RobotFiles, *, turned: bool) -> mujoco.MjSpec:
-    """A robot whose own actuators and contact shapes are used; its files hold nothing else.
+    """Read a robot whose files contain nothing else, and keep its own actuators and contact shapes.
 
-    The world may be turned by 180 degrees about z against the file's root frame.
+    Args:
+        files: Model files of the robot.
+        turned: Rotate the world by 180 degrees about z relative to the root frame of the file.
 
     Raises:
-        MalformedFileError: MuJoCo cannot read a file, or it states angles in degrees.
+        MalformedFileError: MuJoCo cannot read a file, a file states angles in degrees, or the site `files.attach` is missing.
     """
     spec = parse_spec(files.arm)
     parts = [spec] if files.gripper is None else [spec, parse_spec(files.gripper)]
@@ -65,17 +67,21 @@ def _attach(spec: mujoco.MjSpec, part: mujoco.MjSpec, files: RobotFiles) -> None
 
 
 def read_robot_spec(files: RobotFiles, *, turned: bool) -> tuple[mujoco.MjSpec, tuple[str, ...]]:
-    """The robot of any file in radians, with named bodies, without actuators, sensors, lights and floor.
+    """Read the robot of any file, in radians and with named bodies, without actuators, sensors, lights, cameras and floor.
 
-    Only the tree of bodies with most joints is kept; all other content of the file's scene
-    (tables, objects, mocap targets) is removed. Shapes of the world body itself, except floors,
-    become the body "robot_base". The world may be turned by 180 degrees about z.
+    Only the tree of bodies with the most joints is kept; all other content of the file's scene (tables, objects, mocap
+    targets) is removed. Geoms of the world body, except floors, become part of the body "robot_base".
+
+    Args:
+        files: Model files of the robot.
+        turned: Rotate the world by 180 degrees about z relative to the root frame of the file.
 
     Returns:
-        The description, and the joints that the file's actuators drove.
+        Description of the robot, and the names of the joints that the file's actuators drive.
 
     Raises:
-        MalformedFileError: MuJoCo cannot read the file, or it holds no hinge or slide joint.
+        MalformedFileError: MuJoCo cannot read a file, no body has hinge or slide joints, or the site `files.attach` is
+            missing.
     """
     arm, source = files.arm, parse_spec(files.arm)
     if files.gripper is not None:
@@ -92,7 +98,7 @@ def read_robot_spec(files: RobotFiles, *, turned: bool) -> tuple[mujoco.MjSpec, 
     for compiler in (spec.compiler, source.compiler):
         compiler.boundmass, compiler.boundinertia = LEAST_MASS, LEAST_INERTIA
         compiler.balanceinertia = True
-    # Solver settings of the file's scene are not the robot's, and MuJoCo warns of each difference.
+    # The solver settings of the scene in the file do not belong to the robot, and MuJoCo would warn about each difference.
     for name in SCENE_SIZES:
         setattr(source, name, getattr(spec, name))
     for name in dir(spec.option):
@@ -149,7 +155,7 @@ def _keep_robot_tree(spec: mujoco.MjSpec, xml: RobotXml) -> None:
 
 
 def _delete_references(spec: mujoco.MjSpec, root: mujoco.MjsBody) -> None:
-    """Drop what names a body or joint of a tree that goes."""
+    """Delete the equality constraints and contact exclusions that refer to a body or joint of a tree."""
     gone = {root.name, *(body.name for body in root.find_all("body"))}
     gone |= {joint.name for joint in root.find_all("joint")}
     for equality in list(spec.equalities):
@@ -161,7 +167,7 @@ def _delete_references(spec: mujoco.MjSpec, root: mujoco.MjsBody) -> None:
 
 
 def _rename(spec: mujoco.MjSpec) -> None:
-    """Give bodies, joints, sites and geoms their own names back, and names to those without."""
+    """Remove the temporary prefix from the names of bodies, joints, sites and geoms, and name those without a name."""
     kinds = {"body": spec.bodies, "joint": spec.joints, "site": spec.sites, "geom": spec.geoms}
     for label, kind in kinds.items():
         taken = {item.name.removeprefix(TAKEOVER) for item in kind}
@@ -183,7 +189,14 @@ def _rename(spec: mujoco.MjSpec) -> None:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ArmChain:
-    """The arm's joints in the requested order, the body (id) that the last one moves, and the gripper beyond it."""
+    """Joints and bodies of an arm and its gripper.
+
+    Attributes:
+        joints: Names of the arm joints in the requested order.
+        last_body: Id of the body that the last arm joint moves.
+        hand_bodies: Ids of the gripper's bodies, which are the descendants of the last arm body.
+        hand_joints: Names of the finger joints.
+    """
 
     joints: tuple[str, ...]
     last_body: int
@@ -192,11 +205,16 @@ class ArmChain:
 
 
 def arm_chain(model: mujoco.MjModel, joints: Sequence[str], path: Path) -> ArmChain:
-    """The arm that these joints make.
+    """Determine the arm that consists of given joints.
+
+    Args:
+        model: Compiled model of the robot.
+        joints: Names of the arm joints in any order.
+        path: File of the robot, for messages.
 
     Raises:
-        MalformedFileError: A name is unknown, the joints lie on more than one branch, or a joint
-            between them is not listed.
+        MalformedFileError: A name is unknown, the joints are on several branches, or a joint is neither listed nor part of
+            the gripper.
     """
     known = [model.joint(j).name for j in range(model.njnt)]
     absent = [name for name in joints if name not in known]
@@ -230,7 +248,7 @@ def arm_chain(model: mujoco.MjModel, joints: Sequence[str], path: Path) -> ArmCh
 
 
 def ancestors(model: mujoco.MjModel, body: int) -> list[int]:
-    """Bodies between a body and the world, nearest first."""
+    """List the ids of the ancestors of a body without the world, nearest first."""
     result = []
     while body := int(model.body_parentid[body]):
         result.append(body)

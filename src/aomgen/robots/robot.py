@@ -1,6 +1,6 @@
 """A robot arm with its gripper: kinematics, visual meshes and finger pads.
 
-World is the root frame of the model file; for the built-in UR5e that is ROS `base_link`.
+The world frame is the root frame of the model file; for the built-in UR5e this is ROS `base_link`.
 """
 
 from collections.abc import Iterator, Mapping
@@ -18,17 +18,21 @@ from aomgen.core.values import Array, Matrix4, Vector3, freeze_arrays
 from aomgen.io.geom_surface import find_visible_geoms, geom_surface
 from aomgen.robots.gripper import GripperTable
 
-# Step of the numeric derivative, [rad]: its error is far below a pixel.
+# Step of the numerical derivative with respect to a joint, [rad]; its error is far below a pixel.
 _TURN_RAD = 1e-4
-# Random configurations that determine the workspace of an arm.
+# Number of random configurations from which the workspace of an arm is estimated.
 _REACH_SAMPLES = 2000
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FingerPad:
-    """The gripping face of the "left" or "right" finger, as a box behind it whose z axis points to the other finger.
+    """Gripping face of a finger, given by a box behind it whose z axis points to the other finger.
 
-    `body` is an index into `RobotModel.body_names`; lengths in [m].
+    Attributes:
+        finger: "left" or "right".
+        body: Index into `RobotModel.body_names`.
+        T_body_pad: Pose of the box (4, 4), [m].
+        half_extents: Half of the side lengths of the box (3,), [m].
     """
 
     finger: str
@@ -45,7 +49,7 @@ class FingerPad:
 
     @property
     def center_body(self) -> Array:
-        """Middle of the box (3,), body frame, [m]."""
+        """Center of the box (3,), body frame, [m]."""
         return self.T_body_pad[:3, 3]
 
     @property
@@ -56,7 +60,14 @@ class FingerPad:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class HandDrive:
-    """The finger joint that a gripper value measures, the actuator that closes, and their values at 0 and 1."""
+    """Actuation of a gripper.
+
+    Attributes:
+        driver: Finger joint to which the gripper value refers.
+        driver_range: Values of this joint at gripper 0 and 1, [rad] or [m].
+        actuator: Name of the actuator that closes the gripper.
+        control_range: Controls of the actuator at gripper 0 and 1.
+    """
 
     driver: str
     driver_range: tuple[float, float]
@@ -66,7 +77,14 @@ class HandDrive:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RobotMesh:
-    """One visual mesh of the robot, in the frame of a body (index into `RobotModel.body_names`), [m]."""
+    """One visual mesh of the robot.
+
+    Attributes:
+        body: Index into `RobotModel.body_names`.
+        vertices_body: Vertices (V, 3), body frame, [m].
+        faces: Vertex indices (F, 3).
+        color_srgb: Color (3,), sRGB 0..1.
+    """
 
     body: int
     vertices_body: Annotated[Array, "_ 3"]
@@ -78,20 +96,22 @@ class RobotMesh:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RobotModel:
-    """Arm and gripper as one kinematic model; J arm joints, B bodies.
+    """Arm and gripper as one kinematic model of J arm joints and B bodies.
 
     Attributes:
-        joint_names: The J arm joints, in the order of every `joints` argument.
-        body_names: The B bodies in MuJoCo's order, world left out: body b is MuJoCo's b + 1.
-        joint_limits: [rad] or [m].
+        name: Name of the robot.
+        joint_names: Names of the J arm joints, in the order of all `joints` arguments.
+        body_names: Names of the B bodies in MuJoCo's order without the world: body b is MuJoCo's b + 1.
+        joint_limits: Lower and upper limits (J, 2), [rad] or [m].
         slides: Mask (J,) of the prismatic arm joints.
-        gripper_table: Finger joints over the gripper value 0 (open) .. 1 (closed).
-        pads: Left and right; empty for an arm without fingers.
-        pad_geoms: Names of each finger's colliding shapes, by side.
-        drive: Actuation of the gripper; None for an arm without fingers.
-        hand_bodies: Names of the gripper's bodies, the descendants of the last arm body.
-        ee_site: Name of the site that is the end effector (between the pads).
-        cameras: Mounted cameras by name: index of the body, and the camera with the body's frame as its world.
+        gripper_table: Finger joints as a function of the gripper value, from 0 (open) to 1 (closed).
+        meshes: Visual meshes.
+        pads: Left and right pad; empty for an arm without gripper.
+        pad_geoms: Names of the colliding geoms of each finger, by side.
+        drive: Actuation of the gripper; None for an arm without gripper.
+        hand_bodies: Names of the gripper's bodies, which are the descendants of the last arm body.
+        ee_site: Name of the site of the end effector, between the pads.
+        cameras: Mounted cameras by name: index of the body, and the camera with the body frame as its world frame.
     """
 
     name: str
@@ -124,18 +144,18 @@ class RobotModel:
         return np.array([0.0, 1.0, 0.0])
 
     def spec(self, *, visual: bool = True) -> mujoco.MjSpec:
-        """A fresh editable MuJoCo description: radians, dense Jacobian, elliptic cones, impratio 10.
+        """Copy the editable MuJoCo description: radians, dense Jacobian, elliptic cones, impratio 10.
 
-        Without `visual` it leaves out what is only seen, and compiles ten times faster.
+        Without `visual`, it has no visual geoms and compiles ten times faster.
         """
         return (self._full if visual else self._bare).copy()
 
     def qpos(self, joints: ArrayLike, gripper: ArrayLike) -> Array:
-        """Generalised positions (T, nq) of the robot alone, fingers settled for each gripper value.
+        """Compute the generalized positions (T, nq) of the robot, with finger joints from `gripper_table`.
 
         Args:
-            joints: (T, J), [rad] or [m].
-            gripper: (T,), 0 open .. 1 closed; values outside are clipped.
+            joints: Arm joints (T, J), [rad] or [m].
+            gripper: Gripper values (T,), from 0 (open) to 1 (closed); values outside are clipped.
         """
         joints = np.atleast_2d(np.asarray(joints, np.float64))
         qpos = np.repeat(self._model.qpos0[None], len(joints), 0)
@@ -147,11 +167,11 @@ class RobotModel:
         return qpos
 
     def link_poses(self, joints: ArrayLike, gripper: ArrayLike) -> Array:
-        """Poses T_world_body (T, B, 4, 4) of all bodies; arguments as `qpos`."""
+        """Compute the poses T_world_body (T, B, 4, 4) of all bodies; see `qpos` for the arguments."""
         return body_poses(self._model, self.qpos(joints, gripper))[:, 1:]
 
     def camera_paths(self, joints: ArrayLike, gripper: ArrayLike) -> dict[str, CameraPath]:
-        """Poses of the mounted cameras at T frames; arguments as `qpos`."""
+        """Compute the poses of the mounted cameras in T frames, by name; see `qpos` for the arguments."""
         Ts = self.link_poses(joints, gripper)
         return {
             name: CameraPath(camera=camera, Ts_world_cam=Ts[:, body] @ camera.T_world_cam)
@@ -159,7 +179,7 @@ class RobotModel:
         }
 
     def pad_distances(self, gripper: ArrayLike) -> Array:
-        """Distances (T,) between the faces of the two finger pads for gripper values (T,), [m]; empty without pads."""
+        """Compute the distances (T,) between the faces of both pads for gripper values (T,), [m]; empty without pads."""
         by_finger = {pad.finger: pad for pad in self.pads}
         if set(by_finger) != {"left", "right"}:
             return np.zeros(0)
@@ -170,19 +190,19 @@ class RobotModel:
         return np.einsum("ti,ti->t", between, poses[:, left.body, :3, :3] @ left.normal_body)
 
     def ee_poses(self, joints: ArrayLike) -> Array:
-        """Poses T_world_ee (T, 4, 4) of the end effector site for joints (T, J)."""
+        """Compute the poses T_world_ee (T, 4, 4) of the end effector for joints (T, J), [rad] or [m]."""
         return site_poses(self._model, self.qpos(joints, 0.0), self.ee_site)
 
 
 def body_poses(model: mujoco.MjModel, states: Array) -> Array:
-    """Poses T_world_body (K, B, 4, 4) of all bodies, the world included, for states (K, nq)."""
+    """Compute the poses T_world_body (K, B, 4, 4) of all bodies, including the world, for states (K, nq)."""
     found = [(data.xpos.copy(), data.xquat.copy()) for data in _pose_states(model, states)]
     positions, quats = (np.array(part) for part in zip(*found, strict=True))
     return transform(matrix_from_quat(quats), positions)
 
 
 def site_poses(model: mujoco.MjModel, states: Array, site: str) -> Array:
-    """Poses T_world_site (K, 4, 4) for states (K, nq)."""
+    """Compute the poses T_world_site (K, 4, 4) of a site for states (K, nq)."""
     found = [
         (data.site(site).xmat.reshape(3, 3).copy(), data.site(site).xpos.copy())
         for data in _pose_states(model, states)
@@ -201,7 +221,7 @@ def _pose_states(model: mujoco.MjModel, states: Array) -> Iterator[mujoco.MjData
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RobotConfiguration:
-    """The robot during the scan: model, joints (J,) [rad] and gripper 0..1."""
+    """A robot with joints (J,), [rad] or [m], and a gripper value 0..1, for example those of the scan."""
 
     robot: RobotModel
     joints: Annotated[Array, "_"]
@@ -210,32 +230,37 @@ class RobotConfiguration:
     __post_init__ = freeze_arrays
 
     def points_world(self, count: int = 3000) -> Array:
-        """About `count` vertices (V, 3) of the posed robot, [m]."""
+        """Select about `count` vertices (V, 3) of the robot's meshes, world frame, [m]."""
         poses = self.robot.link_poses(self.joints[None], self.gripper)[0]
         total = sum(len(mesh.vertices_body) for mesh in self.robot.meshes)
         step = max(1, total // count)
         return np.concatenate([apply(poses[m.body], m.vertices_body[::step]) for m in self.robot.meshes])
 
     def surface_world(self, count: int, rng: np.random.Generator) -> Array:
-        """Points (count, 3) spread evenly over the surface of the posed robot, [m]."""
+        """Sample points (count, 3) uniformly on the surface of the robot, world frame, [m]."""
         poses = self.robot.link_poses(self.joints[None], self.gripper)[0]
         corners = [apply(poses[m.body], m.vertices_body)[m.faces] for m in self.robot.meshes]
         return sample_triangles(np.concatenate(corners), count, rng)
 
     @property
     def ee_world(self) -> Array:
-        """End effector position (3,), [m]."""
+        """End effector position (3,), world frame, [m]."""
         return self.robot.ee_poses(self.joints[None])[0, :3, 3]
 
     def segments(self) -> NDArray[np.int64]:
-        """Number (B,) of arm joints that move each body: 0 for the base, J for the gripper.
+        """Count the arm joints that move each body (B,): 0 for the base, J for the gripper.
 
-        Not checked: the arm is one chain.
+        Not checked: that the arm is a single chain.
         """
         return self._rotate_joints_once()[1]
 
     def turns(self, points: Array, bodies: NDArray[np.integer]) -> Array:
-        """Velocities (C, J, 3) of points (C, 3) on bodies (C,) with respect to each joint, [m/rad]."""
+        """Compute the derivatives (C, J, 3) of points on bodies with respect to each joint, world frame, [m/rad].
+
+        Args:
+            points: Points (C, 3), world frame, [m].
+            bodies: Index of the body of each point (C,).
+        """
         motions, segments = self._rotate_joints_once()
         moves = np.einsum("jab,cb->cja", motions[:, :3, :3], points) + motions[:, :3, 3]
         behind = segments[bodies][:, None] > np.arange(len(motions))
@@ -253,7 +278,7 @@ class RobotConfiguration:
 
 
 def visual_meshes(model: mujoco.MjModel) -> tuple[RobotMesh, ...]:
-    """Triangulate the visible shapes of every body, primitive shapes included."""
+    """Triangulate the visible geoms of all bodies, including primitive shapes."""
     meshes = []
     for geom in np.flatnonzero(find_visible_geoms(model)):
         surface = geom_surface(model, int(geom))
@@ -268,7 +293,12 @@ def visual_meshes(model: mujoco.MjModel) -> tuple[RobotMesh, ...]:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Reach:
-    """Workspace of an arm as a sphere: its center, and the largest distance of the end effector, [m]."""
+    """Sphere that contains the workspace of an arm.
+
+    Attributes:
+        shoulder_world: Center (3,), world frame, [m].
+        reach_m: Largest distance of the end effector from the center.
+    """
 
     shoulder_world: Vector3
     reach_m: float
@@ -277,10 +307,10 @@ class Reach:
 
 
 def longest_reach(robot: RobotModel) -> Reach:
-    """Estimate the workspace sphere of an arm from sampled configurations.
+    """Estimate the workspace sphere of an arm from random configurations.
 
-    The center is the point on the first joint's axis that minimizes the distance to the farthest
-    sampled pose, which for most arms is the shoulder.
+    The center lies on a vertical line through the median of the end effector positions, at the height that minimizes the
+    distance to the farthest position. For most arms, this is the shoulder.
     """
     rng = np.random.default_rng(0)
     low, high = np.clip(robot.joint_limits, -np.pi, np.pi).T

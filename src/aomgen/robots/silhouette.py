@@ -19,13 +19,13 @@ from aomgen.robots.robot import RobotMesh, RobotModel
 
 # Near and far plane of the rendering, [m]; the recorded surfaces are between them.
 NEAR_M, FAR_M = 0.05, 20.0
-# Geoms that `mjv_updateScene` adds on its own: lights, a skybox.
+# Upper limit of the geoms that `mjv_updateScene` adds by itself: lights and a skybox.
 EXTRA_GEOMS: Final = 64
 REMEDY = "install libegl1 libegl-mesa0 libgl1-mesa-dri (or libosmesa6), or set MUJOCO_GL to egl or osmesa"
 
 
 class ModelRenderer:
-    """Renders one model with MuJoCo's rasterizer; it has an OpenGL context until it is closed. Not thread safe."""
+    """Renderer of one model with MuJoCo's rasterizer. It holds an OpenGL context until it is closed; not thread-safe."""
 
     def __init__(self, model: mujoco.MjModel, size: tuple[int, int], group: int) -> None:
         """Create a context for images up to `size` (width, height), [px], of a group of geoms.
@@ -50,9 +50,9 @@ class ModelRenderer:
         """Render the value of the geom at each pixel, without light or anti-aliasing.
 
         Args:
-            camera: Pinhole, world frame.
+            camera: Pinhole camera, world frame.
             qpos: State (nq,).
-            geom_values: A value for each geom of the model (G,).
+            geom_values: Value of each geom of the model (G,).
             nothing: Value of pixels without a geom.
 
         Returns:
@@ -152,21 +152,22 @@ def offscreen_context(width: int, height: int) -> Any:
     raise BackendError("offscreen rendering", f"no OpenGL driver works ({'; '.join(reasons)})", REMEDY)
 
 
-# This resolution displaces outlines by some tenths of a millimeter, and rendering is several times faster.
+# Default resolution of the robot's meshes, [m]. It displaces outlines by a few tenths of a millimeter and makes rendering
+# several times faster.
 CELL_M: Final = 0.001
-# Masks are compared at a few hundred pixels, at which finer meshes give the same masks, [m].
+# Resolution of the robot's meshes for masks, [m]. Masks are a few hundred pixels wide; finer meshes give the same masks.
 MASK_CELL_M: Final = 0.003
 # Robot masks (T, height, width) at log times (T,), width and height in px.
 MasksAt = Callable[[Array, int, int], NDArray[np.bool_]]
 
 
 class SilhouetteRenderer(ModelRenderer):
-    """Renders one robot; it has an OpenGL context until it is closed. Not thread safe."""
+    """Renderer of one robot. It holds an OpenGL context until it is closed; not thread-safe."""
 
     def __init__(
         self, robot: RobotModel, *, max_width: int = 1920, max_height: int = 1440, cell_m: float = CELL_M
     ) -> None:
-        """Create the context.
+        """Create an OpenGL context for a robot.
 
         Args:
             robot: The robot to render.
@@ -188,11 +189,16 @@ class SilhouetteRenderer(ModelRenderer):
     def draw(
         self, camera: Camera, joints: ArrayLike, gripper: float
     ) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
-        """Draw the robot with joints (J,), [rad], and gripper 0 open .. 1 closed.
+        """Render the robot.
+
+        Args:
+            camera: Pinhole camera, world frame.
+            joints: Arm joints (J,), [rad] or [m].
+            gripper: Gripper value, from 0 (open) to 1 (closed).
 
         Returns:
-            Body index (H, W) into `robot.body_names`, -1 where there is no robot; and depth along
-            the optical axis (H, W) [m], 0 where there is no robot.
+            Body index (H, W) into `robot.body_names`, -1 where there is no robot; and depth along the optical axis (H, W), [m],
+            0 where there is no robot.
 
         Raises:
             BackendError: The image is larger than the context.
