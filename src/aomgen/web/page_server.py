@@ -1,4 +1,4 @@
-"""Pages on 127.0.0.1 for one person: each path has a function that turns a request into a response."""
+"""HTTP server on 127.0.0.1 for a single user, in which a function computes the response to the requests of each path."""
 
 import importlib.resources
 import json
@@ -18,9 +18,9 @@ from aomgen.errors import AomgenError, ConfigError
 from aomgen.io.images import encode_jpeg
 
 HOST: Final = "127.0.0.1"
-# Longest request that is read, [bytes]: some hundred prompts of some hundred points.
+# Longest request that is read, [bytes]; it suffices for hundreds of prompts with hundreds of points.
 MAX_REQUEST: Final = 4_000_000
-# A person looks at edges of parts, which a lower quality blurs.
+# JPEG quality of images in which users inspect the edges of parts, which a lower quality would blur.
 JPEG_QUALITY: Final = 92
 TYPES: Final = {
     ".html": "text/html; charset=utf-8",
@@ -30,7 +30,7 @@ TYPES: Final = {
 
 
 class RequestFields(BaseModel):
-    """Base class of what a page sends; unknown fields are refused."""
+    """Base class of the fields of a request; unknown fields are refused."""
 
     model_config = ConfigDict(extra="forbid")
 
@@ -40,7 +40,12 @@ Fields = TypeVar("Fields", bound=RequestFields)
 
 @dataclass(frozen=True, slots=True)
 class Response:
-    """Content of a response and its media type."""
+    """Response to a request.
+
+    Attributes:
+        kind: Media type.
+        content: Body.
+    """
 
     kind: str
     content: bytes
@@ -48,10 +53,10 @@ class Response:
 
 @dataclass(frozen=True, slots=True)
 class PageRequest:
-    """PageRequest of a page.
+    """Request of a page.
 
     Attributes:
-        query: Values of the address, `?name=value`.
+        query: Parameters of the URL, `?name=value`.
         body: JSON of a POST request; empty for GET.
     """
 
@@ -59,7 +64,7 @@ class PageRequest:
     body: bytes
 
     def parse(self, kind: type[Fields]) -> Fields:
-        """Check the body of a POST request, or the query of a GET request.
+        """Parse and validate the body of a POST request, or the query of a GET request.
 
         Raises:
             ValidationError: A field is unknown, missing, or has another type.
@@ -71,23 +76,23 @@ Route = Callable[[PageRequest], Response]
 
 
 class PageServer(ThreadingHTTPServer):
-    """Serves routes until `stop`; use as a context manager.
+    """HTTP server for routes, which is used as a context manager and ended by `stop`.
 
-    An error of a route, for example a file that has vanished, becomes one sentence, `{"error": ...}`; the other routes
-    stay up.
+    An error of a route, for example a missing file, results in a response `{"error": ...}` with one sentence; the server
+    continues to run.
     """
 
     daemon_threads = True
 
     def __init__(self, routes: Mapping[str, Route], port: int) -> None:
-        """Bind to 127.0.0.1.
+        """Bind the server to 127.0.0.1.
 
         Args:
             routes: Functions by method and path, for example "GET /api/state".
-            port: 0 takes a free one.
+            port: Port number; 0 selects a free port.
 
         Raises:
-            ConfigError: The port is taken.
+            ConfigError: The port cannot be used, for example because another program uses it.
         """
         self.routes = dict(routes)
         try:
@@ -99,27 +104,31 @@ class PageServer(ThreadingHTTPServer):
 
     @property
     def url(self) -> str:
-        """Address of the first page."""
+        """URL of the root page."""
         return f"http://{HOST}:{self.server_port}/"
 
     def stop(self) -> None:
-        """End `serve_forever`; a route may call it."""
-        # In another thread, because the one that serves would wait for itself.
+        """End `serve_forever`; routes may call this method."""
+        # The serving thread would wait for itself, so another thread ends it.
         threading.Thread(target=self.shutdown).start()
 
 
 def send_json(value: Mapping[str, Any]) -> Response:
-    """Make a JSON response; NaN and infinite numbers are refused."""
+    """Create a JSON response.
+
+    Raises:
+        ValueError: A number is NaN or infinite.
+    """
     return Response("application/json", json.dumps(value, allow_nan=False).encode())
 
 
 def send_jpeg(image_srgb: NDArray[np.uint8], quality: int = JPEG_QUALITY) -> Response:
-    """Make a response of an image (H, W, 3), sRGB."""
+    """Create a JPEG response from an image (H, W, 3) uint8, sRGB."""
     return Response("image/jpeg", encode_jpeg(image_srgb, quality, halve_colors=False))
 
 
 def send_file(package: str, name: str) -> Route:
-    """Make a route that sends a file of a package, for example a page."""
+    """Create a route that sends a file of a Python package, for example a page."""
     file = importlib.resources.files(package) / name
     kind = TYPES[name[name.rindex(".") :]]
     return lambda request: Response(kind, file.read_bytes())
@@ -135,10 +144,10 @@ class _Handler(BaseHTTPRequestHandler):
         self._answer()
 
     def log_message(self, format: str, *args: Any) -> None:
-        """Print nothing: the terminal shows what the person needs."""
+        """Suppress the log of requests, so that the terminal shows only messages for the user."""
 
     def _answer(self) -> None:
-        """Send what a route produces, or its error as one sentence."""
+        """Send the response of a route, or its error as one sentence."""
         try:
             self._send(HTTPStatus.OK, self._produce())
         except ConnectionError:
@@ -170,7 +179,7 @@ class _Handler(BaseHTTPRequestHandler):
         self.wfile.write(response.content)
 
     def _produce(self) -> Response:
-        # A page of another site may resolve its host name to this server, but cannot send this host name.
+        # Another site may let its host name resolve to this server (DNS rebinding); its requests then contain that host name.
         host = self.headers.get("Host", "")
         origin = self.headers.get("Origin", f"http://{host}")
         if host.rpartition(":")[0] not in (HOST, "localhost") or origin != f"http://{host}":
@@ -179,7 +188,7 @@ class _Handler(BaseHTTPRequestHandler):
         route = self.server.routes.get(f"{self.command} {address.path}")
         if route is None:
             raise _RefusedError(HTTPStatus.NOT_FOUND, "there is no such page")
-        # A form of another site cannot send this type without asking first.
+        # A page of another site cannot send this content type without a preflight request, which this server refuses.
         if self.command == "POST" and self.headers.get_content_type() != "application/json":
             raise _RefusedError(HTTPStatus.UNSUPPORTED_MEDIA_TYPE, "the request is not JSON")
         body = self._read() if self.command == "POST" else b""
@@ -193,7 +202,7 @@ class _Handler(BaseHTTPRequestHandler):
 
 
 class _RefusedError(Exception):
-    """A request that no route sees."""
+    """A request is refused before it reaches a route."""
 
     def __init__(self, status: HTTPStatus, sentence: str) -> None:
         super().__init__(sentence)
