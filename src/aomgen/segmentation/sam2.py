@@ -1,4 +1,4 @@
-"""SAM 2 through `transformers`, for users who have its weights.
+"""Segmentation and tracking with SAM 2 through `transformers`, for users who have its weights.
 
 Images are preprocessed here, because the image processors of the library need torchvision: an image is resized to the
 square input of the network and normalized, and the mask is resized back.
@@ -30,7 +30,7 @@ _SPREAD: Final = np.array([0.229, 0.224, 0.225], np.float32)
 # Number of points in one request, which determines the memory of the decoder.
 _POINTS: Final = 16
 EXTRA: Final = 'pip install "aomgen[sam2]"'
-# Parts in drawing order: the moving part is drawn over the prompted object.
+# Parts in the order in which their labels are written: those of the moving part replace those of the object.
 PARTS: Final = (("static", STATIC), ("moving", MOVING))
 
 
@@ -95,7 +95,7 @@ def _quiet() -> Iterator[None]:
 
 
 def pixel_values(image_srgb: NDArray[np.uint8], side: int) -> NDArray[np.float32]:
-    """Convert an image (H, W, 3) to the input of the network (3, side, side)."""
+    """Convert an image (H, W, 3), sRGB, to the normalized input of the network (3, side, side)."""
     small = Image.fromarray(image_srgb).resize((side, side), Image.Resampling.BILINEAR)
     values = (np.asarray(small, np.float32) / 255 - _MEAN) / _SPREAD
     return np.ascontiguousarray(values.transpose(2, 0, 1), np.float32)
@@ -134,7 +134,7 @@ class Sam2:
         """Load weights by their name, see `sam2_weights`.
 
         Raises:
-            BackendError: The extra or the weights are missing or broken.
+            BackendError: The extra is missing, or the weights are missing or damaged.
         """
         self._network = load_pretrained("sam2", "Sam2Model", find_sam2(name, folder))
 

@@ -1,9 +1,8 @@
-"""SAM 2's weights: their location, and `python -m aomgen.segmentation.sam2_weights` to install them.
+"""Location of SAM 2 weights, and their installation by `python -m aomgen.segmentation.sam2_weights`.
 
-A set of weights is a folder as the model's publisher offers it for `transformers`: `config.json` and
-`model.safetensors`. Installing copies the two under a name, after the SHA-256 that the publisher's page
-shows was compared, and notes it; every use checks the digest again. Other formats are refused: only
-safetensors cannot hold code.
+A set of weights is a folder with `config.json` and `model.safetensors`, as publishers provide it for `transformers`.
+The installation compares the file with the SHA-256 digest on the publisher's page, copies both files under a name and
+stores the digests, which are checked again at every use. Other formats are not supported, because they may contain code.
 """
 
 import argparse
@@ -27,18 +26,20 @@ NAME: Final = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,63}")
 
 
 def list_installed(folder: Path | None = None) -> tuple[str, ...]:
-    """Names of the sets of weights that are installed, sorted."""
+    """List the names of the installed sets of weights, sorted; `folder` is as for `find_sam2`."""
     root = (folder or weights_folder()) / FOLDER
     return tuple(sorted(path.parent.name for path in root.glob(f"*/{NOTE}")))
 
 
 def find_sam2(name: str, folder: Path | None = None) -> Path:
-    """Find the folder of installed weights, below a folder of all weights; `weights_folder()` when None.
+    """Find the folder of installed weights, and check the digests of its files `CONFIG` and `WEIGHTS`.
 
-    It holds `CONFIG` and `WEIGHTS`, whose digests are checked.
+    Args:
+        name: Name under which the weights were installed.
+        folder: Folder of all weights; None uses `weights_folder()`.
 
     Raises:
-        BackendError: They are missing, or not the installed ones any more.
+        BackendError: The weights are missing, or a file has changed since the installation.
     """
     known = list_installed(folder)
     if name not in known:
@@ -55,15 +56,17 @@ def find_sam2(name: str, folder: Path | None = None) -> Path:
 
 
 def install_sam2(source: Path, name: str, sha256: str, folder: Path | None = None) -> Path:
-    """Copy a downloaded model under a name; returns its folder.
+    """Copy a downloaded model under a name and return its folder.
 
     Args:
         source: Folder with `config.json` and `model.safetensors`.
-        name: Letters, digits, dots and dashes, "sam2.1-hiera-tiny" for example.
-        sha256: Of `model.safetensors`, as its publisher states it.
+        name: Name of letters, digits, dots, dashes and underscores, for example "sam2.1-hiera-tiny".
+        sha256: SHA-256 digest of `model.safetensors`, as its publisher states it.
+        folder: Folder of all weights; None uses `weights_folder()`.
 
     Raises:
-        BackendError: The name cannot be a folder, a file is missing, or the digest differs.
+        BackendError: The name is invalid, a file is missing, or the digest differs.
+        StorageError: Writing to the disk failed.
     """
     if not NAME.fullmatch(name):
         raise BackendError(name, "is not a valid name for weights", "use letters, digits, dots and dashes")
@@ -85,7 +88,7 @@ def _check(path: Path, sha256: str) -> None:
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Install downloaded weights; returns the exit code."""
+    """Install downloaded weights and return the exit code."""
     parser = argparse.ArgumentParser(prog=COMMAND, description="Install downloaded SAM 2 weights.")
     parser.add_argument("source", type=Path, help=f"folder with {CONFIG} and {WEIGHTS}")
     parser.add_argument("--name", required=True, help="how projects call them, sam2.1-hiera-tiny for example")

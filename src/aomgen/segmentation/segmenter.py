@@ -1,4 +1,4 @@
-"""Masks of prompted parts: MobileSAM, or label images on disk; see also `sam2`."""
+"""Segmenters that use MobileSAM, or label images on disk, and the choice of a segmenter; see also `sam2`."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -23,20 +23,20 @@ from aomgen.segmentation.interface import (
 )
 from aomgen.segmentation.weights import find_weights
 
-# Input side of the network, [px]; fixed by its weights.
+# Side of the network's input, [px], determined by its weights.
 _SIDE: Final = 1024
 _MEAN: Final = np.array([123.675, 116.28, 103.53], np.float32)
 _SPREAD: Final = np.array([58.395, 57.12, 57.375], np.float32)
 
 
 class MobileSam:
-    """The ONNX encoder and decoder; one encode takes 2 to 3 s on two cores."""
+    """A `Segmenter` with MobileSAM's encoder and decoder in ONNX; encoding an image takes 2 to 3 s on two cores."""
 
     def __init__(self) -> None:
         """Load the weights.
 
         Raises:
-            BackendError: onnxruntime or the weights are missing or broken.
+            BackendError: onnxruntime is missing, or the weights are missing or damaged.
         """
         paths = find_weights()
         try:
@@ -70,7 +70,7 @@ class _EncodedImage:
     def mask(self, part: str, box_px: ArrayLike, points: ArrayLike) -> Mask:
         corners = np.asarray(box_px, np.float64).reshape(-1, 2)
         clicks = np.asarray(points, np.float64).reshape(-1, 3)
-        # Labels of the decoder: 1 on, 0 off, 2 and 3 the corners of a box; without a box it wants a point of label -1.
+        # Labels of the decoder: 1 on the part, 0 outside, 2 and 3 corners of a box, -1 padding, which is required without a box.
         ends = np.array([2.0, 3.0]) if len(corners) else np.array([-1.0])
         corners = corners if len(corners) else np.zeros((1, 2))
         coords = np.concatenate([clicks[:, :2], corners]) * self.scale
@@ -79,7 +79,7 @@ class _EncodedImage:
         return clean(logits > 0)
 
     def at_points(self, points_px: ArrayLike) -> PointMasks:
-        # The published decoder takes one prompt a call; its small masks are sufficient here.
+        # The published decoder accepts one prompt per call; its low-resolution masks are sufficient here.
         logits, quality = [], []
         for point in np.asarray(points_px, np.float64).reshape(-1, 2):
             coords = np.array([point * self.scale, [0.0, 0.0]])
@@ -90,7 +90,7 @@ class _EncodedImage:
         return masks_of_logits(logits, quality, self.shape)
 
     def _ask(self, outputs: list[str] | None, coords: Array, labels: Array) -> list[NDArray[np.float32]]:
-        """Outputs of the decoder for points (P, 2) of the network's image with labels (P,)."""
+        """Compute outputs of the decoder for points (P, 2), in pixels of the network's input, with labels (P,)."""
         feeds = {
             "image_embeddings": self.embedding,
             "point_coords": coords[None].astype(np.float32),
@@ -103,13 +103,20 @@ class _EncodedImage:
 
 
 class MasksOnDisk:
-    """Label images of a capture, named as the images; `PART_LABELS` gives the values."""
+    """A `Segmenter` with the label images of a capture, whose values are `PART_LABELS`.
+
+    A label image is a PNG with the file name of the image, without its suffix.
+    """
 
     def __init__(self, folders: Mapping[str, Path]) -> None:
         self.folders = folders
 
     def prepare(self, name: str, image_srgb: NDArray[np.uint8]) -> "PreparedImage":
-        """Read the label image of one scan image, all unlabelled when it has none."""
+        """Read the label image of one scan image; without label image, the whole image is background.
+
+        Raises:
+            MalformedFileError: The label image is malformed or has another size than the image.
+        """
         labels = np.zeros(image_srgb.shape[:2], np.uint8)
         for folder in self.folders.values():
             path = folder / f"{Path(name).stem}.png"
@@ -141,15 +148,15 @@ class _LabelImage:
 
 
 def choose_segmenter(mask_folders: Mapping[str, Path], name: str = "auto") -> Segmenter:
-    """The segmenter of a name; never another one instead.
+    """Load the segmenter of a name; if it is missing, no other one is used instead.
 
     Args:
-        mask_folders: Label images of the capture.
-        name: "auto" (label images when the capture has them, else MobileSAM), "mobile_sam", or the
-            name of installed SAM 2 weights, see `sam2_weights`.
+        mask_folders: Folders of label images of the capture, by name.
+        name: "auto" (label images if the capture has any, else MobileSAM), "mobile_sam", or the name of installed SAM 2
+            weights; see `sam2_weights`.
 
     Raises:
-        BackendError: It is not there; the message names the command that fetches it.
+        BackendError: The weights or a package are missing; the message states the command that installs them.
     """
     if name == "auto" and mask_folders:
         return MasksOnDisk(folders=mask_folders)

