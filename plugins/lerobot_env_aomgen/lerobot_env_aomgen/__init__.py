@@ -1,6 +1,7 @@
-"""LeRobot imports this by its name, which makes `--env.type=aomgen --env.suite=FILE` known.
+"""LeRobot plug-in that registers the environment `--env.type=aomgen --env.suite=FILE`.
 
-LeRobot 0.4 has no names for environments: there `lerobot_policy_aomgen` imports it.
+LeRobot imports plug-ins by the prefix of their names. LeRobot 0.4 does not do so for environments; there,
+`lerobot_policy_aomgen` imports this package.
 """
 
 from dataclasses import dataclass
@@ -18,11 +19,11 @@ from aomgen.evaluation.suite import read_suite
 @EnvConfig.register_subclass("aomgen")
 @dataclass
 class AomgenEnv(EnvConfig):
-    """The trials of a suite; rate, cameras and features are the suite's.
+    """Environment with the trials of a suite, which determines frame rate, cameras and features.
 
     Attributes:
-        suite: File of `aomgen evaluate suite`.
-        visuals: "splat", or "simulator" for MuJoCo's renderer.
+        suite: File written by `aomgen evaluate suite`.
+        visuals: "splat" for Gaussians, or "simulator" for MuJoCo's renderer.
     """
 
     suite: str = ""

@@ -1,4 +1,4 @@
-"""LeRobot imports this by its name, which makes its policies and `--env.type=aomgen` known."""
+"""LeRobot plug-in, imported by the prefix of its name, that registers its policies and `--env.type=aomgen`."""
 
 import lerobot_env_aomgen
 

@@ -1,4 +1,4 @@
-"""The action network: keypoints in the end effector's frame to a chunk of its next poses."""
+"""Network that predicts a chunk of end effector poses from keypoints, both in the end effector frame."""
 
 from itertools import pairwise
 
@@ -7,22 +7,23 @@ from torch import Tensor, nn
 
 from aomgen.core.keypoints import KEYPOINTS
 
-# Unit of lengths inside the network, [m]; the tips of unit axes of this length make orientations comparable with positions.
+# Unit of lengths inside the network, [m]. Errors of orientation are compared with errors of position by the displacement of
+# points at this distance.
 UNIT_M = 0.1
-# Unit of standard deviations of points, whose logarithm the network receives, [m].
+# Unit of the standard deviations of points, [m]; the network receives their logarithms.
 SIGMA_M = 0.01
-# Numbers of a predicted pose: position, the first two columns of its rotation, gripper.
+# Size of a predicted pose: position, the first two columns of its rotation matrix, gripper.
 POSE = 10
-# Numbers of an input: points, their standard deviations, the first grasp point, the gripper.
+# Size of an input: points, their standard deviations, the first grasp point, the gripper.
 INPUT = 4 * len(KEYPOINTS) + 4
-# Weight of the gripper's error against a length of UNIT_M.
+# Weight of the error of the gripper value, relative to that of a length in units of UNIT_M.
 GRIPPER_WEIGHT = 0.3
 
 
 class ActionNetwork(nn.Module):
-    """Inputs (B, INPUT) to poses (B, N, POSE) in the end effector's frame.
+    """A network that maps inputs (B, INPUT) to poses (B, N, POSE) in the end effector frame.
 
-    A linear path parallel to the layers lets a pose follow a point one to one.
+    A linear layer in parallel with the other layers allows poses to follow points exactly.
     """
 
     def __init__(self, chunk_size: int, hidden_dim: int, n_layers: int) -> None:
@@ -40,13 +41,14 @@ class ActionNetwork(nn.Module):
 
 
 def join_inputs(T_world_ee: Tensor, points: Tensor, sigmas: Tensor, first: Tensor, gripper: Tensor) -> Tensor:
-    """Inputs (B, INPUT) of the network.
+    """Build the inputs (B, INPUT) of the network.
 
     Args:
-        T_world_ee: Pose of the end effector (B, 4, 4).
-        points, sigmas: Keypoints (B, P, 3) in the world frame and their standard deviations (B, P), [m].
-        first: Grasp point (B, 3) when the episode began: the distance from it indicates how far the object is open.
-        gripper: Its state (B,), 0 open .. 1 closed.
+        T_world_ee: Poses of the end effector (B, 4, 4).
+        points, sigmas: Keypoints (B, P, 3), world frame, and their standard deviations (B, P), [m].
+        first: Grasp points (B, 3) at the start of the episode, world frame, [m]; the distance from them indicates how far the
+            object has been opened.
+        gripper: Gripper values (B,), from 0 (open) to 1 (closed).
     """
     relative = torch.cat([points, first[:, None]], 1) - T_world_ee[:, None, :3, 3]
     relative = relative @ T_world_ee[:, :3, :3] / UNIT_M
@@ -54,14 +56,19 @@ def join_inputs(T_world_ee: Tensor, points: Tensor, sigmas: Tensor, first: Tenso
 
 
 def compare_poses(found: Tensor, wanted: Tensor) -> Tensor:
-    """Mean absolute errors (B, N) of poses (B, N, POSE), in units of UNIT_M."""
+    """Compute the mean absolute errors (B, N) of poses (B, N, POSE), in units of UNIT_M."""
     weights = torch.ones(POSE, device=found.device)
     weights[-1] = GRIPPER_WEIGHT
     return ((found - wanted).abs() * weights).mean(-1)
 
 
 def encode_poses(T_world_ee: Tensor, actions: Tensor) -> Tensor:
-    """Poses (B, N, POSE) in the end effector's frame from actions (B, N, 8): position, quaternion wxyz, gripper in the world."""
+    """Convert actions to poses (B, N, POSE) in the end effector frame.
+
+    Args:
+        T_world_ee: Poses of the end effector (B, 4, 4).
+        actions: Actions (B, N, 8): position, [m], and quaternion wxyz, world frame, and gripper value.
+    """
     R = T_world_ee[:, None, :3, :3].transpose(-1, -2)
     positions = (R @ (actions[..., :3] - T_world_ee[:, None, :3, 3])[..., None])[..., 0]
     columns = (R @ rotate_axes(actions[..., 3:7])).transpose(-1, -2)[..., :2, :]
@@ -69,7 +76,7 @@ def encode_poses(T_world_ee: Tensor, actions: Tensor) -> Tensor:
 
 
 def decode_poses(T_world_ee: Tensor, poses: Tensor) -> Tensor:
-    """Actions (B, N, 8) from poses (B, N, POSE), whose columns are made orthonormal; the inverse of `encode_poses`."""
+    """Convert poses (B, N, POSE), whose rotation columns are orthonormalized, to actions; the inverse of `encode_poses`."""
     x = nn.functional.normalize(poses[..., 3:6], dim=-1)
     y = nn.functional.normalize(poses[..., 6:9] - (x * poses[..., 6:9]).sum(-1, keepdim=True) * x, dim=-1)
     R_ee = torch.stack([x, y, torch.linalg.cross(x, y)], -1)
@@ -79,7 +86,7 @@ def decode_poses(T_world_ee: Tensor, poses: Tensor) -> Tensor:
 
 
 def rotate_axes(quats: Tensor) -> Tensor:
-    """Rotation matrices (..., 3, 3) of quaternions wxyz (..., 4)."""
+    """Convert quaternions wxyz (..., 4) to rotation matrices (..., 3, 3)."""
     w, x, y, z = nn.functional.normalize(quats, dim=-1).unbind(-1)
     rows = [
         [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
@@ -90,9 +97,9 @@ def rotate_axes(quats: Tensor) -> Tensor:
 
 
 def quaternions(R: Tensor) -> Tensor:
-    """Quaternions wxyz (B, N, 4) of rotation matrices (B, N, 3, 3), of equal sign along each chunk.
+    """Convert rotation matrices (B, N, 3, 3) to quaternions wxyz (B, N, 4), with consistent signs in each chunk.
 
-    A quaternion is the eigenvector of the largest eigenvalue of a symmetric matrix, which no angle makes singular.
+    A quaternion is the eigenvector of the largest eigenvalue of a symmetric matrix; this method has no singularities.
     Source: Bar-Itzhack, New method for extracting the quaternion from a rotation matrix (2000).
     """
     a, b, c = R[..., 0, :].unbind(-1), R[..., 1, :].unbind(-1), R[..., 2, :].unbind(-1)
@@ -107,7 +114,10 @@ def quaternions(R: Tensor) -> Tensor:
 
 
 def align_signs(actions: Tensor, last: Tensor | None) -> Tensor:
-    """Actions (B, N, 8) whose quaternions have the sign of the last action's (B, 8), so that blending does not pass zero."""
+    """Choose the sign of the quaternions of actions (B, N, 8) according to the last action (B, 8).
+
+    Blended quaternions then do not pass through zero.
+    """
     if last is None:
         return actions
     same = (actions[:, 0, 3:7] * last[:, 3:7]).sum(-1) >= 0

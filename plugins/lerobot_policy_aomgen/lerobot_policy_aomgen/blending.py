@@ -1,4 +1,4 @@
-"""Execution of predicted chunks: a few actions of each, blended with what the last chunk predicted for them."""
+"""Execution of predicted chunks: a few actions of each are blended with the predictions of the preceding chunk."""
 
 from collections import deque
 from collections.abc import Callable
@@ -8,10 +8,10 @@ from torch import Tensor
 
 
 class ChunkBlender:
-    """Actions of overlapping chunks, one after the other.
+    """Sequence of actions from overlapping chunks.
 
-    Predictions differ by millimetres, and an arm that holds a handle follows steps of millimetres with all its torque. The
-    actions therefore change gradually from the last chunk to the new one.
+    The predictions of consecutive chunks differ by millimeters. A step of this size would cause large torques in an arm that
+    holds a handle, so the actions change gradually from the preceding chunk to the new one.
 
     Args:
         steps: Number of actions that are executed before the next prediction.
@@ -20,11 +20,11 @@ class ChunkBlender:
     def __init__(self, steps: int) -> None:
         self._steps = steps
         self._left: deque[Tensor] = deque(maxlen=steps)
-        # The last chunk's prediction of the steps after those.
+        # Predictions of the last chunk for the steps after those in `_left`.
         self._ahead: Tensor | None = None
 
     def next_action(self, predict: Callable[[], Tensor]) -> Tensor:
-        """The next action (B, A); a new chunk (B, N, A) is predicted when the actions of the last one are used up."""
+        """Return the next action (B, A); call `predict` for a new chunk (B, N, A) after `steps` actions."""
         if not self._left:
             chunk, count = predict(), self._steps
             actions, ahead = chunk[:, :count], chunk[:, count:]

@@ -1,4 +1,4 @@
-"""Settings that the policies share: chunks of actions, and the optimizer of a training from scratch."""
+"""Settings that both policies have: chunks of actions, and the optimizer of a training from scratch."""
 
 from dataclasses import dataclass
 
@@ -13,9 +13,10 @@ class ChunkConfig(PreTrainedConfig):
 
     Attributes:
         chunk_size: Number of actions that are predicted at once.
-        n_action_steps: Number of these that are executed before the next prediction, see `ChunkBlender`.
-        optimizer_lr, optimizer_weight_decay, warmup_steps, decay_steps: Of AdamW, with a cosine decay to zero; fewer
-            steps of training shorten both.
+        n_action_steps: Number of these actions that are executed before the next prediction; see `ChunkBlender`.
+        optimizer_lr, optimizer_weight_decay: Peak learning rate and weight decay of AdamW.
+        warmup_steps, decay_steps: Lengths of the warmup and of the cosine decay of the learning rate to zero; LeRobot shortens
+            both for shorter trainings.
     """
 
     chunk_size: int = 50

@@ -1,4 +1,4 @@
-"""Settings of the policy with a finder, as `lerobot-train` takes them from its command line."""
+"""Settings of the policy `handle_act`, which `lerobot-train` reads from its command line."""
 
 from dataclasses import dataclass, field
 
@@ -8,9 +8,9 @@ from lerobot.utils.constants import OBS_ENV_STATE
 
 from lerobot_policy_aomgen.chunk_configuration import ChunkConfig
 
-# A chunk that begins this number of frames before an observation begins at the first frame of its episode: LeRobot repeats it.
+# Offset of the first frame of an episode: LeRobot clips offsets of frames to the episode, so that any large one refers to it.
 FIRST_FRAME = -100_000
-# Numbers of an action: position, quaternion wxyz, gripper.
+# Size of an action: position, quaternion wxyz, gripper.
 POSE_SIZE = 8
 REMEDY = "export the dataset with --format lerobot-v3 --media keypoints --actions ee_absolute"
 
@@ -20,21 +20,20 @@ REMEDY = "export the dataset with --format lerobot-v3 --media keypoints --action
 class HandleACTConfig(ChunkConfig):
     """A finder locates handle and joint axis in all cameras; a small network predicts end effector poses from the points.
 
-    The finder is trained before, on labelled images. The network is trained on the true points of demonstrations with the
-    errors that were measured for the finder.
+    The finder is trained separately on labeled images. The network is trained on the true points of demonstrations, to which
+    measured errors of the finder are added.
 
     The settings of chunks and optimizer are those of `ChunkConfig`.
 
     Attributes:
-        finder: File of the finder; needed when a training begins, afterwards the policy contains it.
-        suite: File of a suite, whose cameras and arm the policy uses; needed when a training begins. The demonstrations may
+        finder: File of the finder; required to start a training. Afterwards the policy contains the finder.
+        suite: File of a suite, whose cameras and arm the policy uses; required to start a training. The demonstrations may
             have no images.
-        cameras: Names of the cameras that the policy uses, at least two; by default all of the suite. Without the wrist
-            camera, for example, for an ablation.
-        geometry, finder_settings: JSON that the policy keeps of suite and finder.
-        hidden_dim, n_layers: Size of the network.
-        pose_noise_m, pose_noise_rad: Standard deviation of the changes of the end effector's pose in training, so that the
-            policy returns to the path after a deviation.
+        cameras: Names of the cameras that the policy uses, at least two; by default all cameras of the suite.
+        geometry, finder_settings: JSON of the geometry of the suite and of the settings of the finder, stored by the policy.
+        hidden_dim, n_layers: Width and number of the hidden layers of the network.
+        pose_noise_m, pose_noise_rad: Standard deviations of the noise of the end effector's pose in training, which teaches
+            the policy to return to the path after a deviation.
     """
 
     finder: str = ""
@@ -51,7 +50,11 @@ class HandleACTConfig(ChunkConfig):
     )
 
     def validate_features(self) -> None:
-        """Raises ValueError without poses as actions, or if a training begins without keypoints, finder or suite."""
+        """Check the features of the dataset.
+
+        Raises:
+            ValueError: Actions are not poses, the state is missing, or a training starts without keypoints, finder or suite.
+        """
         if self.action_feature is None or self.action_feature.shape != (POSE_SIZE,):
             raise ValueError(f"actions are no poses: {REMEDY}")
         if self.robot_state_feature is None:
@@ -65,5 +68,5 @@ class HandleACTConfig(ChunkConfig):
 
     @property
     def observation_delta_indices(self) -> list[int]:
-        """First frame of the episode, and now."""
+        """Offsets of the observed frames: first frame of the episode, and current frame."""
         return [FIRST_FRAME, 0]

@@ -1,4 +1,4 @@
-"""Settings of the small policy, as `lerobot-train` takes them from its command line."""
+"""Settings of the policy `small_act`, which `lerobot-train` reads from its command line."""
 
 from dataclasses import dataclass, field
 
@@ -11,20 +11,21 @@ from lerobot_policy_aomgen.chunk_configuration import ChunkConfig
 @PreTrainedConfig.register_subclass("small_act")
 @dataclass
 class SmallACTConfig(ChunkConfig):
-    """Action chunking with a small convolutional encoder: about 2 million parameters for two cameras of 96x96.
+    """Action chunking with a small convolutional encoder: about 2 million parameters for two cameras of 96x96 px.
 
     Images, state and actions are normalized; noise and color changes are in units of their standard deviations.
 
     The settings of chunks and optimizer are those of `ChunkConfig`.
 
     Attributes:
-        channels: Of the encoder's convolutions; each halves the image.
-        joint_offsets: Actions are joints, and predicted as offsets from the state; False for those of another kind.
-        picture_tokens: Number of the encoder's tokens of an image; each may depend on all of it.
-        dim_model, n_heads, dim_feedforward, n_encoder_layers, n_decoder_layers, dropout: Of the transformer.
-        state_noise: Added to the state in training, so that the policy returns to the path after a deviation.
+        joint_offsets: Whether actions are joints, which are predicted as offsets from the state.
+        channels: Numbers of channels of the encoder's convolutions; each convolution halves width and height.
+        picture_tokens: Number of tokens of an image; each depends on the whole image.
+        dim_model, n_heads, dim_feedforward, n_encoder_layers, n_decoder_layers, dropout: Settings of the transformer.
+        state_noise: Standard deviation of the noise that is added to the state in training, which teaches the policy to
+            return to the path after a deviation.
         shift_px: Largest shift of images in training, [px].
-        contrast, tint: Largest change of an image's contrast, as a share, and of each of its color channels.
+        contrast, tint: Largest relative change of the contrast, and largest change of each color channel, in training.
     """
 
     joint_offsets: bool = True
@@ -49,7 +50,12 @@ class SmallACTConfig(ChunkConfig):
     )
 
     def validate_features(self) -> None:
-        """Raises ValueError without an action, a state, or an input that locates the object, and for offsets of poses."""
+        """Check the features of the dataset.
+
+        Raises:
+            ValueError: Action or state is missing, there are neither images nor object poses, or `joint_offsets` is set and
+                actions are not joints.
+        """
         if self.action_feature is None or self.robot_state_feature is None:
             raise ValueError("the dataset needs the features action and observation.state")
         if self.joint_offsets and self.action_feature.shape != self.robot_state_feature.shape:

@@ -1,8 +1,9 @@
-"""The finder: a network that locates handle and joint axis in an image of any camera, in one or two looks.
+"""The finder, a network that locates handle and joint axis in an image of any camera.
 
-The first look sees the whole image. The second sees crops of the stored image around what the first found, at several
-times its resolution: fingers tolerate 10 mm, and a pixel of the whole image at 96 px is 12 to 16 mm at the handle. The
-same network takes both looks, for all cameras.
+The network is applied once or twice, called looks. The first look processes the whole image. The second look processes crops of
+the stored image around the points of the first look, at a resolution several times higher: the gripper tolerates errors of
+10 mm, but a pixel of the whole image at 96 px corresponds to 12 to 16 mm at the handle. Both looks use the same network, for
+all cameras.
 """
 
 import json
@@ -22,15 +23,15 @@ from aomgen.errors import MalformedFileError, MissingFileError
 from aomgen.io.atomic import write_bytes
 from lerobot_policy_aomgen.lite0 import CHANNELS, MEAN, SPREAD, Lite0
 
-# Keypoints that share a crop of the second look, which is centered between those that the first look saw.
+# Indices of the keypoints that share a crop of the second look; its center is the weighted mean of their first estimates.
 GROUPS: Final = ((0, 1, 2), (3, 4))
 # Side of the network's input, [px].
 SIDE: Final = 96
 # Channels of the feature pyramid.
 PYRAMID: Final = 64
-# Variance of a uniform heat map, in squares of its side: it knows nothing of the point.
+# Variance of a uniform heat map, which contains no information, in units of its squared side.
 UNIFORM: Final = 1 / 12
-# Least share of certainty, so that no spread is infinite; the spread of a uniform heat map in units of its side follows.
+# Lower limit of the certainty, which keeps spreads finite, and the resulting spread of a uniform heat map in units of its side.
 LEAST: Final = 1e-2
 UNSEEN: Final = math.sqrt(UNIFORM / LEAST)
 METADATA: Final = "aomgen_finder"
@@ -38,11 +39,11 @@ METADATA: Final = "aomgen_finder"
 
 @dataclass(frozen=True, kw_only=True)
 class FinderSettings:
-    """Settings of a finder; each of the first two can be switched off for an ablation.
+    """Settings of a finder; ablations switch off the first two.
 
     Attributes:
-        second_look: Look a second time, at crops.
-        pretrained: Training starts from weights that were trained on ImageNet.
+        second_look: Whether a second look processes crops.
+        pretrained: Whether training starts from weights that were trained on ImageNet.
         crop_px: Side of a crop of the second look in the stored image, [px].
     """
 
@@ -57,8 +58,8 @@ class FinderErrors:
 
     Attributes:
         cameras: Name of the camera of each of N images.
-        offsets: Found minus true point (N, P, 2), divided by the focal length; NaN outside the image.
-        spreads: Spread of the heat maps (N, P), divided by the focal length.
+        offsets: Estimated minus true point (N, P, 2), divided by the focal lengths; NaN for points outside the image.
+        spreads: Spreads of the estimates (N, P), divided by the focal length; see `read_heat_maps`.
     """
 
     cameras: tuple[str, ...]
@@ -67,7 +68,7 @@ class FinderErrors:
 
 
 class Finder(nn.Module):
-    """Images (B, 3, 96, 96), normalized, to logits of heat maps (B, P, 24, 24), one for each point."""
+    """A network that maps normalized images (B, 3, 96, 96) to logits of heat maps (B, P, 24, 24), one for each point."""
 
     def __init__(self, settings: FinderSettings) -> None:
         super().__init__()
@@ -94,8 +95,8 @@ class Finder(nn.Module):
         """Locate the points in images (B, 3, H, W) with values 0..1.
 
         Returns:
-            Points (B, P, 2) and their spreads (B, P), see `read_heat_maps`, [px]. The second look counts where its spread
-            is smaller.
+            Points (B, P, 2) and their spreads (B, P), see `read_heat_maps`, [px]. The estimate of the second look is used if its
+            spread is smaller.
         """
         count, _, height, width = images.shape
         size = torch.tensor([width, height], dtype=torch.float32, device=images.device)
@@ -114,7 +115,7 @@ class Finder(nn.Module):
         return points, spreads
 
     def _look(self, levels: Tensor, centers: Tensor, spans: Tensor) -> tuple[Tensor, Tensor]:
-        """Points and spreads in pixels of the image, from a look at a part of it."""
+        """Estimate points (B, P, 2) and spreads (B, P), in pixels of the image, from a part of each image; see `crop_images`."""
         points, spreads = read_heat_maps(self(crop_images(levels, centers, spans)))
         return centers[:, None] + spans[:, None] * (points - 0.5), spreads * spans.mean(1, keepdim=True)
 
@@ -129,7 +130,7 @@ def crop_images(levels: Tensor, centers: Tensor, spans: Tensor) -> Tensor:
     Returns:
         Normalized images (B, 3, SIDE, SIDE).
     """
-    # Averaging whole pixels first avoids aliasing.
+    # Averaging over blocks of pixels before sampling avoids aliasing.
     factor = max(int(spans.min().item() / SIDE), 1)
     pooled = F.avg_pool2d(levels, factor) if factor > 1 else levels
     covered = factor * torch.tensor(pooled.shape[:1:-1], dtype=torch.float32, device=levels.device)
@@ -142,11 +143,12 @@ def crop_images(levels: Tensor, centers: Tensor, spans: Tensor) -> Tensor:
 
 
 def read_heat_maps(logits: Tensor) -> tuple[Tensor, Tensor]:
-    """Read points from heat maps (B, P, h, w), in units of their side.
+    """Compute points from the logits of heat maps (B, P, h, w).
 
     Returns:
-        Means (B, P, 2) and spreads (B, P): standard deviations that belong to the information which a heat map has more
-        than a uniform one. A point that is not seen has a spread of many sides.
+        Means (B, P, 2) and spreads (B, P), in units of the side of a heat map. A spread is the standard deviation that
+        corresponds to the information of a heat map in addition to that of a uniform one; that of an unobserved point is about
+        `UNSEEN`.
     """
     height, width = logits.shape[-2:]
     shares = logits.flatten(2).softmax(-1).view_as(logits)
@@ -160,10 +162,10 @@ def read_heat_maps(logits: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def save_finder(path: Path, finder: Finder, errors: FinderErrors) -> None:
-    """Write a finder with its measured errors as one safetensors file.
+    """Write a finder with its measured errors to a safetensors file.
 
     Raises:
-        StorageError: The disk refuses.
+        StorageError: Writing to the disk failed.
     """
     content = {f"network.{name}": value.contiguous() for name, value in finder.state_dict().items()}
     content |= {"errors.offsets": errors.offsets, "errors.spreads": errors.spreads}
@@ -176,11 +178,11 @@ def save_finder(path: Path, finder: Finder, errors: FinderErrors) -> None:
 
 
 def load_finder(path: Path) -> tuple[Finder, FinderErrors]:
-    """Read what `save_finder` wrote; the finder is ready for evaluation.
+    """Read a finder in evaluation mode, and its errors, from a file of `save_finder`.
 
     Raises:
-        MissingFileError: There is no file.
-        MalformedFileError: It is no finder, or one of other points.
+        MissingFileError: The file does not exist.
+        MalformedFileError: The file contains no finder, or one of other points than `KEYPOINTS`.
     """
     if not path.is_file():
         raise MissingFileError(path, "is missing", "train a finder with lerobot_policy_aomgen.train_finder")

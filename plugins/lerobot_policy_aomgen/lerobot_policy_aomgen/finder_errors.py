@@ -1,6 +1,6 @@
-"""`python -m lerobot_policy_aomgen.finder_errors FINDER IMAGES`: lateral errors of a finder on labelled images.
+"""Lateral errors of a finder on labeled images: `python -m lerobot_policy_aomgen.finder_errors FINDER IMAGES`.
 
-The lateral error is the distance between the true point and the ray of the found one, at the point's depth.
+The lateral error is the distance between the true point and the point at the same depth on the ray of the estimated pixel.
 """
 
 import argparse
@@ -18,12 +18,12 @@ from aomgen.io.atomic import write_json
 from lerobot_policy_aomgen.finder import Finder, FinderErrors, load_finder
 from lerobot_policy_aomgen.finder_images import LabelledImages, read_images
 
-# Number of images that the network receives at once.
+# Number of images in one batch of the network.
 BATCH = 32
 
 
 def measure_errors(finder: Finder, images: LabelledImages) -> FinderErrors:
-    """Run a finder on all images; points outside an image have no error."""
+    """Measure the errors of a finder on all images; those of points outside their image are NaN."""
     offsets, spreads = [], []
     for first in range(0, len(images), BATCH):
         rows = np.arange(first, min(first + BATCH, len(images)))
@@ -41,12 +41,15 @@ def measure_errors(finder: Finder, images: LabelledImages) -> FinderErrors:
 
 
 def lateral_mm(errors: FinderErrors, images: LabelledImages) -> Array:
-    """Lateral errors (N, P) at the points' depths, [mm]; NaN outside the image."""
+    """Compute the lateral errors (N, P) at the depths of the points, [mm]; NaN for points outside their image."""
     return 1000 * images.depths * np.linalg.norm(errors.offsets.numpy(), axis=-1)
 
 
 def make_table(errors: FinderErrors, images: LabelledImages) -> dict[str, dict[str, Any]]:
-    """Errors of every point: of all cameras where it lies in the image, and of the grasp by camera and where it is visible."""
+    """Summarize lateral errors by row of a table.
+
+    There is a row for each keypoint inside its image, for the grasp point in each camera, and for the visible grasp points.
+    """
     found_mm = lateral_mm(errors, images)
     grasp, names = found_mm[:, 0], np.array(images.cameras)
     return {
@@ -60,7 +63,7 @@ def make_table(errors: FinderErrors, images: LabelledImages) -> dict[str, dict[s
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Print the errors of a finder; returns the exit code."""
+    """Print the errors of a finder and return the exit code."""
     parser = argparse.ArgumentParser(
         prog="python -m lerobot_policy_aomgen.finder_errors",
         description="Print lateral errors of a finder on labelled images.",

@@ -1,4 +1,4 @@
-"""Labelled images of `aomgen export --format images`, in memory as JPEG."""
+"""Reader of labeled images from `aomgen export --format images`, which are held in memory as JPEG."""
 
 import io
 import json
@@ -19,23 +19,23 @@ from aomgen.errors import MalformedFileError
 from aomgen.exports.image_dataset import DATASET_FILE, read_shard
 from aomgen.io.artifact import read_json
 
-# Points nearer to the camera's plane than this are not in the image, [m].
+# Points of less than this depth are not in the image, [m].
 NEAR_M: Final = 0.02
 REMEDY: Final = "export it again with `aomgen export --format images`"
 
 
 @dataclass(frozen=True, kw_only=True)
 class LabelledImages:
-    """Images of one size with their projected points.
+    """Images of one size with the projections of the keypoints.
 
     Attributes:
         jpegs: N encoded images.
-        cameras, assets: Names, one for each image.
+        cameras, assets: Names of camera and asset of each image.
         focal_px: Focal lengths fx and fy (N, 2), [px].
-        points_px: Projected points (N, P, 2), x and y, pixel centers at +0.5; NaN where they lie behind the camera.
-        depths: Their depths (N, P), [m].
-        visible: Whether nothing is in front of them (N, P).
-        size: Width and height, [px].
+        points_px: Projected points (N, P, 2), x and y, pixel centers at +0.5, [px]; NaN for depths below `NEAR_M`.
+        depths: Depths of the points (N, P), [m].
+        visible: Whether each point is unoccluded (N, P).
+        size: Width and height of the images, [px].
     """
 
     jpegs: tuple[bytes, ...]
@@ -52,20 +52,20 @@ class LabelledImages:
 
     @property
     def inside(self) -> NDArray[np.bool_]:
-        """Return whether each point lies in its image (N, P), visible or not."""
+        """Mask (N, P) of the points inside their image, visible or occluded."""
         return ((self.points_px >= 0) & (self.points_px < self.size)).all(-1)
 
     def decode(self, rows: Sequence[int] | NDArray[np.int64]) -> NDArray[np.uint8]:
-        """Images (M, H, W, 3) of some rows."""
+        """Decode the images (M, H, W, 3) uint8 of some rows."""
         return np.stack([np.asarray(Image.open(io.BytesIO(self.jpegs[row])).convert("RGB")) for row in rows])
 
 
 def read_images(folder: Path, limit: int | None = None) -> LabelledImages:
-    """Read a dataset of labelled images, its first `limit` ones.
+    """Read a dataset of labeled images, or its first `limit` images.
 
     Raises:
         MissingFileError: There is no dataset.
-        MalformedFileError: A shard is damaged, or the labels are other points.
+        MalformedFileError: A shard is damaged, there are no images, or the labels are other points than `KEYPOINTS`.
     """
     described = read_json(folder / DATASET_FILE)
     if tuple(described.get("keypoints", ())) != KEYPOINTS:

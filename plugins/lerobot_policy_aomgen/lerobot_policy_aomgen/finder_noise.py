@@ -1,4 +1,4 @@
-"""Errors of a finder as noise of true pixels, from which an action network learns."""
+"""Measured errors of a finder as noise on true pixels, for the training of an action network."""
 
 import torch
 from torch import Tensor
@@ -7,21 +7,25 @@ from aomgen.core.keypoints import KEYPOINTS
 from lerobot_policy_aomgen.finder import UNSEEN, FinderErrors
 from lerobot_policy_aomgen.lifting import Views
 
-# Number of images whose errors a policy keeps of each camera.
+# Number of images per camera whose errors a policy stores.
 IMAGES = 256
-# Shape of a table of one camera: x and y of the offset and the spread of each point, divided by the focal length.
+# Shape of the table of one camera: x and y of the offset, and the spread of each point, divided by the focal length.
 TABLE_SHAPE = (IMAGES, len(KEYPOINTS), 3)
-# Points nearer to the camera's plane than this are not in the image, [m].
+# Points of at most this depth are not in the image, [m].
 NEAR_M = 0.02
 
 
 def tabulate_errors(errors: FinderErrors, cameras: list[str]) -> Tensor:
-    """Errors of images of each camera (C, *TABLE_SHAPE), sampled with a fixed seed.
+    """Sample errors of images of each camera (C, *TABLE_SHAPE) with a fixed seed.
 
-    The errors of an image's points stay together; a point outside the image gets its error from another image.
+    The errors of the points of an image remain together; a point outside the image gets an error from another image.
+
+    Args:
+        errors: Measured errors of the finder.
+        cameras: Names of C cameras.
 
     Raises:
-        ValueError: The finder was not measured on images of a camera that contain all points.
+        ValueError: For a camera, a point is in none of the images on which the errors were measured.
     """
     rng = torch.Generator().manual_seed(0)
     tables = []
@@ -44,13 +48,18 @@ def tabulate_errors(errors: FinderErrors, cameras: list[str]) -> Tensor:
 
 
 def add_errors(tables: Tensor, views: Views, pixels: Tensor, depths: Tensor) -> tuple[Tensor, Tensor]:
-    """Pixels (B, C, P, 2) and spreads (B, C, P) as the finder would find them, [px].
+    """Simulate the output of the finder by adding random measured errors to true pixels.
+
+    The simulated pixel of a point outside an image is the center of the image, with the spread of an unobserved point.
 
     Args:
-        tables: Of `tabulate_errors`.
-        views: The cameras.
-        pixels, depths: True pixels (B, C, P, 2) and depths (B, C, P). A point outside an image is found in its middle, with
-            the spread of a point that is not seen.
+        tables: Errors from `tabulate_errors`.
+        views: Cameras.
+        pixels: True pixels (B, C, P, 2).
+        depths: True depths (B, C, P), [m].
+
+    Returns:
+        Pixels (B, C, P, 2) and their spreads (B, C, P), [px].
     """
     count = torch.arange(pixels.shape[1], device=pixels.device)
     rows = torch.randint(IMAGES, pixels.shape[:2], device=pixels.device)

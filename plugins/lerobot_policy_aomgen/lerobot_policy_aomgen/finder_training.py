@@ -1,4 +1,4 @@
-"""Training of a finder: crops of labelled images, their loss, and steps that a killed training continues."""
+"""Training of a finder on whole labeled images and crops of them; an interrupted training can be continued."""
 
 import io
 import math
@@ -17,25 +17,25 @@ from lerobot_policy_aomgen.finder import GROUPS, Finder, FinderSettings, crop_im
 from lerobot_policy_aomgen.finder_images import LabelledImages
 
 BATCH: Final = 32
-# Steps between checkpoints.
+# Number of steps between two checkpoints.
 SAVE_EVERY: Final = 200
 CHECKPOINT: Final = "checkpoint.pt"
-# Learning rates of AdamW: new layers, and a third of it for the pretrained trunk, so that its features are adapted, not lost.
+# Learning rates of AdamW for new layers, and for the pretrained trunk, whose features should change only slightly.
 RATE, TRUNK_RATE = 1e-3, 3e-4
 WEIGHT_DECAY: Final = 1e-4
-# Steps over which the rates rise; afterwards they fall to zero along a cosine.
+# Number of steps of the linear warmup of the learning rates, which is multiplied by a cosine decay to zero.
 WARMUP: Final = 50
-# Share of a batch that is whole images; the rest is crops, of which this share lies anywhere: the second look has to see that
-# there is no handle.
+# Share of whole images in a batch, and share of the crops, which are the remainder, with a random center. The latter teach the
+# second look to recognize that a crop contains no points.
 WHOLE_SHARE, ANYWHERE_SHARE = 0.5, 0.15
-# Share of crops around the first group, the handle's.
+# Share of crops around the points of the handle, the first group of points; the others are around the axis.
 HANDLE_SHARE: Final = 0.65
-# Largest changes of center (share of the side) and span of crops, and of whole images.
+# Largest changes of the center, as a share of the side, and of the size, of crops and of whole images.
 CROP_SHIFT, CROP_ZOOM = 0.25, 0.15
 WHOLE_SHIFT, WHOLE_ZOOM = 0.04, 0.1
 # Largest changes of contrast and of each color channel, in units of normalized images.
 CONTRAST, TINT = 0.3, 0.3
-# Standard deviation of the heat map of a known point, in its cells, and weights of the two terms of the loss.
+# Standard deviation of the target heat map, [cells], and weights of the two terms of the loss.
 TARGET_CELLS: Final = 1.0
 HEAT_WEIGHT, POINT_WEIGHT = 0.1, 1.0
 
@@ -48,23 +48,23 @@ def train_finder(
     folder: Path,
     report: Callable[[int, float], None],
 ) -> Finder:
-    """Train a finder; a killed training continues from its last checkpoint in `folder`.
+    """Train a finder; an interrupted training continues from its last checkpoint in `folder`.
 
     Args:
-        images: Labelled images.
-        settings: Parts of the finder.
+        images: Labeled images.
+        settings: Settings of the finder.
         steps: Number of steps of 32 images.
-        seed: Of weights and samples. The result depends on it, not on interruptions.
-        folder: Gets the checkpoint.
-        report: Called after every step with its number and its loss.
+        seed: Seed of initial weights and samples. Interruptions do not change the result.
+        folder: Folder of the checkpoint.
+        report: Called after each step with its number, from 1, and its loss.
 
     Returns:
         The finder in evaluation mode.
 
     Raises:
-        BackendError: Pretrained weights are requested and missing.
-        MalformedFileError: The checkpoint is damaged or of another training.
-        StorageError: The disk refuses.
+        BackendError: Pretrained weights are requested but not installed.
+        MalformedFileError: The checkpoint is damaged or belongs to another training.
+        StorageError: Writing to the disk failed.
     """
     torch.manual_seed(seed)
     finder = Finder(settings)
@@ -105,7 +105,7 @@ def _save(path: Path, content: dict[str, Any]) -> None:
 
 
 def _continue(path: Path, parts: dict[str, Any], identity: dict[str, Any]) -> int:
-    """Load a checkpoint if there is one; returns the number of steps that are done."""
+    """Load the checkpoint if there is one, and return the number of completed steps."""
     if not path.is_file():
         return 0
     try:
@@ -125,10 +125,10 @@ def _continue(path: Path, parts: dict[str, Any], identity: dict[str, Any]) -> in
 def draw_batch(
     images: LabelledImages, settings: FinderSettings, rng: np.random.Generator
 ) -> tuple[Tensor, Tensor]:
-    """Draw parts of random images, with changed colors.
+    """Sample a batch of nearly whole images and crops of random images, with random changes of color.
 
     Returns:
-        Normalized images (B, 3, SIDE, SIDE), and the points (B, P, 2) in them in units of the side; NaN where unknown.
+        Normalized images (B, 3, SIDE, SIDE), and the points (B, P, 2) in units of their side; NaN for points behind the camera.
     """
     rows = rng.integers(len(images), size=BATCH)
     whole = BATCH if not settings.second_look else round(WHOLE_SHARE * BATCH)
@@ -150,7 +150,7 @@ def draw_batch(
 def _draw_whole(
     images: LabelledImages, rows: np.ndarray, rng: np.random.Generator
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Centers and spans (B, 2) of nearly whole images, [px]."""
+    """Sample centers and sizes (B, 2) of nearly whole images, [px]."""
     size = np.array(images.size, float)
     centers = size * (0.5 + rng.uniform(-WHOLE_SHIFT, WHOLE_SHIFT, (len(rows), 2)))
     return centers, size * rng.uniform(1 - WHOLE_ZOOM, 1 + WHOLE_ZOOM, (len(rows), 1))
@@ -159,7 +159,7 @@ def _draw_whole(
 def _draw_crops(
     images: LabelledImages, rows: np.ndarray, crop_px: int, rng: np.random.Generator
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Centers and spans (B, 2) of crops around the points of one group that lie in the image, or anywhere, [px]."""
+    """Sample centers and sizes (B, 2) of crops, [px], around the points of one group inside the image, or at random."""
     size, count = np.array(images.size, float), len(rows)
     members = np.zeros((len(GROUPS), images.points_px.shape[1]))
     for number, group in enumerate(GROUPS):
@@ -176,7 +176,16 @@ def _draw_crops(
 
 
 def compute_loss(finder: Finder, batch: Tensor, targets: Tensor) -> Tensor:
-    """Cross entropy of the heat maps, uniform for points outside, and the distance of the read points inside."""
+    """Compute the loss of a batch.
+
+    It is the weighted sum of the cross entropy of the heat maps, whose targets are uniform for points outside the image, and the
+    mean absolute error of the coordinates of points inside, in units of the side.
+
+    Args:
+        finder: Network in training mode.
+        batch: Normalized images (B, 3, SIDE, SIDE).
+        targets: Points (B, P, 2) in units of the side; NaN or outside 0..1 for points outside.
+    """
     logits = finder(batch)
     height, width = logits.shape[-2:]
     inside = ((targets >= 0) & (targets < 1)).all(-1)

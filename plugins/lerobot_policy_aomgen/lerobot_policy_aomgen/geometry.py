@@ -1,4 +1,4 @@
-"""Cameras and kinematics of a suite as plain numbers, which a trained policy keeps in its settings."""
+"""Cameras and kinematics of a suite as plain numbers, which are stored in the settings of a trained policy."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -15,19 +15,20 @@ from aomgen.evaluation.suite import open_suite
 from aomgen.robots.robot import RobotModel
 from lerobot_policy_aomgen.lifting import Views
 
-# Joint values at which the pose of a mounted camera on the end effector is read, [rad] or [m].
+# Value of all joints at which the pose of a mounted camera relative to the end effector is compared with that at zero, [rad] or
+# [m].
 PROBE = 0.3
 
 
 class Geometry(TypedDict):
-    """Cameras by name in the order of the policy's images, and the arm.
+    """Cameras, by name in the order of the policy's images, and kinematics of the arm.
 
     Attributes:
         size: Width and height of all images, [px].
         K: Intrinsic matrix (3, 3) of each camera, [px].
-        T_frame_cam: Pose (4, 4) of each camera, in the world frame or, if it is mounted, in the end effector's.
-        mounted: Names of the cameras that the end effector carries.
-        screws: Twist (4, 4) of each joint in the world frame, at joint values of zero.
+        T_frame_cam: Pose (4, 4) of each camera, in the world frame or, if it is mounted, in the end effector frame.
+        mounted: Names of the cameras that are mounted on the end effector.
+        screws: Twist (4, 4) of each joint at joint values of zero, world frame.
         T_world_ee: Pose (4, 4) of the end effector at joint values of zero.
     """
 
@@ -40,11 +41,15 @@ class Geometry(TypedDict):
 
 
 def read_geometry(path: Path, cameras: list[str]) -> Geometry:
-    """Geometry of the suite in a file, with some of its cameras; all of them if none is named.
+    """Read the geometry of a suite.
+
+    Args:
+        path: File of the suite.
+        cameras: Names of the cameras to use; empty uses all cameras of the suite.
 
     Raises:
         AomgenError: See `open_suite`.
-        ValueError: A camera is unknown, or there are fewer than two, which cannot locate a point.
+        ValueError: A camera is unknown, or there are fewer than two, which is too few to triangulate a point.
     """
     suite, results = open_suite(path)
     unknown = set(cameras) - set(suite.cameras)
@@ -57,12 +62,16 @@ def read_geometry(path: Path, cameras: list[str]) -> Geometry:
 
 
 def describe_geometry(cameras: Mapping[str, Camera], robot: RobotModel) -> Geometry:
-    """Geometry of cameras and of the arm.
+    """Describe cameras and the kinematics of an arm.
 
-    The arm is a product of exponentials: `T_world_ee(q) = exp(S_1 q_1) ... exp(S_J q_J) T_world_ee(0)`.
+    The kinematics are a product of exponentials: `T_world_ee(q) = exp(S_1 q_1) ... exp(S_J q_J) T_world_ee(0)`.
+
+    Args:
+        cameras: Cameras by name; poses of mounted cameras are ignored.
+        robot: Robot, which may have mounted cameras.
 
     Raises:
-        ValueError: The robot carries a camera elsewhere than at its end effector, or images have different sizes.
+        ValueError: A mounted camera moves relative to the end effector, or images have different sizes.
     """
     count = len(robot.joint_names)
     Ts = robot.ee_poses(np.vstack([np.zeros(count), np.eye(count)]))
@@ -92,7 +101,7 @@ def _camera_poses(robot: RobotModel, name: str, joints: Any) -> Any:
 
 
 def pose_end_effector(geometry: Geometry, joints: Tensor) -> Tensor:
-    """Poses T_world_ee (B, 4, 4) for joint values (B, J)."""
+    """Compute the poses T_world_ee (B, 4, 4) for joints (B, J), [rad] or [m]."""
     screws = torch.tensor(geometry["screws"], dtype=joints.dtype, device=joints.device)
     T = torch.tensor(geometry["T_world_ee"], dtype=joints.dtype, device=joints.device)
     for number in reversed(range(len(screws))):
@@ -101,7 +110,7 @@ def pose_end_effector(geometry: Geometry, joints: Tensor) -> Tensor:
 
 
 def pose_views(geometry: Geometry, cameras: list[str], T_world_ee: Tensor) -> Views:
-    """Cameras (B, C) by their names, for end effector poses (B, 4, 4)."""
+    """Compute the views of C cameras, given by name, for end effector poses (B, 4, 4)."""
     options = {"dtype": T_world_ee.dtype, "device": T_world_ee.device}
     poses = []
     for name in cameras:
@@ -112,7 +121,10 @@ def pose_views(geometry: Geometry, cameras: list[str], T_world_ee: Tensor) -> Vi
 
 
 def disturb_poses(Ts: Tensor, sigma_m: float, sigma_rad: float) -> Tensor:
-    """Move and rotate poses (B, 4, 4) in their own frames by normally distributed amounts."""
+    """Translate and rotate poses (B, 4, 4) in their own frames by normally distributed twists.
+
+    `sigma_m` and `sigma_rad` are the standard deviations of each component.
+    """
     twists = Ts.new_zeros(len(Ts), 4, 4)
     x, y, z = (sigma_rad * torch.randn(3, len(Ts), dtype=Ts.dtype, device=Ts.device)).unbind()
     twists[:, 0, 1], twists[:, 1, 0] = -z, z

@@ -1,11 +1,11 @@
-"""Points in space from their pixels in several calibrated views."""
+"""Projection of points into calibrated views, and triangulation from several views."""
 
 from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
-# Rounds of least squares; the first one does not know the distances that weight the views.
+# Number of iterations of least squares. The distances that determine the weights of the views are estimated in each iteration.
 ROUNDS = 3
 
 
@@ -15,7 +15,7 @@ class Views(NamedTuple):
     Attributes:
         size: Width and height of all images, [px].
         K: Intrinsic matrices (C, 3, 3), [px].
-        T_world_cam: Poses (B, C, 4, 4).
+        T_world_cam: Poses (B, C, 4, 4), [m].
     """
 
     size: tuple[int, int]
@@ -24,7 +24,7 @@ class Views(NamedTuple):
 
 
 def project_points(views: Views, points_world: Tensor) -> tuple[Tensor, Tensor]:
-    """Pixels (B, C, P, 2) and depths (B, C, P), [m], of points (B, P, 3)."""
+    """Project points (B, P, 3), world frame, [m], to pixels (B, C, P, 2) and depths (B, C, P), [m]."""
     R, t = views.T_world_cam[..., :3, :3], views.T_world_cam[..., :3, 3]
     points_cam = torch.einsum("bcji,bcpj->bcpi", R, points_world[:, None] - t[:, :, None])
     pixels = torch.einsum("cij,bcpj->bcpi", views.K, points_cam)
@@ -36,12 +36,12 @@ def lift_points(views: Views, pixels: Tensor, spreads: Tensor) -> tuple[Tensor, 
 
     Args:
         views: Two or more cameras at different positions.
-        pixels: Found pixels (B, C, P, 2).
-        spreads: Standard deviations of the found pixels (B, C, P), [px]. A ray counts with the inverse square of
-            what they are at the point's distance.
+        pixels: Estimated pixels (B, C, P, 2).
+        spreads: Standard deviations of the pixels (B, C, P), [px]. The weight of a ray is the inverse square of the standard
+            deviation in meters at the distance of the point.
 
     Returns:
-        Points in the world frame (B, P, 3), [m], and their standard deviations (B, P), [m], which follow from the spreads.
+        Points (B, P, 3), world frame, [m], and their standard deviations (B, P), [m], which follow from `spreads`.
     """
     homogeneous = torch.cat([pixels, torch.ones_like(pixels[..., :1])], -1)
     rays = torch.einsum("cij,bcpj->bcpi", torch.linalg.inv(views.K), homogeneous)

@@ -1,7 +1,7 @@
 """EfficientNet-Lite0 up to stride 16 in plain PyTorch.
 
-Source: Tan and Le, EfficientNet (2019), and the Lite variant, which has ReLU6 and no squeeze-and-excitation. Names of
-modules are those of the published weights, so that these load strictly.
+Source: Tan and Le, EfficientNet (2019), and the Lite variant, which has ReLU6 and no squeeze-and-excitation. The modules
+have the names of the published weights, so that these are loaded strictly.
 """
 
 from typing import Final
@@ -12,7 +12,8 @@ from torch.nn import functional as F
 
 from aomgen.segmentation.weights import find_weights
 
-# (kernel, stride, expansion, channels, blocks) of each group of blocks; two further groups reach stride 32.
+# (kernel, stride, expansion, channels, blocks) of each group of blocks; the last two groups of the network, which reach stride
+# 32, are omitted.
 GROUPS: Final = ((3, 1, 1, 16, 1), (3, 2, 6, 24, 2), (5, 2, 6, 40, 2), (3, 2, 6, 80, 3), (5, 1, 6, 112, 3))
 # Numbers of the last blocks at stride 4, 8 and 16, and their channels.
 LAST_BLOCKS: Final = (2, 4, 10)
@@ -23,7 +24,7 @@ SPREAD: Final = 128.0
 
 
 class Lite0(nn.Module):
-    """Blocks 0 to 10, 0.75 million parameters: images (B, 3, H, W) to features at strides 4, 8 and 16."""
+    """Blocks 0 to 10 (0.75 million parameters), which map images (B, 3, H, W) to features at strides 4, 8 and 16."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -48,7 +49,7 @@ class Lite0(nn.Module):
         """Load the weights that were trained on ImageNet.
 
         Raises:
-            BackendError: They are not installed.
+            BackendError: The weights are not installed.
         """
         path = find_weights("lite0")["efficientnet-lite0.pth"]
         published = torch.load(path, map_location="cpu", weights_only=True)
@@ -56,7 +57,7 @@ class Lite0(nn.Module):
 
 
 class Block(nn.Module):
-    """An inverted residual block: expand, convolve each channel, project."""
+    """An inverted residual block: pointwise expansion, depthwise convolution and pointwise projection."""
 
     def __init__(self, before: int, after: int, kernel: int, stride: int, expansion: int) -> None:
         super().__init__()
@@ -78,7 +79,7 @@ class Block(nn.Module):
 
 
 class SameConv(nn.Conv2d):
-    """A convolution with TensorFlow's "same" padding, which puts the odd pixel at the end."""
+    """A convolution with TensorFlow's "same" padding, which adds an odd pixel at the end."""
 
     def forward(self, input: Tensor) -> Tensor:
         kernel, stride, padding = self.kernel_size[0], self.stride[0], []
@@ -91,5 +92,5 @@ class SameConv(nn.Conv2d):
 
 
 def _norm(channels: int) -> nn.BatchNorm2d:
-    """Batch normalization with the constants that the weights were trained with."""
+    """Create a batch normalization with the constants of the published training."""
     return nn.BatchNorm2d(channels, eps=1e-3, momentum=0.01)

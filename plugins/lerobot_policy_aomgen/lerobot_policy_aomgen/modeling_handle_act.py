@@ -1,4 +1,4 @@
-"""The policy with a finder: images to keypoints, keypoints to a chunk of end effector poses."""
+"""Policy `handle_act`: a finder locates keypoints in images, and a network predicts end effector poses from them."""
 
 import json
 from collections.abc import Mapping
@@ -36,15 +36,16 @@ from lerobot_policy_aomgen.geometry import (
 from lerobot_policy_aomgen.lifting import lift_points, project_points
 from lerobot_policy_aomgen.tracking import PointTracker, combine_looks
 
-# Training combines up to this number of looks; in an episode, the object is located every five frames before it is grasped.
+# Largest number of estimates of the keypoints that training combines. In an episode, the keypoints are estimated at every
+# predicted chunk until the object is grasped.
 MAX_LOOKS = 8
 
 
 class HandleACTPolicy(PreTrainedPolicy):
-    """See `HandleACTConfig`.
+    """Policy that is described in `HandleACTConfig`.
 
     Attributes:
-        points_world: Last estimate of the keypoints (P, 3), [m]; None before the first one.
+        points_world: Last estimate of the keypoints (P, 3), world frame, [m]; None before the first one.
     """
 
     config_class = HandleACTConfig
@@ -71,23 +72,23 @@ class HandleACTPolicy(PreTrainedPolicy):
         return self
 
     def place_cameras(self, cameras: Mapping[str, Camera]) -> None:
-        """Use these intrinsics, and the poses of cameras that the robot does not carry."""
+        """Set the intrinsic parameters of the policy's cameras, and the poses of those that are not mounted on the robot."""
         for name in self._cameras:
             self._geometry["K"][name] = cameras[name].K.tolist()
             if name not in self._geometry["mounted"]:
                 self._geometry["T_frame_cam"][name] = cameras[name].T_world_cam.tolist()
 
     def reset(self) -> None:
-        """Forget the last chunk and the points."""
+        """Discard the last chunk and the estimates of the keypoints, before a new episode."""
         self._blender = ChunkBlender(self.config.n_action_steps)
         self._tracker = PointTracker()
         self._last: Tensor | None = None
         self.points_world: Tensor | None = None
 
     def forward(self, batch: dict[str, Tensor]) -> tuple[Tensor, dict[str, float]]:
-        """Mean error of the chunk; poses beyond an episode's end do not count.
+        """Compute the mean error of the predicted chunks, without poses beyond the end of an episode.
 
-        Nothing is computed in lower precision: in bfloat16 a position in the world is wrong by millimetres.
+        Autocast is disabled, because positions in bfloat16 have errors of millimeters.
         """
         with torch.autocast(batch[ACTION].device.type, enabled=False):
             loss = self._compute_loss(batch)
@@ -98,7 +99,7 @@ class HandleACTPolicy(PreTrainedPolicy):
         count = int(torch.randint(1, MAX_LOOKS + 1, ()))
         looks = [self._find_as_measured(joints[:, 1], truth[:, 1]) for _ in range(count)]
         points, sigmas = combine_looks(*map(torch.stack, zip(*looks, strict=True)))
-        # The estimate at rest and that of now have the same error, as in `PointTracker`.
+        # The estimates at the start of the episode and at the current frame have the same error, as in `PointTracker`.
         first = truth[:, 0] + points - truth[:, 1]
         T_world_ee = pose_end_effector(self._geometry, joints[:, 1])
         T_world_ee = disturb_poses(T_world_ee, self.config.pose_noise_m, self.config.pose_noise_rad)
@@ -108,14 +109,18 @@ class HandleACTPolicy(PreTrainedPolicy):
         return (errors * inside).sum() / inside.sum()
 
     def _find_as_measured(self, joints: Tensor, truth: Tensor) -> tuple[Tensor, Tensor]:
-        """Points (B, P, 3) and standard deviations (B, P) as the finder would find true points (B, P, 3)."""
+        """Simulate the estimates of the finder for true points (B, P, 3).
+
+        Returns:
+            Points (B, P, 3) and their standard deviations (B, P), [m].
+        """
         views = pose_views(self._geometry, self._cameras, pose_end_effector(self._geometry, joints))
         pixels, depths = project_points(views, truth)
         return lift_points(views, *add_errors(self.errors, views, pixels, depths))
 
     @torch.no_grad()
     def find_points(self, batch: dict[str, Tensor]) -> tuple[Tensor, Tensor]:
-        """Keypoints (B, P, 3) in the world frame, and their standard deviations (B, P), [m]."""
+        """Estimate the keypoints (B, P, 3), world frame, and their standard deviations (B, P), [m], from the images."""
         images = torch.stack([batch[f"{OBS_IMAGES}.{name}"] for name in self._cameras], 1)
         pixels, spreads = self.finder.find(images.flatten(0, 1))
         T_world_ee = pose_end_effector(self._geometry, batch[OBS_STATE][:, :-1])
@@ -125,7 +130,7 @@ class HandleACTPolicy(PreTrainedPolicy):
 
     @torch.no_grad()
     def predict_action_chunk(self, batch: dict[str, Tensor], **_: Any) -> Tensor:
-        """Poses and gripper (B, chunk_size, 8) from now on, world frame."""
+        """Predict the next actions (B, chunk_size, 8): position, [m], quaternion wxyz, world frame, and gripper value."""
         self.eval()
         state = batch[OBS_STATE]
         T_world_ee = pose_end_effector(self._geometry, state[:, :-1])
@@ -139,14 +144,14 @@ class HandleACTPolicy(PreTrainedPolicy):
 
     @torch.no_grad()
     def select_action(self, batch: dict[str, Tensor], **_: Any) -> Tensor:
-        """The action (B, 8) of this step; the finder receives images when the actions of the last chunk are used up."""
+        """Return the next action (B, 8); a new chunk is predicted after `n_action_steps` actions."""
         return self._blender.next_action(lambda: self.predict_action_chunk(batch))
 
 
 def _begin(config: HandleACTConfig) -> tuple[Finder, Tensor]:
-    """Finder and errors for a new training, whose settings get what they need of suite and finder.
+    """Load the finder and its errors for a new training, and complete the settings from suite and finder.
 
-    The images of the suite's cameras become inputs of the policy, and the keypoints, which only demonstrations have, do not.
+    The images of the cameras become inputs of the policy instead of the keypoints, which only demonstrations contain.
     """
     geometry = read_geometry(Path(config.suite), config.cameras)
     finder, errors = load_finder(Path(config.finder))
@@ -162,7 +167,7 @@ def _begin(config: HandleACTConfig) -> tuple[Finder, Tensor]:
 
 
 def _continue(config: HandleACTConfig) -> tuple[Finder, Tensor]:
-    """Finder and errors whose values a checkpoint contains."""
+    """Create a finder and a table of errors, whose values are then loaded from a checkpoint."""
     cameras = len(json.loads(config.geometry)["K"])
     finder = Finder(FinderSettings(**json.loads(config.finder_settings)))
     return finder, torch.zeros(cameras, *TABLE_SHAPE)

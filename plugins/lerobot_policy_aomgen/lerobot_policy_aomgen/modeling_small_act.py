@@ -1,7 +1,7 @@
-"""The small policy: images and joints to a chunk of actions, as offsets from the current joints.
+"""Policy `small_act`, which predicts a chunk of actions from images and joints, as offsets from the current joints.
 
-Source: Zhao et al., Learning Fine-Grained Bimanual Manipulation with Low-Cost Hardware (ACT), without its variational
-part: demonstrations of one planner differ in what is seen, not in style.
+Source: Zhao et al., Learning Fine-Grained Bimanual Manipulation with Low-Cost Hardware (ACT). Its variational autoencoder is
+omitted, because demonstrations of one planner differ in the observations, not in style.
 """
 
 from typing import Any
@@ -15,12 +15,12 @@ from torch.nn import functional as F
 from lerobot_policy_aomgen.blending import ChunkBlender
 from lerobot_policy_aomgen.configuration_small_act import SmallACTConfig
 
-# Channels of each cell before all cells of an image are joined.
+# Number of channels of each cell of the feature map before all cells of an image are concatenated.
 CELL_CHANNELS = 32
 
 
 class SmallACTPolicy(PreTrainedPolicy):
-    """See `SmallACTConfig`."""
+    """Policy that is described in `SmallACTConfig`."""
 
     config_class = SmallACTConfig
     name = "small_act"
@@ -36,11 +36,11 @@ class SmallACTPolicy(PreTrainedPolicy):
         return [parameter for parameter in self.parameters() if parameter.requires_grad]
 
     def reset(self) -> None:
-        """Forget the last chunk."""
+        """Discard the last chunk, before a new episode."""
         self._blender = ChunkBlender(self.config.n_action_steps)
 
     def forward(self, batch: dict[str, Tensor]) -> tuple[Tensor, dict[str, float]]:
-        """Mean absolute error of the chunk, what lies beyond an episode's end left out."""
+        """Compute the mean absolute error of the predicted chunks, without actions beyond the end of an episode."""
         errors = F.l1_loss(self.model(batch), batch[ACTION], reduction="none").mean(-1)
         inside = ~batch["action_is_pad"]
         loss = (errors * inside).sum() / inside.sum()
@@ -48,21 +48,21 @@ class SmallACTPolicy(PreTrainedPolicy):
 
     @torch.no_grad()
     def predict_action_chunk(self, batch: dict[str, Tensor], **_: Any) -> Tensor:
-        """Actions (B, chunk_size, A) from now on."""
+        """Predict the next actions (B, chunk_size, A)."""
         self.eval()
         return self.model(batch)
 
     @torch.no_grad()
     def select_action(self, batch: dict[str, Tensor], **_: Any) -> Tensor:
-        """The action (B, A) of this step; the policy looks when as many as it does at once are done."""
+        """Return the next action (B, A); a new chunk is predicted after `n_action_steps` actions."""
         return self._blender.next_action(lambda: self.predict_action_chunk(batch))
 
 
 class SmallACT(nn.Module):
-    """A transformer from tokens of what is observed to actions, one query each.
+    """A transformer that maps tokens of the observations to actions, with one query for each action.
 
-    Actions that are joints are the prediction added to the state: two predictions shortly after each other then agree to far
-    less than the uncertainty of the remaining path, and the arm is not jerked.
+    With `joint_offsets`, the output is added to the current joints. Consecutive chunks then start at the current state, whatever
+    the uncertainty of the remaining path, so that the arm moves without jerks.
     """
 
     def __init__(self, config: SmallACTConfig) -> None:
@@ -78,7 +78,8 @@ class SmallACT(nn.Module):
         self.state = nn.Linear(state, width)
         self.held = nn.Linear(state, action) if config.joint_offsets else None
         if self.held is not None:
-            # Nearly so it stays: joints and their targets are normalized by statistics that hardly differ.
+            # The mapping starts as the identity and changes little, because the statistics that normalize joints and actions
+            # are similar.
             nn.init.eye_(self.held.weight)
             nn.init.zeros_(self.held.bias)
         told = config.env_state_feature
@@ -104,7 +105,7 @@ class SmallACT(nn.Module):
         self.action = nn.Linear(width, action)
 
     def forward(self, batch: dict[str, Tensor]) -> Tensor:
-        """Actions (B, chunk_size, A) for a batch of normalized observations."""
+        """Predict actions (B, chunk_size, A) from a batch of normalized observations."""
         state = batch[OBS_STATE]
         if self.training:
             state = state + self.config.state_noise * torch.randn_like(state)
@@ -120,7 +121,10 @@ class SmallACT(nn.Module):
 
 
 def _encoder(config: SmallACTConfig, camera: str) -> nn.Sequential:
-    """From images (B, 3, H, W) of a camera to tokens (B, N, width): convolutions that halve it, then all of its cells."""
+    """Create the encoder of a camera, which maps images (B, 3, H, W) to tokens (B, N, width).
+
+    Convolutions of stride 2 are followed by a linear layer over all cells of the feature map.
+    """
     layers: list[nn.Module] = []
     _, height, width = config.image_features[camera].shape
     for before, after in zip((3, *config.channels), config.channels, strict=False):
@@ -133,7 +137,7 @@ def _encoder(config: SmallACTConfig, camera: str) -> nn.Sequential:
 
 
 def _changed(pictures: Tensor, config: SmallACTConfig) -> Tensor:
-    """Images (B, 3, H, W), each with another contrast, tint and shift."""
+    """Change contrast, tint and position of each image (B, 3, H, W) randomly."""
     count = len(pictures)
     contrast = 1 + config.contrast * (2 * torch.rand(count, 1, 1, 1, device=pictures.device) - 1)
     tint = config.tint * (2 * torch.rand(count, 3, 1, 1, device=pictures.device) - 1)
@@ -141,7 +145,7 @@ def _changed(pictures: Tensor, config: SmallACTConfig) -> Tensor:
 
 
 def _shifted(pictures: Tensor, most: int) -> Tensor:
-    """Images (B, 3, H, W), each shifted by up to `most` pixels, its border repeated."""
+    """Shift each image (B, 3, H, W) randomly by up to `most` pixels and repeat its border."""
     padded = F.pad(pictures, (most,) * 4, mode="replicate")
     height, width = pictures.shape[2:]
     offsets = torch.randint(0, 2 * most + 1, (len(pictures), 2)).tolist()

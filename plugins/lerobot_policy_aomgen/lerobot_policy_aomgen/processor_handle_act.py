@@ -1,4 +1,4 @@
-"""Processors of the policy with a finder, which change no values: points and poses stay metres."""
+"""Processors of the policy `handle_act`, which do not normalize values: points and poses remain in meters."""
 
 from typing import Any
 
@@ -11,5 +11,5 @@ from lerobot_policy_aomgen.configuration_handle_act import HandleACTConfig
 def make_handle_act_pre_post_processors(
     config: HandleACTConfig, dataset_stats: dict[str, dict[str, torch.Tensor]] | None = None
 ) -> tuple[Any, Any]:
-    """The same as for LeRobot's own ACT, whose settings have the fields that are read here."""
+    """Create the processors of LeRobot's ACT policy, which use only settings that this policy has as well."""
     return make_act_pre_post_processors(config, dataset_stats)  # type: ignore[arg-type]

@@ -1,4 +1,4 @@
-"""Scaling of observations before the policy, and of actions after it, by the dataset's statistics."""
+"""Processors of the policy `small_act`, which normalize observations and actions by the statistics of the dataset."""
 
 from typing import Any
 
@@ -11,5 +11,5 @@ from lerobot_policy_aomgen.configuration_small_act import SmallACTConfig
 def make_small_act_pre_post_processors(
     config: SmallACTConfig, dataset_stats: dict[str, dict[str, torch.Tensor]] | None = None
 ) -> tuple[Any, Any]:
-    """The same as for LeRobot's own ACT, whose settings have the fields that are read here."""
+    """Create the processors of LeRobot's ACT policy, which use only settings that this policy has as well."""
     return make_act_pre_post_processors(config, dataset_stats)  # type: ignore[arg-type]

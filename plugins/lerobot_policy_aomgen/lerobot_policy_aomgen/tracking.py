@@ -1,11 +1,12 @@
-"""Keypoints during an episode: located several times while the object rests, then moved with the gripper that holds it."""
+"""Estimation of keypoints during an episode: from several images before the grasp, then from the pose of the gripper."""
 
 import torch
 from torch import Tensor
 
 from aomgen.core.keypoints import MOVING_POINTS
 
-# A gripper nearer to closed than to open holds the handle: 0 is open, 1 is closed without an object between the fingers.
+# Gripper value above which the gripper is assumed to hold the handle; 0 is open, 1 is closed without an object between the
+# fingers.
 CLOSED = 0.5
 
 
@@ -13,7 +14,7 @@ class PointTracker:
     """Estimates of keypoints for a batch of B episodes, world frame, [m].
 
     Attributes:
-        rest_world: Keypoints (B, P, 3) of the object before it was grasped; None before the first update.
+        rest_world: Keypoints (B, P, 3) before the grasp; None before the first update.
     """
 
     def __init__(self) -> None:
@@ -23,10 +24,19 @@ class PointTracker:
     def update(
         self, points: Tensor, sigmas: Tensor, T_world_ee: Tensor, gripper: Tensor
     ) -> tuple[Tensor, Tensor]:
-        """Add points (B, P, 3), located with standard deviations (B, P), and return both as estimated from all of them.
+        """Add a measurement of the points, and estimate them from all measurements.
 
-        Points that are located after the gripper (B,) has closed are ignored. The points of the handle then move with the
-        end effector as long as the gripper is closed, and those of the axis stay.
+        Measurements after the gripper has closed are ignored. From then on, the points of the handle move with the end effector
+        while the gripper is closed, and those of the axis do not move.
+
+        Args:
+            points: Measured keypoints (B, P, 3).
+            sigmas: Standard deviations of the measurements (B, P).
+            T_world_ee: Poses of the end effector (B, 4, 4).
+            gripper: Gripper values (B,), from 0 (open) to 1 (closed).
+
+        Returns:
+            Estimated keypoints (B, P, 3) and their standard deviations (B, P).
         """
         closed = gripper > CLOSED
         if self.rest_world is None:
@@ -48,10 +58,10 @@ class PointTracker:
 
 
 def combine_looks(points: Tensor, sigmas: Tensor) -> tuple[Tensor, Tensor]:
-    """Combine points (L, B, P, 3) that were located L times with standard deviations (L, B, P).
+    """Combine L measurements of points (L, B, P, 3) with standard deviations (L, B, P).
 
     Returns:
-        Weighted medians of the coordinates (B, P, 3), and of the standard deviations (B, P).
+        Medians of the coordinates (B, P, 3) and of the standard deviations (B, P), with the inverse variances as weights.
     """
     values = torch.cat([points, sigmas[..., None]], -1)
     values, order = values.sort(0)
@@ -62,5 +72,5 @@ def combine_looks(points: Tensor, sigmas: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def _transform(T: Tensor, points: Tensor) -> Tensor:
-    """Points (B, P, 3) moved by poses (B, 4, 4)."""
+    """Transform points (B, P, 3) by poses (B, 4, 4)."""
     return points @ T[:, :3, :3].transpose(1, 2) + T[:, None, :3, 3]

@@ -1,7 +1,7 @@
-"""`python -m lerobot_policy_aomgen.train_finder IMAGES OUT --validation IMAGES`: train the finder of `handle_act`.
+"""Training of the finder of `handle_act`: `python -m lerobot_policy_aomgen.train_finder IMAGES OUT --validation IMAGES`.
 
-The same command continues a training that was interrupted. `OUT/finder.safetensors` contains the finder and its errors on
-the validation images.
+The same command continues an interrupted training. `OUT/finder.safetensors` contains the finder and its errors on the
+validation images.
 """
 
 import argparse
@@ -19,12 +19,12 @@ from lerobot_policy_aomgen.finder_errors import make_table, measure_errors
 from lerobot_policy_aomgen.finder_images import read_images
 from lerobot_policy_aomgen.finder_training import train_finder
 
-# Steps between two lines of progress.
+# Number of steps between two lines of progress.
 REPORT_EVERY = 50
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Train a finder and print its errors; returns the exit code."""
+    """Train a finder, print its errors and return the exit code."""
     parser = argparse.ArgumentParser(
         prog="python -m lerobot_policy_aomgen.train_finder",
         description="Train a finder on labelled images and print its errors on others.",
