@@ -18,10 +18,10 @@ REMEDY = "export the dataset with --format lerobot-v3 --media keypoints --action
 @PreTrainedConfig.register_subclass("handle_act")
 @dataclass
 class HandleACTConfig(ChunkConfig):
-    """A finder locates handle and joint axis in all cameras; a small network predicts end effector poses from the points.
+    """Settings of a policy in which a finder locates handle and joint axis, and a network predicts end effector poses.
 
-    The finder is trained separately on labeled images. The network is trained on the true points of demonstrations, to which
-    measured errors of the finder are added.
+    The finder locates the points in the images of all cameras; it is trained separately on labeled images. The network receives
+    the points; it is trained on the true points of demonstrations, to which measured errors of the finder are added.
 
     The settings of chunks and optimizer are those of `ChunkConfig`.
 

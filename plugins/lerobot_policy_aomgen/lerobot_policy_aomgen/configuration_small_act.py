@@ -11,9 +11,10 @@ from lerobot_policy_aomgen.chunk_configuration import ChunkConfig
 @PreTrainedConfig.register_subclass("small_act")
 @dataclass
 class SmallACTConfig(ChunkConfig):
-    """Action chunking with a small convolutional encoder: about 2 million parameters for two cameras of 96x96 px.
+    """Settings of action chunking with a small convolutional encoder.
 
-    Images, state and actions are normalized; noise and color changes are in units of their standard deviations.
+    The policy has about 2 million parameters for two cameras of 96x96 px. Images, state and actions are normalized; noise and
+    color changes are in units of their standard deviations.
 
     The settings of chunks and optimizer are those of `ChunkConfig`.
 

@@ -39,7 +39,7 @@ METADATA: Final = "aomgen_finder"
 
 @dataclass(frozen=True, kw_only=True)
 class FinderSettings:
-    """Settings of a finder; ablations switch off the first two.
+    """Settings of a finder; each of the first two can be disabled for an ablation.
 
     Attributes:
         second_look: Whether a second look processes crops.

@@ -15,7 +15,7 @@ from aomgen.io.atomic import write_bytes
 EXIF_ORIENTATION, FIRST_TRANSPOSED = 0x0112, 5
 # Largest image that is decoded, [px]; common cameras have fewer pixels.
 MAX_PIXELS = 100_000_000
-# Ratio of the largest 16-bit and the largest 8-bit value. Pillow clips 16-bit values at 255 instead of scaling them.
+# Ratio of the largest 16-bit to the largest 8-bit value. Pillow clips 16-bit values at 255 instead of scaling them.
 SCALE_16_BITS: Final = 257
 Mode = Literal["RGB", "RGBA"]
 

@@ -30,9 +30,9 @@ _C: Final = 0.5 - _A * np.log(4 * _A)
 _HLG_PEAK, _PQ_PEAK, _HLG_GAMMA = 1000.0, 10_000.0, 1.2
 # Luminance of diffuse white in HLG and PQ, BT.2408-7, [cd/m^2]; it corresponds to linear 1 of the sRGB image.
 _WHITE: Final = 203.0
-# Constants of the perceptual quantizer, BT.2100-2, table 4.
+# Exponents of the perceptual quantizer, BT.2100-2, table 4.
 _M1, _M2 = 2610 / 16384, 2523 / 4096 * 128
-# Constants of the same curve, continued.
+# Coefficients of the perceptual quantizer.
 _C1, _C2, _C3 = 3424 / 4096, 2413 / 4096 * 32, 2392 / 4096 * 32
 # Luminance coefficients of the BT.2020 primaries.
 _LUMA_2020: Final = np.array([0.2627, 0.6780, 0.0593])
@@ -91,7 +91,7 @@ class FrameDisplay:
     Attributes:
         transposed: Whether rows and columns are exchanged, before they are reversed.
         mirrored: Whether the order of the columns, and that of the rows, is reversed.
-        aspect: Ratio of width and height of a stored pixel.
+        aspect: Ratio of width to height of a stored pixel.
         transfer: Transfer function of a signal of high dynamic range; None for standard range.
     """
 

@@ -113,7 +113,17 @@ class MountSection(_Section):
 
 
 class RobotDescription(_Section):
-    """Content of a robot.toml; see `docs/capture.md`."""
+    """Content of a robot.toml; see `docs/capture.md`.
+
+    Attributes:
+        format: Version of the format.
+        name: Name of the robot.
+        model: URDF or MJCF file relative to the robot.toml.
+        joints: Names of the arm joints, from the base on.
+        end_effector: End effector frame.
+        gripper: Gripper, or None.
+        camera: Cameras that are mounted on the robot.
+    """
 
     format: Literal[1] = 1
     name: str = Field(min_length=1)

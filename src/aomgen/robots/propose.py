@@ -160,11 +160,8 @@ def _guess_gripper(
 ) -> tuple[GripperSection, Array]:
     """Estimate the gripper, and the pose (4, 4) of the end effector between its pads, in the frame of the last arm body.
 
-    Args:
-        hand: Robot whose gripper is analyzed.
-        actuated: Names of the joints that actuators drive.
-        strokes: Values of the driving joints when open and closed; empty estimates them.
-        fingers: Names of the left and the right finger body; empty estimates them.
+    Actuators drive the joints `actuated`. The driving joints with their values when open and closed (`strokes`), and the names
+    of the left and right body (`fingers`), are estimated if they are empty.
     """
     model, file = hand.model, hand.file
     skins = sample_hand(model, hand.chain)

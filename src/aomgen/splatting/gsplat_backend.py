@@ -22,16 +22,18 @@ from aomgen.splatting.gsplat_inputs import (
     view_directions,
 )
 
-# gsplat's own limit on the alpha of one Gaussian.
+# Largest alpha of one Gaussian in gsplat.
 MAX_ALPHA = 0.999
 _DILATION = 0.1  # [px^2]
 
 
 class GsplatRasterizer:
-    """Renders Gaussians whose tensors are on a CUDA device, with gradients of all tensors.
+    """Rasterizer of Gaussians whose tensors are on a CUDA device, differentiable with respect to all tensors.
+
+    It implements `Rasterizer`.
 
     Args:
-        gsplat: The module of gsplat; None imports and checks the installed one.
+        gsplat: Module of gsplat; None imports and checks the installed one.
 
     Raises:
         BackendError: gsplat or CUDA is missing, or gsplat's kernels do not build.
@@ -49,7 +51,7 @@ class GsplatRasterizer:
         T_cam_world: Tensor | None = None,
         parts: PartTensors | None = None,
     ) -> TensorRendering:
-        """Render as described in `Rasterizer`; Gaussians with NaN or infinite values are left out."""
+        """Render as described in `Rasterizer`; Gaussians with NaN or infinite values are omitted."""
         check_scene(gaussians, camera, options.sh_degree)
         if parts is not None:
             check_parts(gaussians, parts)
@@ -137,7 +139,7 @@ class GsplatRasterizer:
             radius_clip=0.0,
             backgrounds=background,
             render_mode=mode,
-            packed=False,  # then the rows of the lists are rows of the Gaussians
+            packed=False,  # so that rows of the lists are rows of the Gaussians
             rasterize_mode="antialiased" if options.antialiased else "classic",
         )
 
@@ -148,7 +150,7 @@ class GsplatRasterizer:
         height, width = lists["height"], lists["width"]
         gaussians, pixels, _ = self._gsplat.rasterize_to_indices_in_range(
             0,
-            2**31 - 1,  # all in one range: a saturated pixel must not continue in a second range
+            2**31 - 1,  # a single range, because a saturated pixel must not continue in another one
             centers.new_ones((1, height, width)),
             centers,
             conics,

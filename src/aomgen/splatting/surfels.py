@@ -25,9 +25,9 @@ from aomgen.io.images import resize
 OVERSAMPLING: Final = 5
 # The density of a Poisson-disc set of radius r is approximately DISC_DENSITY / r^2.
 DISC_DENSITY: Final = 0.7
-# Ratio of a disc's standard deviation and its radius, large enough that neighboring discs leave no gaps.
+# Ratio of a disc's standard deviation to its radius, large enough that neighboring discs leave no gaps.
 SPREAD: Final = 0.87
-# Ratio of a disc's thickness and its radius.
+# Ratio of a disc's thickness to its radius.
 THICKNESS: Final = 0.05
 # Opacity of opaque discs, the largest alpha of one Gaussian in the engine.
 OPACITY: Final = 0.99
