@@ -84,6 +84,7 @@ class GripperSection(_Section):
 
     @property
     def pads(self) -> Mapping[str, PadSection]:
+        """Pads by side, "left" and "right"."""
         return {"left": self.left, "right": self.right}
 
     @property

@@ -289,7 +289,7 @@ class Context:
 
 
 def scratch_context() -> Context:
-    """Return the context of the calling thread, which is valid until its next use by the same thread.
+    """Return the context of the calling thread, which may use it until its next call of this function.
 
     It is kept until the thread ends, because allocating its memory takes as long as rendering a small image.
     """
