@@ -6,7 +6,8 @@ from typing import Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image, ImageOps, UnidentifiedImageError
+from PIL import Image, ImageDraw, ImageOps, UnidentifiedImageError
+from scipy.spatial import ConvexHull, QhullError
 
 from aomgen.errors import LimitExceededError, MalformedFileError, MissingFileError
 from aomgen.io.atomic import write_bytes
@@ -171,3 +172,14 @@ def _check(source: Path | io.BytesIO, where: Path) -> Image.Image:
     if not image.width * image.height <= MAX_PIXELS:
         raise LimitExceededError(where, f"has {image.width} x {image.height} pixels, limit {MAX_PIXELS}")
     return image
+
+
+def fill_hull(points_px: NDArray[np.floating], width: int, height: int) -> NDArray[np.bool_]:
+    """Fill the convex hull of pixels (N, 2); the mask (height, width) is empty for less than three points."""
+    image = Image.new("1", (width, height))
+    try:
+        outline = points_px[ConvexHull(points_px).vertices]
+    except QhullError:
+        return np.zeros((height, width), bool)
+    ImageDraw.Draw(image).polygon([(float(x), float(y)) for x, y in outline], fill=1)
+    return np.asarray(image, bool)

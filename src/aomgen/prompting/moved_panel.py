@@ -11,14 +11,14 @@ from typing import Annotated, Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image, ImageDraw
+from PIL import Image
 from scipy.optimize import minimize
-from scipy.spatial import ConvexHull, QhullError
 
 from aomgen.core.camera import Camera
 from aomgen.core.transforms import apply, invert, matrix_from_rotvec
 from aomgen.core.values import Array, Matrix4, Vector3, freeze_arrays
 from aomgen.errors import NoMotionError
+from aomgen.io.images import fill_hull
 from aomgen.parts.panel_terms import iou
 from aomgen.prompting.video_regions import REMEDY
 from aomgen.segmentation.interface import Mask
@@ -128,17 +128,6 @@ def place_corners(grip: Grip, x: Array) -> Array:
     middle = grip.contact + depth * normal
     sides = ((-left, -lower), (right, -lower), (right, upper), (-left, upper))
     return np.array([middle + a * along + b * up for a, b in sides])
-
-
-def fill_hull(points_px: Array, width: int, height: int) -> Mask:
-    """Fill the convex hull of pixels (N, 2); the mask (height, width) is empty for less than three points."""
-    image = Image.new("1", (width, height))
-    try:
-        outline = points_px[ConvexHull(points_px).vertices]
-    except QhullError:
-        return np.zeros((height, width), bool)
-    ImageDraw.Draw(image).polygon([(float(x), float(y)) for x, y in outline], fill=1)
-    return np.asarray(image, bool)
 
 
 class RegionAgreement:

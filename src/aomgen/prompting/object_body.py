@@ -14,9 +14,10 @@ from scipy.spatial import cKDTree
 from aomgen.core.boxes import fit_plane
 from aomgen.core.values import Array, freeze_arrays
 from aomgen.errors import ReconstructionError
+from aomgen.io.images import fill_hull
 from aomgen.parts.panel_terms import iou
 from aomgen.parts.scan_views import ScanView
-from aomgen.prompting.moved_panel import Front, fill_hull
+from aomgen.prompting.moved_panel import Front
 from aomgen.prompting.video_regions import REMEDY
 from aomgen.prompting.view_choice import choose_side_views
 from aomgen.segmentation.interface import Mask, Segmenter

@@ -6,8 +6,9 @@ from typing import Final
 import numpy as np
 
 from aomgen.core.values import Array
+from aomgen.io.images import fill_hull
 from aomgen.parts.scan_views import ScanView
-from aomgen.prompting.moved_panel import Front, fill_hull
+from aomgen.prompting.moved_panel import Front
 from aomgen.segmentation.interface import Mask
 
 # Smallest cosine between a view from the front and the front (60 degrees). Larger cosines than the second one show more of

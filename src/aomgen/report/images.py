@@ -6,7 +6,6 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw
 from scipy.ndimage import binary_dilation, binary_erosion
-from scipy.spatial import ConvexHull, QhullError
 
 from aomgen.conventions import MOVING, ROBOT, STATIC
 from aomgen.core.camera import Camera
@@ -15,7 +14,7 @@ from aomgen.core.structure import held_out
 from aomgen.core.transforms import apply
 from aomgen.core.values import Array
 from aomgen.io.artifact import load_artifact
-from aomgen.io.images import read_image, resize
+from aomgen.io.images import fill_hull, read_image, resize
 from aomgen.io.video import probe_video, read_frames
 from aomgen.parts.stage import COVERAGE
 from aomgen.parts.survey import Survey
@@ -159,18 +158,12 @@ def overlay_motion(
 
 
 def _veil(canvas: Image.Image, camera: Camera, circles: Array) -> None:
-    layer = Image.new("L", canvas.size, 0)
-    draw = ImageDraw.Draw(layer)
+    covered = np.zeros((canvas.height, canvas.width), bool)
     for pair in np.stack([circles[:-1], circles[1:]], 1):
         pixels, depths = camera.project(pair.reshape(-1, 3))
-        if not depths.min() > NEAR_M:
-            continue
-        try:
-            hull = pixels[ConvexHull(pixels).vertices]
-        except QhullError:
-            # The region is too thin to be drawn; the line of the axis represents it.
-            continue
-        draw.polygon([(float(x), float(y)) for x, y in hull], fill=VEIL)
+        if depths.min() > NEAR_M:
+            covered |= fill_hull(pixels, canvas.width, canvas.height)
+    layer = Image.fromarray(np.where(covered, VEIL, 0).astype(np.uint8))
     canvas.paste(Image.new("RGBA", canvas.size, (*AXIS, 255)), mask=layer)
 
 

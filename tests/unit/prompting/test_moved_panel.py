@@ -4,6 +4,7 @@ import pytest
 from aomgen.core.camera import Camera, look_at
 from aomgen.core.transforms import apply, matrix_from_rotvec
 from aomgen.errors import NoMotionError, ReconstructionError
+from aomgen.io.images import fill_hull
 from aomgen.parts.scan_views import ScanView
 from aomgen.prompting import moved_panel, panel_edges
 from aomgen.prompting.moved_panel import (
@@ -11,7 +12,6 @@ from aomgen.prompting.moved_panel import (
     Front,
     Grip,
     RegionAgreement,
-    fill_hull,
     improve,
     place_corners,
 )
