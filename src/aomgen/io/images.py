@@ -175,7 +175,7 @@ def _check(source: Path | io.BytesIO, where: Path) -> Image.Image:
 
 
 def fill_hull(points_px: NDArray[np.floating], width: int, height: int) -> NDArray[np.bool_]:
-    """Fill the convex hull of pixels (N, 2); the mask (height, width) is empty for less than three points."""
+    """Fill the convex hull of points (N, 2), [px]; the mask (height, width) is empty if they are collinear or fewer than three."""
     image = Image.new("1", (width, height))
     try:
         outline = points_px[ConvexHull(points_px).vertices]
