@@ -14,7 +14,7 @@ from aomgen.core.transforms import transform
 from aomgen.core.values import Array
 from aomgen.errors import AssetError
 
-# "nob" is a spelling in some models.
+# Some models spell knob as "nob".
 HANDLE_WORDS: Final = ("handle", "knob", "nob", "grip", "pull")
 # A handle protrudes from the part by at least this, [m].
 LEAST_PROTRUSION_M: Final = 0.008
