@@ -24,7 +24,7 @@ TINY_OPENING = 0.12
 SIZE_RANGE = (0.05, 3.0)
 # Colliders that penetrate each other by less than this do not block a joint, [m].
 TOUCH = 2e-4
-# Number of joint values at which overlaps are searched; for a door that opens by 100 degrees, one step is 4 degrees.
+# Number of joint values at which overlaps are searched; a step is about 4 degrees of a door that opens by 100.
 RANGE_SAMPLES = 25
 
 

@@ -76,7 +76,13 @@ def style_of_seed(category: str, seed: int) -> str:
 
 
 def make_by(maker: Maker, category: str, seed: int) -> ArticulatedAsset:
-    """Make an asset from a seed, and name it after the category."""
+    """Make an asset from a seed, and name it `<category>-<seed>`.
+
+    Args:
+        maker: Function that makes an asset from a generator.
+        category: Category of the asset.
+        seed: Seed of the generator, together with the category.
+    """
     # The category's name is part of the seed, so that categories do not share random numbers.
     rng = np.random.default_rng([seed, *category.encode()])
     return replace(maker(rng), name=f"{category}-{seed}")

@@ -128,7 +128,11 @@ def _on_its_front(asset: ArticulatedAsset, handle: Sequence[int], bar: int, deep
 
 
 def state_handle(link: AssetLink, low: Array, high: Array) -> AssetLink:
-    """Add a handle collider to a link: the box around its surface between two corners (3,), [m].
+    """Add a handle collider to a link: the bounding box of the link's surface inside a given box.
+
+    Args:
+        link: Link of the handle; its colliders whose centers are in the given box are removed.
+        low, high: Lower and upper corner of the given box (3,), in the frame of the link, [m].
 
     Raises:
         AssetError: The box contains no surface of the link.

@@ -91,6 +91,7 @@ class _Writer:
         self.stage, self.root, self.textures = stage, root, textures
 
     def link(self, link: AssetLink) -> str:
+        """Add a link with meshes, materials and colliders; return its prim path."""
         from pxr import UsdGeom, UsdPhysics
 
         path = f"{self.root}/{_identifier(link.name)}"
@@ -209,6 +210,7 @@ class _Writer:
         set_attribute(prim, "mjc:rollingfriction", rolling)
 
     def joint(self, asset: ArticulatedAsset, static: str, moving: str) -> None:
+        """Add the joint of an asset between two links, given by their prim paths."""
         from pxr import Gf, UsdPhysics
 
         joint = asset.joint

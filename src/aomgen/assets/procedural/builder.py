@@ -205,7 +205,15 @@ def carcass(w: float, depth: Span, height: Span, board: float) -> dict[str, Alig
 
 
 def feet(w: float, depth: Span, height: float, *, inset: float, half: float) -> dict[str, AlignedBox]:
-    """List four feet of half width `half`, whose centers are `inset` from the sides of a body, [m]."""
+    """List the boxes of four feet.
+
+    Args:
+        w: Half width of the body, [m].
+        depth: Front and back of the body (y), [m].
+        height: Height of the feet, [m].
+        inset: Distance of the centers of the feet from the sides of the body, [m].
+        half: Half width of the feet, [m].
+    """
     y0, y1 = depth
     places = [(x, y) for x in (-w + inset, w - inset) for y in (y0 + inset, y1 - inset)]
     return {
@@ -242,7 +250,13 @@ def stand(
 
 
 def corner_posts(w: float, depth: Span, height: Span, side: float) -> dict[str, AlignedBox]:
-    """List posts of width `side` around the four vertical edges of a body, from which they protrude by POST_OUT, [m]."""
+    """List posts around the four vertical edges of a body, from which they protrude by POST_OUT.
+
+    Args:
+        w: Half width of the body, [m].
+        depth, height: Spans of the body in y and z, [m].
+        side: Width of the posts, [m].
+    """
     (y0, y1), out, inside = depth, POST_OUT, side - POST_OUT
     posts = {}
     for end, y in (("front", (y0 - out, y0 + inside)), ("back", (y1 - inside, y1 + out))):
@@ -252,7 +266,12 @@ def corner_posts(w: float, depth: Span, height: Span, side: float) -> dict[str, 
 
 
 def window_frame(x: Span, y: Span, z: Span, frame: float) -> list[AlignedBox]:
-    """List four bars of width `frame` around a window, [m]."""
+    """List four bars around a window.
+
+    Args:
+        x, y, z: Outer spans of the bars, [m].
+        frame: Width of the bars, [m].
+    """
     (x0, x1), (z0, z1) = x, z
     inside = (z0 + frame, z1 - frame)
     return [
@@ -264,7 +283,7 @@ def window_frame(x: Span, y: Span, z: Span, frame: float) -> list[AlignedBox]:
 
 
 def lining(x: Span, y: Span, z: Span) -> list[AlignedBox]:
-    """List thin boxes that line the sides, back, bottom and top of a cavity open to the front; only inner faces are visible."""
+    """List thin boxes around the spans (x, y, z), [m], of a cavity that is open to the front; only inner faces are visible."""
     (x0, x1), (y0, y1), (z0, z1), thin = x, y, z, 0.001
     return [
         box(x0 - thin, x0, y0, y1, z0, z1, "xyYzZ"),
@@ -291,7 +310,14 @@ def slide(axis: ArrayLike, handle: Handle, travel: float) -> Joint:
 def assemble(
     category: str, static: AssetLink, moving: AssetLink, joint: Joint, held: Handle | Array
 ) -> ArticulatedAsset:
-    """Build an asset with an empty name that is held at a handle, or at a point (3,), [m], of a horizontal rim."""
+    """Build an asset with an empty name.
+
+    Args:
+        category: Category of the asset.
+        static, moving: Links, asset frame.
+        joint: Joint, asset frame.
+        held: Handle at which the asset is held, or grasp point (3,) on a horizontal rim, [m].
+    """
     point, axis = (held.middle, held.axis) if isinstance(held, Handle) else (held, LEVEL)
     return ArticulatedAsset(
         name="", category=category, static=static, moving=moving, joint=joint, handle_point=point, handle_axis=axis

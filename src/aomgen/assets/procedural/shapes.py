@@ -221,7 +221,15 @@ def panel(name: str, corner: ArrayLike, right: ArrayLike, up: ArrayLike, surface
 def rod(
     name: str, start: ArrayLike, end: ArrayLike, radius: float, surface: Material, sides: int = 14
 ) -> Mesh:
-    """Build a closed cylinder between two points (3,) with a radius, [m]; the texture is wrapped once around it."""
+    """Build a closed cylinder; the texture is wrapped once around it.
+
+    Args:
+        name: Name of the mesh.
+        start, end: Centers of the two end faces (3,), [m].
+        radius: Radius, [m].
+        surface: Material.
+        sides: Number of side faces.
+    """
     start, end = np.asarray(start, np.float64), np.asarray(end, np.float64)
     along = (end - start) / np.linalg.norm(end - start)
     first = np.cross(along, np.eye(3)[np.argmin(np.abs(along))])

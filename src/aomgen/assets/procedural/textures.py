@@ -97,6 +97,12 @@ def stickers(
     """Synthesize a grained surface with stickers of random shapes, colors and words.
 
     Each sticker is in a separate cell of a grid, so stickers do not overlap.
+
+    Args:
+        rng: Generator of the texture.
+        color_srgb: Color of the surface (3,).
+        width, height: Size of the texture, [px].
+        count: Number of stickers.
     """
     size = max(width, height)
     ground = tint(color_srgb, 0.03 * noise(rng, size, 0.8) + 0.03 * noise(rng, size, 20))
