@@ -21,8 +21,8 @@ from aomgen.robots.robot import RobotModel
 from aomgen.simulation.scene_spec import OBSTACLES, TABLE, scene_spec
 
 # A drive may exceed its torque limit by this factor briefly; the pass rule limits its moving average. At a hard limit, the
-# implicit integrator has no derivative of the force by the velocity, so that a nearly straight arm, whose joints can move
-# against each other with little inertia, would oscillate at every step of the commanded velocity.
+# derivative of the force with respect to the velocity is 0 for the implicit integrator, so that a nearly straight arm, whose
+# joints can move against each other with little inertia, would oscillate at every step of the commanded velocity.
 PEAK = 1.5
 
 Indices = NDArray[np.int64]
@@ -196,7 +196,11 @@ def describe_scene(
 ) -> Scene:
     """Find the addresses of robot and object in a model that also contains a geom named `TABLE`.
 
-    The force limits of the arm's actuators in the model are increased by `PEAK`.
+    Args:
+        model: Compiled model; the force limits of the arm's actuators in it are multiplied by `PEAK`.
+        robot, asset: Robot and object in the model.
+        names: Names of the object's elements in the model.
+        bolted: The object is fixed to the world.
 
     Raises:
         ConfigError: The robot has no position actuators, or no fingers.

@@ -73,7 +73,14 @@ def corner_setting(
 
 
 def apply_setting(scene: Scene, model: mujoco.MjModel, setting: Setting, theta: float) -> None:
-    """Apply a setting to a model, a copy of the scene's model, whose object joint has the value `theta`, [rad] or [m]."""
+    """Apply a setting to a model.
+
+    Args:
+        scene: Scene of the model.
+        model: Copy of the scene's model, changed in place.
+        setting: Setting to be applied.
+        theta: Current value of the object's joint, [rad] or [m].
+    """
     model.dof_damping[scene.object_dof] = setting.damping
     model.dof_frictionloss[scene.object_dof] = setting.friction_at(theta)
     if setting.latch:
