@@ -49,7 +49,13 @@ def find_keypoints(asset: ArticulatedAsset) -> Array:
 
 
 def move_keypoints(keypoints: ArrayLike, joint: Joint, thetas: ArrayLike) -> Array:
-    """Move keypoints (5, 3) from joint value 0 to joint values (T,), and return (T, 5, 3); one frame for points and joint."""
+    """Compute the positions (T, 5, 3) of keypoints at joint values.
+
+    Args:
+        keypoints: Keypoints (5, 3) at joint value 0, [m].
+        joint: Joint in the frame of the keypoints.
+        thetas: Joint values (T,), [rad] or [m].
+    """
     closed = np.asarray(keypoints, np.float64)
     points = np.tile(closed, (np.size(thetas), 1, 1))
     points[:, :MOVING_POINTS] = apply(joint.motion(np.ravel(thetas))[:, None], closed[:MOVING_POINTS])
@@ -65,10 +71,19 @@ def project_keypoints(camera: Camera, points_world: Array) -> tuple[Array, Array
 def judge_visible(
     camera: Camera, points_world: Array, depth: NDArray[np.floating], labels: NDArray[np.uint8]
 ) -> NDArray[np.bool_]:
-    """Determine which keypoints (5, 3) are visible in an image, by its depth (H, W), [m], and its part labels (H, W).
+    """Determine which keypoints are visible in an image.
 
     A keypoint is visible if one of the 3 x 3 pixels around it shows the object at about the depth of the keypoint: the
     moving part for points on the handle, either part for points on the axis.
+
+    Args:
+        camera: Camera of the image.
+        points_world: Keypoints (5, 3), world frame.
+        depth: Depth of the image (H, W), [m].
+        labels: Part labels of the image (H, W), see `conventions.PART_LABELS`.
+
+    Returns:
+        Mask (5,) of the visible keypoints.
     """
     pixels, depths = project_keypoints(camera, points_world)
     visible = np.zeros(len(points_world), bool)

@@ -72,7 +72,13 @@ def sample_triangles(corners: Array, count: int, rng: np.random.Generator) -> Ar
 def sample_surface(
     vertices: Array, faces: NDArray[np.int64], count: int, rng: np.random.Generator
 ) -> tuple[Array, NDArray[np.int64], Array]:
-    """Sample points uniformly by area over a surface with vertices (V, 3) and faces (F, 3).
+    """Sample points uniformly by area over a surface.
+
+    Args:
+        vertices: Vertices (V, 3), [m].
+        faces: Vertex indices of triangles (F, 3).
+        count: Number of points.
+        rng: Generator of the points.
 
     Returns:
         Points (count, 3), their faces (count,), and barycentric weights (count, 3).

@@ -50,7 +50,7 @@ def no_cut(gaussians: Gaussians) -> Cut:
 # A larger misfit of the boxes (5 % of the box per side) causes a warning.
 DOUBTED_MISFIT = 0.2
 # A lower overlap (IoU) of the labels with the prompts' masks causes a warning: on eleven captures, such labels had an IoU of
-# 0.40 to 0.83 with the true part, all other labels a higher one.
+# 0.40 to 0.83 with the true part, and the IoU of all other labels was higher.
 DOUBTED_AGREEMENT = 0.6
 
 

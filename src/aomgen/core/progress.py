@@ -7,7 +7,7 @@ Progress = Callable[[float, str], None]
 
 
 def silent(share: float, text: str) -> None:
-    """Default callback; does nothing."""
+    """Do nothing; this is the default callback."""
 
 
 def part(progress: Progress, start: float, end: float) -> Progress:

@@ -45,7 +45,13 @@ def weigh(residuals: Array, sd: float) -> Array:
 
 
 def regress(columns: Array, targets: Array, weights: Array) -> Array:
-    """Fit coefficients (N, ...) of columns (P, N) to targets (P, ...) with weights (P,), slightly regularized toward 0."""
+    """Fit coefficients (N, ...) by weighted least squares, slightly regularized toward 0.
+
+    Args:
+        columns: Columns (P, N).
+        targets: Targets (P, ...).
+        weights: Weights (P,).
+    """
     weighted = columns * weights[:, None]
     normal = weighted.T @ columns
     normal += (1e-3 * np.trace(normal) + 1e-9) * np.eye(len(normal))

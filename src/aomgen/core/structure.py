@@ -11,7 +11,7 @@ from aomgen.core.lens import Lens
 from aomgen.core.recording import Prompt
 from aomgen.core.values import Array, freeze_arrays
 
-# Every image with this spacing is held out of training, as in benchmarks of view synthesis (Mip-NeRF 360).
+# Spacing, in name order, of the images that are held out of training, as in benchmarks of view synthesis (Mip-NeRF 360).
 HELD_OUT_EVERY = 8
 # Index of the first held-out image; the image with which the scan begins is used for training.
 HELD_OUT_PHASE = 4
