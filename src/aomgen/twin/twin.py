@@ -266,7 +266,13 @@ class StaticLayer:
 
 
 def static_layer(twin: TwinModel, camera: Camera, threads: int | None = None) -> StaticLayer:
-    """Render the view of a camera without moving bodies; for `threads`, see `RenderSession`."""
+    """Render the view of a camera without moving bodies.
+
+    Args:
+        twin: Twin with static and moving bodies.
+        camera: Camera, world frame.
+        threads: See `RenderSession`.
+    """
     session = RenderSession(twin.gaussians.select(~twin.moves), camera, threads=threads)
     drawn = session.draw(twin.gaussians.select(np.zeros(0, np.int64)), with_ids=True)
     median = np.asarray(drawn.median_depth)

@@ -22,6 +22,14 @@ def change_appearance(twin: TwinModel, light: LightChange, material: MaterialCha
 
     Intensity and temperature change all colors, as in a camera with fixed exposure and white balance. A rotation of the light
     changes the relit surfaces and the shadows of moving bodies; other scanned surfaces keep their shading.
+
+    Args:
+        twin: Twin to be changed.
+        light: Difference from the recorded light.
+        material: Difference from the colors of the object.
+
+    Returns:
+        The changed twin, or the same one if nothing changes.
     """
     gains = light_gains(light)
     if material != MaterialChange():
