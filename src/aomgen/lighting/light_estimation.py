@@ -245,7 +245,13 @@ def limit_light(light: SceneLight) -> SceneLight:
 
 
 def light_of_map(around: EnvironmentMap, scan: SceneLight, source: str) -> SceneLight:
-    """Make the light of a map, with the brightness (on a horizontal white surface) and the tone curve of a scan's light."""
+    """Make the light of an environment map, with the brightness and the tone curve of a scan's light.
+
+    Args:
+        around: Environment map.
+        scan: Light of the scan; both lights have the same brightness on a horizontal white surface.
+        source: Name of the map's origin, see `SceneLight`.
+    """
     return _with_level(SceneLight(around.light(), scan.tone, source), _up(scan))
 
 

@@ -34,7 +34,14 @@ NEIGHBORS: Final = 16
 def render_state(
     twin: TwinModel, robot: RobotModel, state: TwinState, camera: Camera, **options: Any
 ) -> Rendering:
-    """Render a state with its shadows; `options` are passed to `splatting.rasterizer.render`."""
+    """Render a twin in a state, with shadows.
+
+    Args:
+        twin, robot: Twin and its robot.
+        state: State to be rendered.
+        camera: Camera, world frame.
+        **options: Passed to `splatting.rasterizer.render`.
+    """
     Ts, lamp = body_poses(twin, robot, state), twin.directional_light
     rendered = render(pose_bodies(twin, Ts), camera, **options)
     if lamp is None:

@@ -105,10 +105,17 @@ def estimate_transfer(points: Array, normals: Array, occluders: Occluders) -> tu
 
 
 def turn_outward(points: Array, normals: Array, occluders: Occluders) -> Array:
-    """Flip unit normals (N, 3) of points (N, 3) that point to an enclosed side while the other side is open.
+    """Flip normals that point to an enclosed side while the other side is open.
 
-    This is necessary because the triangles of meshes may have either orientation. `occluders` contains all surfaces in the
-    same frame.
+    This is necessary because the triangles of meshes may have either orientation.
+
+    Args:
+        points: Points (N, 3) on surfaces.
+        normals: Unit normals (N, 3).
+        occluders: All surfaces, in the same frame.
+
+    Returns:
+        Unit normals (N, 3).
     """
     front, back = (estimate_transfer(points, sign * normals, occluders)[1] for sign in (1.0, -1.0))
     return np.where(((front < 0.1) & (back > 0.3))[:, None], -normals, normals)
