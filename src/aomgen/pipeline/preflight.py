@@ -26,7 +26,7 @@ from aomgen.version import __version__
 CHECKED_FILE = "checked.json"
 # Default width of the images of episodes, [px].
 IMAGE_WIDTH = 320
-# Largest relative difference in aspect ratio between episode images and the camera that is not visible.
+# Relative difference between the aspect ratios of episode images and camera above which distortion becomes visible.
 MAX_STRETCH = 0.05
 # Number of boxes around the robot in scan images that the alignment method "paper" requires.
 PAPER_ROBOT_BOXES = 2
@@ -95,7 +95,15 @@ def preflight(
 
 
 def machine_warnings(segmenter: str, capture: Recording, *, diffusion: bool = False) -> tuple[str, ...]:
-    """Return a warning if this machine does not satisfy the requirements of a run, which may be executed elsewhere."""
+    """Return a warning if this machine does not satisfy the requirements of a run.
+
+    This is no error, because the run may be executed on another machine.
+
+    Args:
+        segmenter: Segmenter of the project.
+        capture: Capture of the project.
+        diffusion: The project uses diffusion pipelines.
+    """
     try:
         require_environment(EVERYTHING, segmenter, has_masks=bool(capture.mask_folders), diffusion=diffusion)
     except BackendError as error:
@@ -141,7 +149,11 @@ def new_project(capture: Recording, out: Path, assets: Sequence[str]) -> Project
 
 
 def _require_own(folder: Path) -> None:
-    """Raise `StorageError` for a folder with content that no run has written, which a run must not replace."""
+    """Refuse to replace a folder with content that no run has written.
+
+    Raises:
+        StorageError: The folder has such content.
+    """
     made = any((folder / name).is_file() for name in (MANIFEST, STARTED))
     if folder.exists() and not made and not (folder.is_dir() and not any(folder.iterdir())):
         raise StorageError(
