@@ -99,10 +99,12 @@ class _Worker:
         self.began = 0.0
 
     def begin(self, unit: Any) -> None:
+        """Send a unit to the process."""
         self.unit, self.began = unit, time.monotonic()
         self.connection.send(unit)
 
     def kill(self) -> None:
+        """Kill the process and close the connection to it."""
         self.process.kill()
         self.process.join()
         self.connection.close()
