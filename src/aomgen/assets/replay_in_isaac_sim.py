@@ -2,7 +2,7 @@
 
     ./python.sh replay_in_isaac_sim.py EPISODE ROBOT.usd --gripper finger_joint 0.0 0.8
 
-This script has not been run in Isaac Sim. The functions that read the files are tested; the code that drives the
+This script was never run in Isaac Sim. The functions that read the files are tested; the code that drives the
 simulator uses the interfaces of Isaac Sim 4.5 and 5. Please report necessary changes.
 
 EPISODE is a folder with `episode.json`, which names the object's USD file, and `frames.npz`. ROBOT.usd is a USD file of
