@@ -38,7 +38,11 @@ PREFIX: Final = "handle"
 
 
 def opening_direction(link: AssetLink, joint: Joint) -> Array:
-    """Compute the unit direction (3,) in which the middle of the moving link starts to move."""
+    """Compute the unit direction (3,) in which the center of the closed moving link starts to move.
+
+    Raises:
+        AssetError: The center is on the axis of a revolute joint.
+    """
     if joint.type == "prismatic":
         return joint.axis
     points = np.concatenate([mesh.vertices for mesh in link.meshes])
@@ -109,7 +113,7 @@ def _with_handle(asset: ArticulatedAsset, handle: Sequence[int], bar: int) -> Ar
 
 
 def _on_its_front(asset: ArticulatedAsset, handle: Sequence[int], bar: int, deep: float) -> ArticulatedAsset:
-    """Do the same as `_with_handle`, and extend the held collider to the front, so that it can be held from both sides.
+    """Set the handle as `_with_handle` does, and extend the held collider to the front, so that it can be pinched.
 
     Args:
         deep: Protrusion of the collider from the front, [m].
