@@ -225,7 +225,7 @@ class SeveralJointsError(AssetError):
     Args:
         where: The file.
         joints: Names of its joints.
-        remedy: How to select one of them.
+        remedy: Action by which the user can select one of them.
     """
 
     def __init__(self, where: object, joints: Iterable[str], remedy: str) -> None:
