@@ -1,11 +1,11 @@
-"""One recorded demonstration in, many photoreal and physically verified demonstrations out.
+"""Generate many photoreal and physically verified demonstrations from one recorded demonstration.
 
 >>> import aomgen as ag
 >>> run = ag.Run.open("out")
 >>> image, depth, labels = run.twin.render(run.twin.state(theta=0.5), run.cameras["front"])
 
 The names in `__all__` are public and keep their meaning within a minor version; everything else may change.
-`aomgen.splatting` is the rasterizer alone. Names are imported when they are first used.
+`aomgen.splatting` is the rasterizer, which can be used separately. Names are imported when they are first used.
 """
 
 from importlib import import_module

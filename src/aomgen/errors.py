@@ -1,22 +1,22 @@
-"""One hierarchy of errors; each family has an exit code and each error writes one sentence.
+"""Hierarchy of all errors; each family has an exit code, and the message of each error is one sentence.
 
-A sentence says where, what (value against limit) and what to do:
+The message states the location, the problem (the value and its limit) and the remedy:
 `demo/joints.csv, row 12: 'elbow_joint' is nan; re-export the log`.
-Errors that a program may want to handle carry the values of that sentence as attributes.
+Errors that a program may handle have the values of the message as attributes.
 """
 
 import difflib
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
-# Largest number of names in a sentence; more would hide its statement.
+# Largest number of names in a message, so that it stays readable.
 MAX_LISTED = 20
-# Largest number of characters of another library's message in a sentence.
+# Largest number of characters of another library's message that is quoted.
 MAX_QUOTED = 120
 
 
 def suggest(word: str, known: Iterable[str]) -> str:
-    """Return a question that names the closest known word, or else the list of all known words."""
+    """Return a question with the known word that is most similar to a word, or a list of known words if none is similar."""
     words = list(known)
     near = difflib.get_close_matches(word, words, 1)
     if near:
@@ -34,7 +34,7 @@ class AomgenError(Exception):
     """Base class of all errors that AOMGen raises on purpose.
 
     Args:
-        where: File, stage or argument the problem was found in.
+        where: File, stage or argument in which the problem was found.
         problem: Description of the problem, with the value and its limit.
         remedy: Action by which the user can solve the problem.
     """
@@ -48,7 +48,7 @@ class AomgenError(Exception):
         super().__init__(f"{where}: {problem}" + (f"; {remedy}" if remedy else ""))
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Restore errors of worker processes as they were raised, with all their attributes."""
+        """Support pickling with all attributes, so that errors of worker processes can be raised in their parent."""
         return restore_error, (type(self).__name__, self.args, self.__dict__)
 
 
@@ -56,8 +56,11 @@ def restore_error(kind: str, args: Sequence[Any], values: Mapping[str, Any]) -> 
     """Restore an error of another process.
 
     Args:
-        kind: Name of its class.
-        args, values: Its `args` and `__dict__`.
+        kind: Name of the error's class.
+        args, values: `args` and `__dict__` of the error.
+
+    Raises:
+        KeyError: The class is unknown.
     """
     found: type[AomgenError] = globals()[kind]
     error = found.__new__(found, *args)
@@ -222,7 +225,7 @@ class SeveralJointsError(AssetError):
     Args:
         where: The file.
         joints: Names of its joints.
-        remedy: How to select one of them.
+        remedy: Action by which the user can select one of them.
     """
 
     def __init__(self, where: object, joints: Iterable[str], remedy: str) -> None:

@@ -1,6 +1,6 @@
-"""Executors of units of work: processes of this machine, or workers of a Ray cluster.
+"""Executors of units of work: processes on this machine, or workers of a Ray cluster.
 
-A unit may be executed twice (its worker died after the work, before the reply), so work has to be idempotent.
+A unit may be executed twice, if its worker dies between the work and the reply, so work must be idempotent.
 """
 
 import importlib
@@ -24,24 +24,23 @@ from typing import Any, Final, Protocol, Self
 
 from aomgen.errors import BackendError, WorkerError
 
-# Function that executes a unit; and function that opens it, called once in each worker, and pickled.
+# `Work` is a function that executes a unit. `Opener` is a function that returns it; it is pickled and called once in each worker.
 Work = Callable[[Any], Any]
 Opener = Callable[[], Work]
-# Number of times that a unit whose worker died is tried again.
+# Number of retries of a unit whose worker died.
 RETRIES: Final = 2
-# Time within which a cluster's head, or another server, replies, [s].
+# Time limit for a connection to the head of a cluster or to another server, [s].
 CONNECT_S: Final = 5.0
 RAY_PROBE: Final = "import ray, sys; ray.init(sys.argv[1], log_to_driver=False, configure_logging=False)"
-# Time within which Ray is imported and joins the cluster, also on a busy machine, [s].
+# Time limit for importing Ray and joining the cluster, which is sufficient on a busy machine, [s].
 RAY_PROBE_S: Final = 60.0
-# Every worker computes on one thread: results do not depend on the number of workers, which do
-# not compete for cores.
+# Every worker uses one thread, so that results do not depend on the number of workers and workers do not compete for cores.
 ONE_THREAD: Final = {name: "1" for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Done:
-    """Result of a unit: its value, or in `lost` why there is none, "worker_died" or "timeout"."""
+    """Result of a unit: its value; or, in `lost`, the reason why there is none: "worker_died" or "timeout"."""
 
     unit: Any
     value: Any = None
@@ -49,16 +48,16 @@ class Done:
 
 
 class Executor(Protocol):
-    """Executor of units; `slots` is the largest number of units that may be submitted at the same time."""
+    """Executor of units; `slots` is the largest number of units that may run at the same time."""
 
     slots: int
 
     def submit(self, unit: Any) -> None:
-        """Begin a unit."""
+        """Start the execution of a unit."""
         ...
 
     def next_done(self) -> Done:
-        """Wait until any unit has ended; raises the error that its work raised."""
+        """Wait until a unit has ended, and return its result, or raise the error of its work."""
         ...
 
     def __enter__(self) -> Self: ...
@@ -67,11 +66,11 @@ class Executor(Protocol):
 
 
 def run_units(units: Sequence[Any], executor: Executor) -> Iterator[Done]:
-    """Execute units and yield each result as soon as it is known; the executor is closed at the end.
+    """Execute units and yield each result as soon as it is available; the executor is closed at the end.
 
     Raises:
-        WorkerError: A unit kills its process, or takes too long.
-        AomgenError: Whatever the work raises.
+        WorkerError: A unit terminates its process, or takes too long.
+        AomgenError: The work of a unit fails.
     """
     waiting, running = list(units), 0
     with executor:
@@ -87,7 +86,7 @@ def run_units(units: Sequence[Any], executor: Executor) -> Iterator[Done]:
 
 
 class _Worker:
-    """One process and its current unit."""
+    """A worker process and its current unit."""
 
     def __init__(self, opener: Opener) -> None:
         context = multiprocessing.get_context("spawn")
@@ -100,21 +99,24 @@ class _Worker:
         self.began = 0.0
 
     def begin(self, unit: Any) -> None:
+        """Send a unit to the process."""
         self.unit, self.began = unit, time.monotonic()
         self.connection.send(unit)
 
     def kill(self) -> None:
+        """Kill the process and close the connection to it."""
         self.process.kill()
         self.process.join()
         self.connection.close()
 
 
 class Processes:
-    """Workers on this machine, started when they are needed.
+    """Executor with worker processes on this machine, which are started when they are needed.
 
     Args:
         opener: Function that each worker calls once.
-        slots: Number of workers.
+        slots: Largest number of workers.
+        timeout_s: Time limit of a unit, [s].
     """
 
     def __init__(self, opener: Opener, slots: int, timeout_s: float) -> None:
@@ -131,19 +133,19 @@ class Processes:
             worker.kill()
 
     def submit(self, unit: Any) -> None:
-        """Begin a unit in an idle worker, or in a new one."""
+        """Start the execution of a unit in an idle worker, or in a new one."""
         idle = next((worker for worker in self._workers if worker.unit is None), None)
         if idle is None:
             idle = _Worker(self._opener)
             self._workers.append(idle)
         try:
             idle.begin(unit)
-        except OSError:  # it has died since its last unit
+        except OSError:  # The worker has died since its last unit.
             self._remove(idle)
             self.submit(unit)
 
     def next_done(self) -> Done:
-        """Wait for the first unit that has ended or is given up."""
+        """Wait until a unit has ended or exceeded the time limit, and return its result, or raise the error of its work."""
         while True:
             busy = {worker.connection: worker for worker in self._workers if worker.unit is not None}
             left_s = self._timeout_s - (time.monotonic() - min(worker.began for worker in busy.values()))
@@ -157,7 +159,7 @@ class Processes:
                     return Done(unit=worker.unit, lost="timeout")
 
     def _answer(self, worker: _Worker) -> Done | None:
-        """Receive a worker's reply; None when it has died and its unit was begun again."""
+        """Receive a worker's reply; None if the worker has died and its unit was started again."""
         unit = worker.unit
         try:
             value, error = worker.connection.recv()
@@ -179,12 +181,14 @@ class Processes:
 
 
 class RayCluster:
-    """Workers of a Ray cluster with access to the same folders; one GPU each where there are GPUs.
+    """Executor with the workers of a Ray cluster, which must have access to the same folders.
+
+    If the cluster has GPUs, each worker uses one.
 
     Args:
         opener: Function that each worker calls once.
-        address: Address of the cluster, as for `ray.init`: "auto", "host:port", or "local" to start one here.
-        timeout_s: A unit that takes longer is given up.
+        address: Address of the cluster, as for `ray.init`: "auto", "host:port", or "local" to start one on this machine.
+        timeout_s: Time limit of a unit, [s].
 
     Raises:
         BackendError: Ray is not installed, or the cluster does not respond.
@@ -199,7 +203,7 @@ class RayCluster:
         self.slots = gpus or max(int(there.get("CPU", 1)), 1)
         self._timeout_s, self._began = timeout_s, dict[Any, tuple[Any, float]]()
         self._opener = ray.put(opener)
-        # Ray itself sets the number of threads of a task to its number of processors, here one.
+        # Ray sets the number of threads of a task to its number of CPUs, which is one.
         self._do = ray.remote(max_retries=RETRIES, num_cpus=1, num_gpus=1 if gpus else 0)(_do_on_ray)
 
     def __enter__(self) -> Self:
@@ -209,11 +213,14 @@ class RayCluster:
         self._ray.shutdown()
 
     def submit(self, unit: Any) -> None:
-        """Begin a unit as a separate task."""
+        """Start the execution of a unit as a separate task."""
         self._began[self._do.remote(self._opener, self._opener.hex(), unit)] = (unit, time.monotonic())
 
     def next_done(self) -> Done:
-        """Wait for the first unit that has ended or is given up; Ray repeats a dead worker's unit."""
+        """Wait until a unit has ended or exceeded the time limit, and return its result, or raise the error of its work.
+
+        Ray executes the unit of a dead worker again.
+        """
         errors = self._ray.exceptions
         while True:
             oldest = min(began for _, began in self._began.values())
@@ -235,7 +242,7 @@ class RayCluster:
 
 
 def require_cluster(address: str) -> None:
-    """Refuse the address of a Ray cluster that does not respond; see `RayCluster`.
+    """Check that a Ray cluster responds; for its address, see `RayCluster`.
 
     Raises:
         BackendError: Ray is not installed, or the cluster does not respond.
@@ -250,7 +257,7 @@ def require_cluster(address: str) -> None:
 
 
 def _cluster_problem(address: str) -> str:
-    """Find why a cluster is unusable, else empty. A child process connects, as Ray has no timeout."""
+    """Describe why a cluster cannot be used; empty if it can. A child process connects, because Ray has no time limit."""
     host, colon, port = address.rpartition(":")
     try:
         if colon and port.isdigit():
@@ -265,7 +272,7 @@ def _cluster_problem(address: str) -> str:
     return (done.stderr.strip().splitlines() or ["no reason"])[-1] if done.returncode else ""
 
 
-# Work that this process of a Ray cluster has opened, by its opener; one at a time.
+# Work that this process of a Ray cluster has opened, by the key of its opener; it holds at most one entry.
 _OPENED: dict[str, Work] = {}
 
 
@@ -277,8 +284,8 @@ def _do_on_ray(opener: Opener, key: str, unit: Any) -> Any:
 
 
 def _serve(opener: Opener, connection: Connection) -> None:
-    """Run a worker process: execute units until the parent closes the connection."""
-    # The parent's blocked and ignored signals would be inherited.
+    """Execute units in a worker process until the parent closes the connection."""
+    # Signals are reset, because the process inherits blocked and ignored signals from its parent.
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, signal.SIG_DFL)
     signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT, signal.SIGTERM})
@@ -299,7 +306,7 @@ def _serve(opener: Opener, connection: Connection) -> None:
 
 
 def _end_with_parent() -> None:
-    """End this process when its parent has died: its uncommitted work is of no use."""
+    """End this process when its parent dies, because its result could not be committed."""
     parent = multiprocessing.parent_process()
     if parent is not None:
         wait([parent.sentinel])
@@ -310,8 +317,8 @@ def _end_with_parent() -> None:
 def _without_script() -> Iterator[None]:
     """Hide the caller's script from processes that are started in the block.
 
-    A spawned process runs the script of its parent again, which would begin the same work in a script without
-    `if __name__ == "__main__"`. Workers do not need the script: openers are pickled by the names of modules.
+    A spawned process executes the script of its parent again; a script without `if __name__ == "__main__"` would then start
+    the same work again. Workers do not need the script, because openers are pickled by the names of their modules.
     """
     script = sys.modules["__main__"]
     sys.modules["__main__"] = ModuleType("__main__")

@@ -1,4 +1,4 @@
-"""Values of a run by stage, each read once, on first use."""
+"""Results of a run by stage; each value is read once, on first use."""
 
 import os
 from collections.abc import Mapping
@@ -30,7 +30,7 @@ from aomgen.robots.loading import choose_robot
 from aomgen.robots.robot import RobotConfiguration, RobotModel
 from aomgen.twin.twin import TwinModel, TwinState
 
-# Stages store their values by `save_artifact(folder, <name of the stage>, value)` and in these files.
+# Stages store their values by `save_artifact(folder, <name of the stage>, value)` and in the following files.
 GAUSSIANS_FILE = "gaussians.ply"
 T = TypeVar("T")
 ASSETS_FOLDER, FITTED, ASSET_USD = "assets", "fitted", "asset.usda"
@@ -42,14 +42,14 @@ BACKGROUND_FOLDER = "background"
 class Results:
     """Inputs and results of a run.
 
-    A value is there once the stage that makes it has finished; asking earlier raises `MissingFileError`.
+    Access to a value raises `MissingFileError` if the stage that computes it has not finished.
 
     Attributes:
-        project: The choices of this run.
-        out: The run's folder.
+        project: Settings of the run.
+        out: Folder of the run.
         folders: Final folder of every stage, by stage name.
-        workers: Processes that episodes are made in.
-        ray: Address of the Ray cluster that makes them instead; empty for none.
+        workers: Number of processes that generate episodes.
+        ray: Address of the Ray cluster that generates them instead; empty for none.
     """
 
     project: Project
@@ -59,10 +59,14 @@ class Results:
     ray: str = ""
 
     def params(self, stage: str, defaults: T) -> T:
-        """Parameters of a stage: its defaults, and what the project changes of them."""
+        """Return the parameters of a stage: its defaults with the changes of the project.
+
+        Raises:
+            ConfigError: The project sets an unknown parameter, or a value of the wrong type.
+        """
         return override(defaults, self.project.params.get(stage, {}), stage)
 
-    # The capture.
+    # Values of the capture:
 
     @cached_property
     def recorded(self) -> Recording:
@@ -76,7 +80,7 @@ class Results:
 
     @cached_property
     def robot(self) -> RobotModel:
-        """The capture's robot, in the capture's world frame."""
+        """Robot of the capture, in the capture's world frame."""
         return choose_robot(self.recorded.robot)
 
     @property
@@ -84,7 +88,7 @@ class Results:
         """Name of the fixed camera whose video shows the motion: the first one."""
         return self.recorded.cameras[0].name
 
-    # After structure.
+    # Values after the stage structure:
 
     @cached_property
     def structure(self) -> Structure:
@@ -93,7 +97,7 @@ class Results:
 
     @cached_property
     def pinhole_capture(self) -> Recording:
-        """The capture as stills and videos of pinhole cameras; an ordinary capture stays as it is."""
+        """The capture with undistorted images and videos; a capture of pinhole cameras is not changed."""
         found, folder = self.structure, self.folders["structure"]
         cameras = tuple(
             replace(camera, lens=found.demo_lenses.get(camera.name)) for camera in self.recorded.cameras
@@ -109,7 +113,7 @@ class Results:
 
     @cached_property
     def scan_images(self) -> dict[str, Path]:
-        """Images of the scan by name, of a pinhole camera."""
+        """Undistorted images of the scan by name."""
         return {path.name: path for path in self.pinhole_capture.scan_images}
 
     @cached_property
@@ -118,23 +122,23 @@ class Results:
         bent = any(camera.lens for camera in self.pinhole_capture.cameras)
         return read_demo_videos(self.pinhole_capture) if bent else self.recorded_videos
 
-    # After Gaussians.
+    # Values after the stage gaussians:
 
     @cached_property
     def gaussians_recon(self) -> Gaussians:
         """The trained Gaussians, recon frame."""
         return read_gaussians(self.folders["gaussians"] / GAUSSIANS_FILE)
 
-    # After alignment.
+    # Values after the stage alignment:
 
     @cached_property
     def alignment(self) -> Alignment:
-        """Reconstruction to world, joint zeros, fixed cameras."""
+        """Similarity from reconstruction to world, joint zeros, and fixed cameras."""
         return load_artifact(self.folders["alignment"], "alignment", Alignment)
 
     @cached_property
     def capture(self) -> Recording:
-        """The capture as stages after alignment see it: joints of log and scan are the robot's own."""
+        """The undistorted capture with calibrated joint zeros, which later stages use."""
         capture, zeros_rad = self.pinhole_capture, self.alignment.joint_zeros_rad
         log, robot = capture.joint_log, capture.robot
         return replace(
@@ -144,19 +148,19 @@ class Results:
         )
 
     def configuration_in(self, capture: Recording) -> RobotConfiguration:
-        """The robot as it stood during the scan of a capture."""
+        """Return the configuration of the robot during the scan of a capture."""
         return RobotConfiguration(
             robot=self.robot, joints=capture.robot.scan_joints, gripper=capture.robot.scan_gripper
         )
 
     @cached_property
     def configuration(self) -> RobotConfiguration:
-        """The robot as it stood during the scan."""
+        """Configuration of the robot during the scan."""
         return self.configuration_in(self.capture)
 
     @property
     def fixed_camera(self) -> FixedCamera:
-        """The first fixed camera, as calibrated."""
+        """The first fixed camera with its calibration."""
         return self.alignment.cameras[self.demo_camera]
 
     @cached_property
@@ -179,7 +183,7 @@ class Results:
         """The trained Gaussians, world frame."""
         return self.gaussians_recon.transform(self.alignment.S_world_recon)
 
-    # After parts.
+    # Values after the stage parts:
 
     @cached_property
     def parts(self) -> Parts:
@@ -188,10 +192,10 @@ class Results:
 
     @cached_property
     def scene(self) -> Gaussians:
-        """The trained Gaussians as the parts stage cut them, world frame."""
+        """The trained Gaussians after the stage parts has split some of them, world frame."""
         return self.parts.cut.apply(self.gaussians)
 
-    # After motion.
+    # Values after the stage motion:
 
     @cached_property
     def motion(self) -> MotionEstimate:
@@ -200,16 +204,16 @@ class Results:
 
     @cached_property
     def fps(self) -> float:
-        """Rate of the first fixed camera's video, [1/s]; episodes have the same."""
+        """Frame rate of the first fixed camera's video, [1/s], rounded; episodes have the same rate."""
         return float(round(probe_video(self.recorded.cameras[0].video).fps))
 
     @cached_property
     def demonstration(self) -> Demonstration:
-        """Robot and part from the first to the last video frame, at the video's rate."""
+        """Motion of robot and part from the first to the last video frame, sampled at the video's rate."""
         return resample_demonstration(self.motion, self.demo_log, self.robot, self.fps)
 
     def states_at(self, times_s: ArrayLike, T_world_object: ArrayLike) -> tuple[TwinState, ...]:
-        """Interpolate states of robot and part at video times (N,), for an object at a pose (4, 4)."""
+        """Interpolate the states of robot and part at video times (N,), [s], for an object at a pose (4, 4)."""
         times = np.asarray(times_s, np.float64)
         joints, gripper = self.demo_log.at(times)
         pose = np.asarray(T_world_object, np.float64)
@@ -218,11 +222,11 @@ class Results:
             for q, g, theta in zip(joints, gripper, self.motion.theta_at(times), strict=True)
         )
 
-    # After twin and replacement.
+    # Values after the stages twin and replacement:
 
     @cached_property
     def twin(self) -> TwinModel:
-        """The recorded scene, posable."""
+        """Twin of the recorded scene."""
         return load_artifact(self.folders["twin"], "twin", TwinModel)
 
     @cached_property
@@ -231,12 +235,12 @@ class Results:
         return load_artifact(self.folders["replacement"], "scene", EpisodeScene)
 
     def asset_folder(self, index: int) -> Path:
-        """Folder of the fit, USD and twin of one fitted asset."""
+        """Return the folder that holds the fit, the USD file and the twin of a fitted asset."""
         return self.folders["replacement"] / ASSETS_FOLDER / f"{index:02d}"
 
     @cached_property
     def fitted_assets(self) -> list[FittedAsset]:
-        """Assets that could be fitted, in the project's order."""
+        """Assets that could be fitted, in the order of the project."""
         count = len(list((self.folders["replacement"] / ASSETS_FOLDER).glob("*")))
         return [load_artifact(self.asset_folder(index), FITTED, FittedAsset) for index in range(count)]
 
@@ -247,17 +251,17 @@ def resample_demonstration(
     """Sample the recorded demonstration at a constant rate.
 
     Args:
-        motion: Recovered motion; brings the video's times.
-        log: On the clock of that video; its noise is averaged over a sample's length.
-        robot: For the end effector's poses.
-        fps: Samples a second.
+        motion: Estimated motion, at the times of the video.
+        log: Joint log on the clock of that video; it is averaged over half a sample period to reduce noise.
+        robot: Robot of the log.
+        fps: Samples per second.
 
     Returns:
         Samples from the first to the last video frame.
     """
     first, last = float(motion.times_s[0]), float(motion.times_s[-1])
     times = first + np.arange(int((last - first) * fps + 1e-6) + 1) / fps
-    # Five readings about each sample, within half a sample, take most of the log's noise away.
+    # The mean of five values within half a sample period around each sample reduces the noise of the log.
     offsets = np.linspace(-0.25, 0.25, 5) / fps
     readings = [log.at(times + offset) for offset in offsets]
     joints = np.mean([joints for joints, _ in readings], 0)

@@ -1,4 +1,4 @@
-"""Work of many small units, one file each: what a killed command has made is kept."""
+"""Computation of many units whose values are saved in one file each, so that an interrupted command can continue."""
 
 from collections.abc import Iterable, Mapping
 from pathlib import Path
@@ -15,12 +15,12 @@ T = TypeVar("T")
 
 
 class SavedUnits(Generic[T]):
-    """A folder with a value of each unit.
+    """Folder that holds the value of each unit of a request.
 
     Args:
         folder: Folder of the values of one request.
-        request: JSON values that the units are made from.
-        kind: Class of the values.
+        request: JSON values that determine the values of the units.
+        kind: Class of the units' values.
 
     Raises:
         ConfigError: The folder belongs to another request.
@@ -35,11 +35,16 @@ class SavedUnits(Generic[T]):
         write_json(place, want)
 
     def make(self, units: Iterable[int], executor: Executor, progress: Progress) -> list[T]:
-        """Values of the units in their order; those that are not there are made by the executor, which is closed then.
+        """Return the values of the units in their order; missing values are computed and saved.
+
+        Args:
+            units: Numbers of the units.
+            executor: Executor of the missing units; it is closed at the end.
+            progress: Receives the progress.
 
         Raises:
-            WorkerError: A unit kills its process, or takes too long.
-            AomgenError: Whatever the work raises.
+            WorkerError: A unit terminates its process, or takes too long.
+            AomgenError: The computation of a unit fails.
         """
         wanted = list(units)
         waiting = [unit for unit in wanted if not (self.folder / f"{unit_name(unit)}.json").is_file()]
@@ -51,5 +56,5 @@ class SavedUnits(Generic[T]):
 
 
 def unit_name(unit: int) -> str:
-    """Name of a unit's file, without its ending."""
+    """Return the name of a unit's file without its suffix."""
     return f"{unit:04d}"

@@ -11,27 +11,27 @@ from aomgen.assets.mjcf import AssetNames, add_asset
 from aomgen.core.asset import ArticulatedAsset, BoxCollider
 from aomgen.core.values import Array, Vector3, freeze_arrays
 
-# A finger tip must fit between handle and front, [m]. Half the stroke of the widest supported gripper is left for
-# the fingers themselves.
+# A ball with this diameter, which represents a fingertip, must fit between handle and front; a handle may not be
+# thicker than the second value, because half of the widest supported gripper's stroke is needed by the fingers, [m].
 FINGER_BALL, MAX_HANDLE_THICKNESS = 0.012, 0.06
-# An asset has to open at least this far to be worth opening, [rad] and [m].
+# The smallest useful opening of a joint, [rad] and [m].
 MIN_OPENING = {"revolute": np.deg2rad(30.0), "prismatic": 0.10}
-# Limits are rounded in files, [rad] or [m].
+# Tolerance for joint limits, which are rounded in files, [rad] or [m].
 ROUNDING = 1e-6
-# No door opens by so little, but one of radians that were read as degrees does, [rad].
+# A smaller upper limit indicates that radians in the file were read as degrees, [rad].
 TINY_OPENING = 0.12
-# Longest side of household furniture and appliances, [m]; a wrong unit is outside.
+# Range of the longest side of household furniture and appliances, [m]; a size outside of it indicates a wrong unit.
 SIZE_RANGE = (0.05, 3.0)
-# Colliders that touch by less than this do not block a joint, [m].
+# Colliders that penetrate each other by less than this do not block a joint, [m].
 TOUCH = 2e-4
-# Joint values at which overlaps are searched: a step is about 4 degrees of a door that opens by 100.
+# Number of joint values at which overlaps are searched; a step is about 4 degrees of a door that opens by 100.
 RANGE_SAMPLES = 25
 
 
 def check_asset(asset: ArticulatedAsset) -> list[str]:
-    """Problems of an asset, one sentence each; empty when it can be used.
+    """List the problems of an asset, one sentence each; the list is empty if the asset can be used.
 
-    Not checked: that the colliders follow the visible meshes.
+    Not checked: whether the colliders follow the visible meshes.
     """
     problems = _check_sizes(asset) + _check_joint(asset) + _check_links(asset)
     if problems:
@@ -40,12 +40,11 @@ def check_asset(asset: ArticulatedAsset) -> list[str]:
 
 
 def outward_normal(asset: ArticulatedAsset) -> Array:
-    """Unit normal (3,) of the face that carries the handle, away from the body.
+    """Compute the outward unit normal (3,) of the face that carries the handle, asset frame.
 
-    Where the handle's colliders are named, the part's nearest other collider is what it stands on, and
-    the normal is that box's axis towards the handle. Otherwise the handle is taken to start roughly
-    along it: of the axes of the moving colliders the one nearest to that motion is taken, because a
-    hinge lies a little behind the front.
+    If handle colliders are named, the handle is mounted on the nearest other collider of the moving link, and the
+    normal is that box's axis toward the handle. Otherwise the normal is estimated from the initial motion of the
+    handle: it is the collider axis closest to that direction, because a hinge is slightly behind the front.
     """
     joint = asset.joint
     body = [box for box in asset.moving.colliders if not box.name.startswith("handle")]
@@ -63,14 +62,17 @@ def outward_normal(asset: ArticulatedAsset) -> Array:
     poses, _ = _stack_boxes(asset.moving.colliders)
     axes = np.concatenate([poses[:, :3, :3].transpose(0, 2, 1).reshape(-1, 3), motion[None]])
     alignments = axes @ motion
-    # The motion itself is last and wins only where no box looks along it within 30 degrees.
+    # The motion direction itself is the last candidate; it is chosen only if no box axis is within 30 degrees of it.
     alignments[-1] = np.sign(alignments[-1]) * np.cos(np.deg2rad(30))
     best = int(np.argmax(np.abs(alignments)))
     return np.asarray(axes[best] * np.sign(alignments[best]), np.float64)
 
 
 def held_at_rim(asset: ArticulatedAsset) -> bool:
-    """Return whether fingers hold the handle from both sides, as a laptop's lid or a knob, and none fits behind it."""
+    """Return whether the gripper must hold the handle from both sides, because no finger fits behind it.
+
+    Examples are the rim of a laptop's lid and a knob.
+    """
     bar = asset.handle_bar
     body = [box for box in asset.moving.colliders if not box.name.startswith("handle")]
     if bar is None or not body:
@@ -81,12 +83,12 @@ def held_at_rim(asset: ArticulatedAsset) -> bool:
 
 
 def _stack_boxes(colliders: Sequence[BoxCollider]) -> tuple[Array, Array]:
-    """Poses (B, 4, 4) and half extents (B, 3) of colliders."""
+    """Stack the poses (B, 4, 4) and half extents (B, 3), [m], of colliders."""
     return np.array([box.T_asset_box for box in colliders]), np.array([box.half_extents for box in colliders])
 
 
 def _list_failures(*checks: tuple[bool, str]) -> list[str]:
-    """Sentences of the checks that do not hold."""
+    """Return the sentences of the checks that do not hold."""
     return [sentence for holds, sentence in checks if not holds]
 
 
@@ -109,7 +111,7 @@ def _check_joint(asset: ArticulatedAsset) -> list[str]:
     joint, least = asset.joint, MIN_OPENING[asset.joint.type]
     limits = f"{joint.lower:.3g} .. {joint.upper:.3g}"
     degrees = joint.type == "revolute" and not joint.upper <= 2 * np.pi
-    # MuJoCo counts degrees where a file, as fragments do, says nothing of angles.
+    # MuJoCo reads angles as degrees if a file does not state their unit, which is common for partial files.
     opening_deg = float(np.degrees(joint.upper))
     radians = joint.type == "revolute" and joint.upper <= TINY_OPENING and opening_deg <= 2 * np.pi
     hint = (
@@ -152,7 +154,7 @@ def _check_links(asset: ArticulatedAsset) -> list[str]:
 
 
 def _check_range(asset: ArticulatedAsset) -> list[str]:
-    """Pairs of static and moving colliders that overlap along the joint, but not in the closed state."""
+    """List pairs of static and moving colliders that overlap at some joint value, but not in the closed state."""
     found: dict[tuple[str, str], float] = {}
     for overlap in find_overlaps(asset):
         found.setdefault((overlap.static, overlap.moving), overlap.theta)
@@ -165,11 +167,13 @@ def _check_range(asset: ArticulatedAsset) -> list[str]:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Overlap:
-    """Two colliders, by name, that overlap at a joint value.
+    """An overlap of two colliders, given by their names, at a joint value.
 
     Attributes:
+        static, moving: Names of the colliders of the static and of the moving link.
+        theta: Joint value, [rad] or [m].
         depth: Penetration depth, [m].
-        normal: Unit direction (3,) that moves the static one out of the overlap, asset frame.
+        normal: Unit direction (3,) in which the static collider leaves the overlap, asset frame.
     """
 
     static: str
@@ -182,9 +186,12 @@ class Overlap:
 
 
 def find_overlaps(asset: ArticulatedAsset) -> Iterator[Overlap]:
-    """Every contact of a static and a moving collider that is deeper than touching, at steps along the joint."""
+    """Yield every contact between a static and a moving collider with more than the tolerated depth.
+
+    Contacts are computed at evenly spaced values over the range of the joint.
+    """
     model, data, names = _simulate_touch(asset)
-    # Geoms are numbered body by body.
+    # MuJoCo numbers geoms body by body.
     boxes = [box.name for link in (asset.static, asset.moving) for box in link.colliders]
     count = len(asset.static.colliders)
     for theta in np.linspace(0.0, asset.joint.upper, RANGE_SAMPLES).tolist():
@@ -207,16 +214,16 @@ def find_overlaps(asset: ArticulatedAsset) -> Iterator[Overlap]:
 
 
 def find_hinged_pairs(asset: ArticulatedAsset) -> set[tuple[str, str]]:
-    """Names of static and moving colliders that overlap in the closed state, as those of hinges and seals do.
+    """Return name pairs (static, moving) of colliders that overlap in the closed state, for example at hinges and seals.
 
-    The links of an object do not touch each other in simulation, so this does not block its joint.
+    The links of an object do not collide with each other in simulation, so these overlaps do not block the joint.
     """
     closed = itertools.takewhile(lambda overlap: overlap.theta == 0.0, find_overlaps(asset))
     return {(overlap.static, overlap.moving) for overlap in closed}
 
 
 def _simulate_touch(asset: ArticulatedAsset) -> tuple[mujoco.MjModel, mujoco.MjData, AssetNames]:
-    """The closed asset alone; unlike in simulation its links do not ignore each other."""
+    """Build a MuJoCo model of the closed asset alone in which, unlike in simulation, its links collide with each other."""
     spec = mujoco.MjSpec()
     spec.compiler.degree = False
     names = add_asset(spec, asset, np.eye(4), damping=0.0, frictionloss=0.0)
@@ -228,7 +235,11 @@ def _simulate_touch(asset: ArticulatedAsset) -> tuple[mujoco.MjModel, mujoco.MjD
 
 
 def check_handle(asset: ArticulatedAsset) -> list[str]:
-    """Problems of the handle: the bar has to lie at the handle point, and a finger fits around and behind it."""
+    """List the problems of the handle.
+
+    A moving collider must be at the handle point, the gripper must fit around it, and a finger must fit behind it (or
+    on both sides, see `held_at_rim`).
+    """
     poses, half = _stack_boxes(asset.moving.colliders)
     point = asset.handle_point
     distances = np.array([box.distance(point) for box in asset.moving.colliders])

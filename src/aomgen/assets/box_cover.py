@@ -1,4 +1,4 @@
-"""Boxes that cover meshes, for assets that bring no box colliders of their own."""
+"""Cover meshes with boxes, for assets without box colliders."""
 
 from collections.abc import Sequence
 from itertools import pairwise
@@ -16,47 +16,54 @@ from aomgen.core.mesh import Mesh, face_normals_areas
 from aomgen.core.transforms import transform
 from aomgen.core.values import Array
 
-# A surface of which this share, [%], lies no deeper than this below its hull, [m], is convex.
+# A surface is nearly convex if this share of it, [%], is at most this far below its convex hull, [m].
 MOST_SURFACE, SHALLOW_M = 95.0, 0.003
-# Points along the longest edge of a component at which its depth below the hull is measured.
+# Number of points along the longest side of a component at which its depth below the hull is measured.
 SURFACE_STEPS = 40
-# A face with a normal this near to an axis is aligned, and a surface with this share of aligned faces straight.
+# A face is axis-aligned if the largest component of its unit normal exceeds the first value. A surface is rectilinear if
+# axis-aligned faces cover at least the second value's share of its area.
 ALIGNED, STRAIGHT_SHARE = 0.999, 0.9
-# A straight surface of more cells than this has curved edges, and convex parts describe it better.
+# A rectilinear surface that needs more cells than this has curved edges and is split into convex parts instead.
 MAX_CELLS = 60
-# Cells along the longest edge of a hollow component, and bounds of their size, [m]: boards are hardly thinner, gaps
-# for a gripper not narrower.
+# Number of cells along the longest side of a hollow component, and bounds of their size, [m]: few boards are thinner than
+# the lower bound, and no gap for a gripper is narrower than the upper bound.
 CELLS, CELL_RANGE = 40, (0.006, 0.03)
-# More different vertex coordinates than this along an axis mean a curved surface.
+# A component with more distinct vertex coordinates than this along an axis is treated as curved.
 MAX_PLANES = 60
-# Samples are moved this far below the surface, [m]: far less than a board is thick, far more than rounding.
+# Samples are moved this far below the surface, [m]: much less than the thickness of a board, much more than rounding errors.
 BELOW_SURFACE = 2e-4
-# Components thinner than this in two directions, or in one, [m], are a rod or a plate.
+# A component thinner than the first value in two directions is a rod; thinner than the second in one, a plate, [m].
 ROD_THICKNESS, PLATE_THICKNESS = 0.02, 0.002
-# Depth of a hollow that is left filled, as a share of the longest side, and its bounds, [m]: a handle is met to
-# millimetres, a cabinet to centimetres.
+# Largest depth of a concavity that the cover may fill, as a share of the longest side, and its bounds, [m]: handles are
+# covered with millimeter accuracy, cabinets with centimeter accuracy.
 CONCAVITY, CONCAVITY_RANGE = 0.015, (0.003, 0.02)
-# More parts than this slow down the simulation; furniture has some 20.
+# Largest number of convex parts, which limits the cost of simulation; furniture needs about 20.
 MAX_PARTS: Final = 40
-# Search effort of CoACD: half of its default finds the boards of furniture as well.
+# Search effort of CoACD: half of its default is enough to separate the boards of furniture.
 SEARCH_ITERATIONS, SAMPLING = 60, 1000
-# An oriented box is preferred to one along the axes where it is smaller than this share of it.
+# An oriented box is preferred if its volume is less than this share of that of the axis-aligned box.
 SMALLER: Final = 0.9
-# Knobs lack their back, and some handles a triangle: a surface with fewer open edges than this share of its faces is
-# closed. One with more, and no thicker than this, [m], is a moulding.
+# Knobs are often modeled without a back, and some handles lack a triangle: the holes of a surface are closed if its open
+# edges are at most this share of its number of faces. With more open edges, a surface at most this thick, [m], is a sheet.
 LOOSE_SHARE, SHEET_M = 0.15, 0.06
-# Least half thickness of a box, [m].
+# Smallest half thickness of a box, [m].
 LEAST_HALF_M: Final = 5e-4
-# Points that lie this near to one plane have no hull, [m].
+# Points whose deviation from a plane is below this are coplanar and have no hull, [m].
 FLAT_M: Final = 1e-5
 
 
 def box_cover(meshes: Sequence[Mesh]) -> list[BoxCollider]:
-    """Boxes that cover the surface of meshes and leave hollows hollow, named after the meshes.
+    """Cover the surface of meshes with boxes that keep cavities empty.
 
-    Each connected component that is nearly convex becomes the box around it, oriented where that is
-    smaller. Straight furniture is met exactly by cells between its planes, other closed surfaces are
-    split into convex parts, and other open ones are covered by cells along their surface.
+    A connected component that is nearly convex is covered by one box, which is oriented if that is smaller. Rectilinear
+    furniture is covered exactly by cells between its planes, other closed surfaces are split into convex parts, and other
+    open surfaces are covered by cells along the surface.
+
+    Args:
+        meshes: Meshes in one frame, [m].
+
+    Returns:
+        Boxes in the frame of the meshes, each named after its mesh.
     """
     boxes: list[BoxCollider] = []
     for mesh in meshes:
@@ -71,7 +78,7 @@ def box_cover(meshes: Sequence[Mesh]) -> list[BoxCollider]:
 
 
 def _split(triangles: Array) -> list[Array]:
-    """Points (N, 3) of each part that one box stands for."""
+    """Split triangles (F, 3, 3) into parts that are covered by one box each, given as points (N, 3)."""
     corners = triangles.reshape(-1, 3)
     if _is_nearly_convex(triangles):
         return [corners]
@@ -97,7 +104,7 @@ def _is_nearly_convex(triangles: Array) -> bool:
 
 
 def face_components(mesh: Mesh) -> NDArray[np.int32]:
-    """Number of the connected component of every face (F,), vertices joined where they coincide."""
+    """Label every face (F,) with the number of its connected component; coincident vertices are merged."""
     keys = np.round(mesh.vertices / 1e-5).astype(np.int64)
     _, merged = np.unique(keys, axis=0, return_inverse=True)
     faces = merged.reshape(-1)[mesh.faces]
@@ -109,23 +116,23 @@ def face_components(mesh: Mesh) -> NDArray[np.int32]:
 
 
 def _cells(triangles: Array) -> list[tuple[Array, Array]]:
-    """Surface cells merged into blocks, as (lower, upper) corners.
+    """Cover a surface with cells and merge them into blocks, given as (lower, upper) corners.
 
-    Cells end where vertices lie, so that boards and panels are met exactly.
+    Cell borders are at vertex coordinates, so that the blocks follow boards and panels exactly.
     """
     lower, upper = triangles.min((0, 1)), triangles.max((0, 1))
     cell = float(np.clip((upper - lower).max() / CELLS, *CELL_RANGE))
     planes = [_planes(triangles[..., axis].ravel(), cell) for axis in range(3)]
     points = _dense_points(triangles, 0.4 * cell)
     shape = tuple(len(p) - 1 for p in planes)
-    # Points were moved a little below the surface, so that each falls into the cell behind it.
+    # The points are slightly below the surface, so that each is in the cell behind it.
     index = tuple(
         np.clip(np.searchsorted(plane, points[:, axis]) - 1, 0, shape[axis] - 1)
         for axis, plane in enumerate(planes)
     )
     filled = np.zeros(shape, bool)
     filled[index] = True
-    # A block is shrunk to the surface inside it, so that what is thinner than a cell stays thin.
+    # A block is shrunk to the surface inside it, so that a part thinner than a cell keeps its thickness.
     low, high = np.full((*shape, 3), np.inf), np.full((*shape, 3), -np.inf)
     np.minimum.at(low, index, points - BELOW_SURFACE)
     np.maximum.at(high, index, points + BELOW_SURFACE)
@@ -136,7 +143,7 @@ def _cells(triangles: Array) -> list[tuple[Array, Array]]:
 
 
 def _planes(coordinates: Array, cell: float) -> Array:
-    """Borders of the cells along one axis: where many vertices lie, or else evenly spaced."""
+    """Compute the cell borders along one axis: the vertex coordinates, or even spacing if there are too many of them."""
     values = np.unique(np.round(coordinates / 1e-7)) * 1e-7
     values = values[np.concatenate([[True], np.diff(values) > 1e-3])]
     if len(values) > MAX_PLANES or len(values) < 2:
@@ -148,12 +155,12 @@ def _planes(coordinates: Array, cell: float) -> Array:
 
 
 def _dense_points(triangles: Array, spacing: float) -> Array:
-    """Points just below triangles, about `spacing` apart, on a regular barycentric grid."""
+    """Sample points just below triangles on a regular barycentric grid, about `spacing` apart, [m]."""
     faces = np.arange(3 * len(triangles)).reshape(-1, 3)
     normals, areas = face_normals_areas(triangles.reshape(-1, 3), faces)
     inwards = triangles.mean(1, keepdims=True) - triangles
     inwards /= np.maximum(np.linalg.norm(inwards, axis=2, keepdims=True), 1e-12)
-    # Also away from the triangle's edges, which are borders of cells.
+    # Points are also moved away from the triangle's edges, which coincide with cell borders.
     triangles = triangles - BELOW_SURFACE * normals[:, None] + 2 * BELOW_SURFACE * inwards
     edges = np.linalg.norm(triangles - np.roll(triangles, 1, 1), axis=2).max(1)
     steps = np.clip(np.ceil(edges / spacing).astype(int), 1, 400)
@@ -167,7 +174,7 @@ def _dense_points(triangles: Array, spacing: float) -> Array:
 
 
 def _merge_cells(filled: NDArray[np.bool_]) -> list[tuple[slice, ...]]:
-    """Cover of the filled cells by blocks (index slices), each grown greedily from its first free cell."""
+    """Cover the filled cells with blocks (index slices), each grown greedily from its first free cell."""
     free, blocks = filled.copy(), []
     while free.any():
         start = np.array(np.unravel_index(np.argmax(free), free.shape))
@@ -186,7 +193,7 @@ def _merge_cells(filled: NDArray[np.bool_]) -> list[tuple[slice, ...]]:
 
 
 def extract_closed_surface(triangles: Array) -> trimesh.Trimesh:
-    """The surface of triangles (F, 3, 3), drawn from one side, outward, and closed where little of it is open."""
+    """Build a surface with outward normals from triangles (F, 3, 3); duplicate faces are removed and small holes closed."""
     corners = triangles.reshape(-1, 3)
     surface = trimesh.Trimesh(corners, np.arange(len(corners)).reshape(-1, 3), process=False)
     surface.merge_vertices(digits_vertex=5)
@@ -198,19 +205,19 @@ def extract_closed_surface(triangles: Array) -> trimesh.Trimesh:
 
 
 def is_sheet(surface: trimesh.Trimesh) -> bool:
-    """Return whether a surface is a thin sheet without a back, as mouldings on a door are."""
+    """Return whether a surface is a thin sheet without a back, for example a molding on a door."""
     open_share = len(_loose_edges(surface)) / len(surface.faces)
     return open_share > LOOSE_SHARE and float(surface.extents.min()) <= SHEET_M
 
 
 def _loose_edges(surface: trimesh.Trimesh) -> NDArray[np.int64]:
-    """Vertex pairs (E, 2) of the edges that belong to one face."""
+    """Return the vertex pairs (E, 2) of the open edges, which belong to one face only."""
     edges, counts = np.unique(surface.edges_sorted, axis=0, return_counts=True)
     return edges[counts == 1]
 
 
 def _cap(surface: trimesh.Trimesh) -> trimesh.Trimesh:
-    """The surface with every loop of open edges closed by a fan about its middle."""
+    """Close every loop of open edges by a triangle fan around its center."""
     loose = _loose_edges(surface)
     _, labels = connected_components(
         coo_matrix((np.ones(len(loose)), loose.T), shape=[len(surface.vertices)] * 2), directed=False
@@ -225,7 +232,7 @@ def _cap(surface: trimesh.Trimesh) -> trimesh.Trimesh:
 
 
 def split_convex(surface: trimesh.Trimesh) -> list[Array]:
-    """Corner points (V, 3) of convex parts that make up a closed surface.
+    """Split a closed surface into convex parts, given by their vertices (V, 3).
 
     Source: Wei et al., Approximate Convex Decomposition for 3D Meshes with Collision-Aware Concavity, 2022.
     """
@@ -247,11 +254,14 @@ def split_convex(surface: trimesh.Trimesh) -> list[Array]:
 
 
 def fit_box(points: Array) -> tuple[Array, Array]:
-    """Pose (4, 4) and half extents (3,) of a small box around points (N, 3), along the axes where that is small enough."""
+    """Compute the pose (4, 4) and half extents (3,), [m], of a box around points (N, 3).
+
+    The box is axis-aligned unless an oriented one is clearly smaller.
+    """
     low, high = points.min(0), points.max(0)
     half = np.maximum((high - low) / 2, LEAST_HALF_M)
     straight = transform(np.eye(3), (low + high) / 2), np.asarray(half, np.float64)
-    # Flat points have no hull, and two of them are the corners of a cell.
+    # Coplanar points have no hull, and two points are the corners of a cell.
     if len(points) < 4 or np.linalg.svd(points - points.mean(0), compute_uv=False)[-1] < FLAT_M:
         return straight
     T_box_points, extents = trimesh.bounds.oriented_bounds(points)
@@ -262,7 +272,7 @@ def fit_box(points: Array) -> tuple[Array, Array]:
 
 
 def depth_in_hull(points: Array, samples: Array) -> Array:
-    """Depths (S,) of samples (S, 3) below the convex hull of points (N, 3), [m]; zeros where these are flat."""
+    """Compute the depths (S,) of samples (S, 3) below the convex hull of points (N, 3), [m]; zeros for coplanar points."""
     try:
         hull = ConvexHull(points)
     except QhullError:

@@ -1,4 +1,4 @@
-"""Articulated assets by the names that users give them: procedural ones of a seed, and USD files; all checked."""
+"""Open the articulated assets that users name: parametric assets given by category and seed, and USD files."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
@@ -26,24 +26,24 @@ MAKERS: Final[dict[str, StyledMaker]] = {
     "microwave": make_microwave,
     "toolbox": make_toolbox,
 }
-# Made by name as well: drawers of several equal fronts.
+# Categories outside of the benchmark: a dresser is a drawer with several equal fronts.
 OTHER_MAKERS: Final[dict[str, StyledMaker]] = {"dresser": make_drawer}
 
-# Name of the recorded object among the assets of a project; it is not known before it is reconstructed.
+# Entry of a project's assets that stands for the recorded object, which is available only after reconstruction.
 ORIGINAL: Final = "original"
 
 
 def make_asset(category: str, seed: int, style: str = "") -> ArticulatedAsset:
-    """A new asset of a category; the same seed gives the same asset.
+    """Make a parametric asset of a category; the same seed gives the same asset.
 
     Args:
         category: One of `MAKERS` or `OTHER_MAKERS`.
         seed: Chooses style, sizes, colors, prints and the hinge side.
-        style: One of `list_styles` instead of the seed's.
+        style: One of `list_styles`; replaces the style that the seed selects.
 
     Returns:
-        A hollow, textured asset in the asset frame (front towards -y, support plane z = 0,
-        centred in x), closed at joint value 0.
+        A hollow, textured asset in the asset frame (front toward -y, support plane z = 0, centered in x), which is
+        closed at joint value 0.
 
     Raises:
         ConfigError: The category or the style is unknown.
@@ -60,45 +60,55 @@ def make_asset(category: str, seed: int, style: str = "") -> ArticulatedAsset:
 
 
 def list_styles(category: str) -> list[str]:
-    """Styles of a made category; seed 1 has the first one, and after the last one they start again."""
+    """List the styles of a parametric category; seed 1 has the first one, and the seeds cycle through them.
+
+    Raises:
+        KeyError: The category is not parametric; a programming error, see `is_made`.
+    """
     return list(design(category)[STYLES])
 
 
 def style_of_seed(category: str, seed: int) -> str:
-    """Return the style of a made category that a seed chooses."""
+    """Return the style of a parametric category that a seed selects."""
     styles = list_styles(category)
-    # No random number, so that consecutive seeds show all styles.
+    # The style is not random, so that consecutive seeds cover all styles.
     return styles[(seed - 1) % len(styles)]
 
 
 def make_by(maker: Maker, category: str, seed: int) -> ArticulatedAsset:
-    """Make an asset from a seed, and name it after the category."""
-    # The name's letters enter the seed, so that categories do not share random numbers.
+    """Make an asset from a seed, and name it `<category>-<seed>`.
+
+    Args:
+        maker: Function that makes an asset from a generator.
+        category: Category of the asset.
+        seed: Seed of the generator, together with the category.
+    """
+    # The category's name is part of the seed, so that categories do not share random numbers.
     rng = np.random.default_rng([seed, *category.encode()])
     return replace(maker(rng), name=f"{category}-{seed}")
 
 
 def is_made(category: str) -> bool:
-    """Return whether assets of a category can be made."""
+    """Return whether a category is parametric."""
     return category in MAKERS | OTHER_MAKERS
 
 
 def suggest_category(category: str) -> str:
-    """Suggest a known category for one that cannot be made."""
+    """Suggest a parametric category with a name similar to an unknown one."""
     return suggest(category, MAKERS | OTHER_MAKERS)
 
 
 def asset_file(spec: str) -> tuple[Path, str] | None:
-    """The USD file that an entry of `assets` names, and its joint, or None when it names a category and a seed."""
+    """Split FILE or FILE#JOINT into the path of a USD file and the joint's name; None for other entries of `assets`."""
     file, _, joint = spec.partition("#")
     return (Path(file), joint) if Path(file).suffix.lower() in SUFFIXES else None
 
 
 def load_asset(spec: str) -> ArticulatedAsset:
-    """The asset that `category:seed`, a USD file or FILE#JOINT names, whether or not it can be used.
+    """Load the asset that `category:seed`, a USD file or FILE#JOINT names, without checking whether it can be used.
 
     Raises:
-        ConfigError: None of these, or a category that cannot be made.
+        ConfigError: The text has none of these forms, or the category is unknown.
         AssetError, InputError: The asset cannot be read.
     """
     file = asset_file(spec)
@@ -115,19 +125,20 @@ def load_asset(spec: str) -> ArticulatedAsset:
 
 
 def open_asset(spec: str) -> ArticulatedAsset:
-    """The asset that a project names.
+    """Load the asset that an entry of a project names, and check that it can be used.
 
     Raises:
-        ConfigError, AssetError, InputError: See `load_asset`; also where it cannot be simulated and held.
+        ConfigError, AssetError, InputError: See `load_asset`.
+        AssetError: The asset cannot be simulated or grasped.
     """
     return require_usable(load_asset(spec))
 
 
 def require_usable(asset: ArticulatedAsset) -> ArticulatedAsset:
-    """The asset itself.
+    """Return the asset unchanged if it can be used.
 
     Raises:
-        AssetError: It cannot be simulated and held.
+        AssetError: The asset cannot be simulated or grasped.
     """
     problems = check_asset(asset)
     if problems:
@@ -137,11 +148,11 @@ def require_usable(asset: ArticulatedAsset) -> ArticulatedAsset:
 
 
 def open_assets(specs: Sequence[str]) -> list[ArticulatedAsset]:
-    """All assets of a project but the recorded object itself.
+    """Open all assets of a project except the recorded object itself.
 
     Raises:
         ConfigError, AssetError, InputError: See `open_asset`.
-        AssetError: Two have the same name; episodes identify assets by name.
+        AssetError: Two assets have the same name; episodes identify assets by name.
     """
     opened: dict[str, str] = {}
     assets = []

@@ -1,4 +1,4 @@
-"""Inspect an asset before it is used: joint, size, handle, room for a finger, colliders, mass, textures."""
+"""Inspect an asset before use: joint, size, handle, clearance for a finger, colliders, mass, textures."""
 
 from dataclasses import dataclass
 
@@ -17,24 +17,24 @@ from aomgen.core.asset import ArticulatedAsset, AssetLink
 from aomgen.core.mesh import sample_meshes
 from aomgen.core.values import Array
 
-# Points on the surface of a link, and steps along a finger's path behind the handle, [m].
+# Number of sampled surface points per link, and step along a finger's path behind the handle, [m].
 SAMPLES, WAY_STEP_M = 60_000, 5e-4
-# A gap begins and narrows by more than points on a surface, millimetres apart, are off it, [m].
+# Distance changes below this are ignored when a gap is measured, because surface samples are millimeters apart, [m].
 FAR_M = 1e-3
-# No handle stands off farther, [m].
+# Length of the path along which a gap is searched; handles protrude less, [m].
 LONGEST_WAY_M = 0.08
-# Largest recommended distance of the visible surface from the colliders, [m], and the percentile that is compared.
+# Largest recommended distance of the visible surface from the colliders, [m], and the percentile that is compared with it.
 NEAR_M, MOST = 0.003, 95.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Finding:
-    """One line of the doctor.
+    """The result of inspecting one property of an asset.
 
     Attributes:
         name: The inspected property.
         state: Its value.
-        problem: Why the asset cannot be used, or empty.
+        problem: The reason why the asset cannot be used, or empty.
         warning: A deficiency that does not prevent use, or empty.
     """
 
@@ -45,7 +45,7 @@ class Finding:
 
 
 def examine(asset: ArticulatedAsset) -> list[Finding]:
-    """Inspect all properties that do not depend on a recording."""
+    """Inspect all properties of an asset that do not depend on a recording."""
     problems = check_asset(asset)
     joint = asset.joint
     opening = f"{np.degrees(joint.upper):.0f} deg" if joint.type == "revolute" else f"{joint.upper:.3f} m"
@@ -74,7 +74,7 @@ def examine(asset: ArticulatedAsset) -> list[Finding]:
 
 
 def _finger(asset: ArticulatedAsset, surface: Array) -> Finding:
-    """The largest ball behind the handle, or on the narrower side of a rim, between the meshes themselves."""
+    """Measure the clearance between the visible meshes behind the handle, or on the narrower side of a rim."""
     rim = held_at_rim(asset)
     outward = outward_normal(asset)
     across: Array = np.cross(asset.handle_axis, outward).astype(np.float64)
@@ -92,7 +92,13 @@ def _finger(asset: ArticulatedAsset, surface: Array) -> Finding:
 
 
 def _room(tree: cKDTree, start: Array, direction: Array) -> float:
-    """Diameter of the largest ball in the first gap along a direction from a point inside a solid, [m]."""
+    """Compute the diameter of the largest ball in the first gap along a direction, [m].
+
+    Args:
+        tree: Points of the surface.
+        start: Point (3,) inside a solid.
+        direction: Unit direction (3,).
+    """
     steps = np.arange(0.0, LONGEST_WAY_M, WAY_STEP_M)
     distances, _ = tree.query(start + steps[:, None] * direction)
     left = np.flatnonzero(distances > np.minimum.accumulate(distances) + FAR_M)

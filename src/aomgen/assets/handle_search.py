@@ -14,7 +14,7 @@ from aomgen.core.transforms import transform
 from aomgen.core.values import Array
 from aomgen.errors import AssetError
 
-# "nob" is a spelling in some models.
+# Some models spell knob as "nob".
 HANDLE_WORDS: Final = ("handle", "knob", "nob", "grip", "pull")
 # A handle protrudes from the part by at least this, [m].
 LEAST_PROTRUSION_M: Final = 0.008
@@ -38,7 +38,11 @@ PREFIX: Final = "handle"
 
 
 def opening_direction(link: AssetLink, joint: Joint) -> Array:
-    """Compute the unit direction (3,) in which the middle of the moving link starts to move."""
+    """Compute the unit direction (3,) in which the center of the closed moving link starts to move.
+
+    Raises:
+        AssetError: The center is on the axis of a revolute joint.
+    """
     if joint.type == "prismatic":
         return joint.axis
     points = np.concatenate([mesh.vertices for mesh in link.meshes])
@@ -109,7 +113,7 @@ def _with_handle(asset: ArticulatedAsset, handle: Sequence[int], bar: int) -> Ar
 
 
 def _on_its_front(asset: ArticulatedAsset, handle: Sequence[int], bar: int, deep: float) -> ArticulatedAsset:
-    """Do the same as `_with_handle`, and extend the held collider to the front, so that it can be held from both sides.
+    """Set the handle as `_with_handle` does, and extend the held collider to the front, so that it can be pinched.
 
     Args:
         deep: Protrusion of the collider from the front, [m].
@@ -128,7 +132,11 @@ def _on_its_front(asset: ArticulatedAsset, handle: Sequence[int], bar: int, deep
 
 
 def state_handle(link: AssetLink, low: Array, high: Array) -> AssetLink:
-    """Add a handle collider to a link: the box around its surface between two corners (3,), [m].
+    """Add a handle collider to a link: the bounding box of the link's surface inside a given box.
+
+    Args:
+        link: Link of the handle; its colliders whose centers are in the given box are removed.
+        low, high: Lower and upper corner of the given box (3,), in the frame of the link, [m].
 
     Raises:
         AssetError: The box contains no surface of the link.

@@ -1,4 +1,4 @@
-"""Articulated models from other formats as assets: URDF, MJCF, OBJ with a joint file, USD with several joints."""
+"""Import articulated models as assets: URDF, MJCF, OBJ with a joint file, USD with several joints."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -15,9 +15,9 @@ from aomgen.core.asset import ArticulatedAsset
 from aomgen.errors import ConfigError, MalformedFileError
 
 OBJ = ".obj"
-# Default file of the joints of an OBJ file, in its folder or one above.
+# Default name of the file that describes the joints of an OBJ file, in its folder or a folder above.
 JOINTS_FILE = "articulation.json"
-# Formats that can be imported, but not named in a project.
+# Formats that can be imported, but cannot be named in a project.
 SUFFIXES = (*mjcf_model.SUFFIXES, OBJ)
 
 
@@ -34,20 +34,21 @@ def import_model(
     """Read a model as an asset: closed, in the asset frame, with colliders and a handle.
 
     Args:
-        path: URDF, MJCF, OBJ or USD.
-        joint: The joint that moves, out of several; the others are fixed as they are modelled.
-        joints_file: Joints of an OBJ; without one, `articulation.json` in its folder or one above.
+        path: URDF, MJCF, OBJ or USD file.
+        joint: Name of the joint that moves; may be empty if there is only one. Other joints keep their value in the file.
+        joints_file: Description of an OBJ file's joints; by default `articulation.json` in its folder or a folder above.
         scale: Factor on all lengths, for example to enlarge a toy.
-        category: Category of the object, where the file does not state one.
-        limits: Lower and upper limit of the joint in place of the file's, [rad] or [m].
-        handle: Corners x0, y0, z0, x1, y1, z1 of a box around the handle as modelled, metres, Z up.
+        category: Category of the object; replaces that of the file.
+        limits: Lower and upper joint limit, [rad] or [m]; replace those of the file.
+        handle: Corners x0, y0, z0, x1, y1, z1 of a box around the handle in the modeled pose, Z up, [m].
 
     Returns:
         The asset; its `notes` list the assumptions.
 
     Raises:
-        InputError: A file cannot be used; of the kind that fits.
-        AssetError: Its content is not an asset.
+        ConfigError: An OBJ file has no description of its joints.
+        InputError: A file cannot be used; the subclass states the reason.
+        AssetError: The content of the file does not form an asset.
     """
     suffix = path.suffix.lower()
     if suffix in usd_read.SUFFIXES:

@@ -1,4 +1,4 @@
-"""Assets in MuJoCo: bodies, box colliders, textured meshes, and the assumed joint resistance and friction."""
+"""Add assets to MuJoCo models: bodies, box colliders, textured meshes, assumed joint resistance and friction."""
 
 from dataclasses import dataclass
 from typing import Final
@@ -13,27 +13,27 @@ from aomgen.core.mesh import Mesh
 from aomgen.core.transforms import apply, quat_from_matrix
 from aomgen.io.images import resize
 
-# Standard gravity as MuJoCo's default has it, [m/s^2].
+# Gravity of MuJoCo's default options, [m/s^2].
 GRAVITY: Final = 9.81
-# Keeps light doors stable in the solver, [kg m^2] or [kg].
+# Inertia added to the joint, which keeps the simulation of light doors stable, [kg m^2] or [kg].
 ARMATURE: Final = 0.005
-# Sliding [1], torsional and rolling [m] coefficients of the colliders: plastic on rubber pads.
+# Sliding [1], torsional and rolling [m] friction coefficients of the colliders, for plastic on rubber pads.
 CONTACT_FRICTION: Final = (0.8, 0.01, 0.0005)
-# A friction hinge holds a lid at every angle: its friction balances this multiple of the weight.
+# Ratio of a friction hinge's torque to the largest torque of the weight, so that a lid stays at every angle.
 HOLDS: Final = 1.3
-# MuJoCo's default dry friction creeps by degrees a second under a load; this solver impedance does not.
+# Solver impedance of dry friction under load; with MuJoCo's default, a loaded joint creeps by degrees per second.
 HOLDING_SOLIMP: Final = (0.9999, 0.9999, 0.001, 0.5, 2.0)
-# A smaller load comes from the rounding of an axis in a file, [N m] or [N].
+# A smaller load is attributed to the rounding of the joint axis in a file, [N m] or [N].
 NO_LOAD: Final = 1e-3
-# MuJoCo's usual geom groups: 2 is drawn, 3 is for collision only and hidden.
+# MuJoCo's usual geom groups: group 2 is visible, group 3 holds hidden collision geoms.
 VISUAL_GROUP, COLLIDER_GROUP = 2, 3
-# MuJoCo uses the alpha of a texture only where the color's alpha is below 1.
+# Alpha of a material's color; MuJoCo uses the alpha channel of a texture only if it is below 1.
 BLENDED: Final = 0.99
 
 
-# Nominal, easy and stiff resistance of an object's joint: damping [N m s/rad] or [N s/m], and dry friction beyond
-# `holding_friction`, [N m] or [N]. The nominal run gives an episode's states, and its values are written into the USD.
-# Empty drawers and new hinges are easy; a loaded drawer takes some 20 N, a stiff oven's or microwave's hinge 1 to 2 N m.
+# Nominal, low and high resistance of an object's joint: damping [N m s/rad] or [N s/m], and dry friction in addition to
+# `holding_friction`, [N m] or [N]. The nominal run gives the states of an episode, and its values are written to USD files.
+# Empty drawers and new hinges have low resistance; a loaded drawer takes about 20 N, a stiff oven or microwave 1 to 2 N m.
 RESISTANCES: Final[dict[JointType, tuple[tuple[float, float], ...]]] = {
     "revolute": ((0.3, 0.15), (0.02, 0.02), (2.0, 1.5)),
     "prismatic": ((4.0, 2.0), (1.0, 0.3), (30.0, 15.0)),
@@ -41,10 +41,10 @@ RESISTANCES: Final[dict[JointType, tuple[tuple[float, float], ...]]] = {
 
 
 def holding_friction(asset: ArticulatedAsset) -> float:
-    """Dry friction that keeps the moving part where it is left, against its weight, [N m] or [N].
+    """Compute the dry friction that keeps the moving link in place against its weight, [N m] or [N].
 
-    Enough for every value in the joint's range; 0 for upright hinges and level slides. The
-    asset stands upright.
+    The value is sufficient over the whole range of the joint; it is 0 for vertical hinges and horizontal slides. The z
+    axis of the asset is assumed to be vertical.
     """
     joint, colliders = asset.joint, asset.moving.colliders
     volumes = np.array([box.half_extents.prod() for box in colliders])
@@ -60,13 +60,13 @@ def holding_friction(asset: ArticulatedAsset) -> float:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AssetNames:
-    """Names of what was added to the MjSpec.
+    """Names of the elements that `add_asset` adds to an MjSpec.
 
     Attributes:
-        static_body, moving_body: Bodies; both frames are the asset frame at joint value 0.
+        static_body, moving_body: Bodies; the frames of both are the asset frame at joint value 0.
         joint: The passive joint, positive in the opening direction.
-        free_joint: Joint of the whole object; empty when it is bolted to the world.
-        static_geoms, moving_geoms: Box colliders, handle included.
+        free_joint: Free joint of the whole object; empty if the object is fixed to the world.
+        static_geoms, moving_geoms: Box colliders, including the handle.
     """
 
     static_body: str = "object_static"
@@ -92,19 +92,25 @@ def add_asset(
     visual: bool = False,
     bolted: bool = True,
 ) -> AssetNames:
-    """Add an asset with a passive joint to a model under construction, which counts angles in radians.
+    """Add an asset with a passive joint to a model specification that uses radians.
 
-    The links do not touch each other (MuJoCo's own parent filter does not hold for links welded to the
-    world). Colliders are in group 3.
+    Contacts between the two links are excluded explicitly, because MuJoCo's filter of parents does not apply to links
+    that are fixed to the world. Colliders are in geom group 3.
 
     Args:
+        spec: Model specification, changed in place.
+        asset: Asset to be added.
+        T_world_asset: Pose of the asset frame (4, 4).
         damping: Damping of the joint, [N m s/rad] or [N s/m].
-        frictionloss: Dry friction of the joint beyond `holding_friction`, [N m] or [N].
-        visual: Also add visual meshes (group 2, no contacts).
-        bolted: Weld the static link to the world; otherwise it gets a free joint.
+        frictionloss: Dry friction of the joint in addition to `holding_friction`, [N m] or [N].
+        visual: Also add the visual meshes (group 2, no contacts).
+        bolted: Fix the static link to the world; otherwise it gets a free joint.
+
+    Returns:
+        Names of the added elements.
 
     Raises:
-        ValueError: `spec` counts in degrees; a programming error.
+        ValueError: `spec` uses degrees; a programming error.
     """
     if spec.compiler.degree:
         raise ValueError("spec.compiler.degree must be False before an asset is added")
@@ -157,7 +163,7 @@ def add_visual_mesh(spec: mujoco.MjSpec, body: mujoco.MjsBody, mesh: Mesh, name:
 
 
 def _color_texture(mesh: Mesh) -> NDArray[np.uint8]:
-    """Texture (H, W, 3), with opacity (H, W, 4) where a map says it; empty without either."""
+    """Return the texture (H, W, 3), (H, W, 4) if there is an opacity map, or an empty one without texture and map."""
     opacity = mesh.maps.get("opacity")
     if opacity is None:
         return mesh.texture_srgb
@@ -168,7 +174,7 @@ def _color_texture(mesh: Mesh) -> NDArray[np.uint8]:
 
 
 def add_visual_geom(body: mujoco.MjsBody, name: str) -> None:
-    """Show the mesh and material of a name on a body, without contacts or mass."""
+    """Add a visual geom with the mesh and the material of this name to a body, without contacts or mass."""
     body.add_geom(
         name=name, type=mujoco.mjtGeom.mjGEOM_MESH, meshname=name, material=name,
         contype=0, conaffinity=0, group=VISUAL_GROUP, mass=0.0,
@@ -196,7 +202,7 @@ def _add_joint(
 
 
 def _add_colliders(body: mujoco.MjsBody, link: AssetLink) -> tuple[str, ...]:
-    """Box geoms that share the link's mass by volume."""
+    """Add box geoms among which the link's mass is distributed by volume; return their names."""
     volumes = np.array([box.half_extents.prod() for box in link.colliders])
     for box, share in zip(link.colliders, volumes / volumes.sum(), strict=True):
         body.add_geom(

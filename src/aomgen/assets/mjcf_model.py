@@ -1,4 +1,4 @@
-"""Articulated objects in URDF and MJCF: MuJoCo reads them, with their meshes, colors and textures."""
+"""Read articulated objects in URDF and MJCF, with meshes, colors and textures, by MuJoCo."""
 
 from collections import Counter
 from dataclasses import replace
@@ -21,7 +21,7 @@ from aomgen.errors import AssetError
 from aomgen.io.geom_surface import SHOWN_GROUPS, find_visible_geoms, geom_surface
 from aomgen.io.mujoco_model import LEAST_INERTIA, LEAST_MASS, compile_model, parse_spec, read_robot_xml
 
-# Folders above a model's own that may hold its meshes: `../meshes`, `package://cabinet/meshes` from `cabinet/urdf`.
+# Number of folder levels above a model's folder that may hold its meshes: `../meshes` or `package://cabinet/meshes`.
 ROOT_LEVELS: Final = 2
 SUFFIXES = (".urdf", ".xml", ".mjcf")
 _COLOR_ROLES = [mujoco.mjtTextureRole.mjTEXROLE_RGB.value, mujoco.mjtTextureRole.mjTEXROLE_RGBA.value]
@@ -29,21 +29,26 @@ _OPENING = (mujoco.mjtJoint.mjJNT_HINGE.value, mujoco.mjtJoint.mjJNT_SLIDE.value
 
 
 def read_mjcf_model(path: Path, joint_name: str, *, limited: bool = True) -> ArticulatedAsset:
-    """Read the object of a file as it is modelled: neither closed, nor turned, nor with a handle.
+    """Read an object in the pose and frame of its file, without a handle; see `normalization.complete`.
 
-    Links have boxes that cover the colliding shapes of the file, and none without such shapes.
+    The colliders of a link are boxes that cover the collision geoms of the file; without such geoms, the link has no
+    colliders.
 
     Args:
-        limited: Refuse a joint without limits; otherwise it gets 0 .. 1, to be replaced.
+        path: URDF or MJCF file.
+        joint_name: Name of the joint that moves; may be empty if there is only one.
+        limited: Refuse a joint without limits; otherwise such a joint gets the placeholder limits 0 .. 1.
 
     Raises:
-        InputError: The file or what it names cannot be used; of the kind that fits.
-        AssetError: No joint, or several and none named; a link without meshes; no limits.
+        InputError: The file or a file it refers to cannot be used; the subclass states the reason.
+        AssetError: There is no joint, no joint of that name or no choice among several; a link has no meshes; the joint
+            has no limits.
     """
     xml = read_robot_xml(path, model_root(path))
     spec = parse_spec(xml)
     spec.compiler.boundmass, spec.compiler.boundinertia = LEAST_MASS, LEAST_INERTIA
-    # Flat collision meshes have no hull, which MuJoCo would insist on; nothing is simulated here.
+    # MuJoCo requires a convex hull for collision meshes, which flat meshes do not have. The model is not simulated, so
+    # contacts are disabled, and the priority marks the collision geoms.
     for geom in spec.geoms:
         geom.priority = int(bool(geom.contype or geom.conaffinity))
         geom.contype = geom.conaffinity = 0
@@ -68,9 +73,10 @@ def read_mjcf_model(path: Path, joint_name: str, *, limited: bool = True) -> Art
 
 
 def model_root(path: Path) -> Path:
-    """The folder that must contain all files that a model names: two above its own, as packages are organized.
+    """Return the folder that must contain all files to which a model refers.
 
-    It is never the root of the disk or a user's home.
+    It is up to two levels above the model's folder, as ROS packages require, but never the file system's root or a
+    user's home folder.
     """
     folder = path.resolve().parent
     for _ in range(ROOT_LEVELS):
@@ -81,12 +87,12 @@ def model_root(path: Path) -> Path:
 
 
 def _joint_name(model: mujoco.MjModel, number: int) -> str:
-    """Name of the joint, or else of the body that it moves."""
+    """Return the name of a joint, or of the body that it moves if the joint has no name."""
     return model.joint(number).name or model.body(int(model.jnt_bodyid[number])).name or f"joint_{number}"
 
 
 def _descendants(model: mujoco.MjModel, body: int) -> NDArray[np.bool_]:
-    """Mask (B,) of a body and its descendants."""
+    """Return the mask (B,) of a body and its descendants."""
     found = np.arange(model.nbody) == body
     for number in range(body + 1, model.nbody):
         found[number] = found[model.body_parentid[number]]
@@ -121,7 +127,7 @@ def _link(
     name: str,
     path: Path,
 ) -> AssetLink:
-    """Build a link from the visible and colliding shapes of some bodies, world frame."""
+    """Build a link from the visible geoms and collision geoms of some bodies, world frame."""
     mine = bodies[model.geom_bodyid]
     colliding = model.geom_priority > 0
     meshes = [_mesh(model, data, int(geom)) for geom in np.flatnonzero(mine & seen)]
@@ -137,7 +143,7 @@ def _link(
 
 
 def _boxes(model: mujoco.MjModel, data: mujoco.MjData, geom: int) -> list[BoxCollider]:
-    """Boxes that cover a colliding shape, the shape itself where it is one."""
+    """Cover a collision geom with boxes; a box geom is used unchanged."""
     if model.geom_type[geom] != mujoco.mjtGeom.mjGEOM_BOX:
         return box_cover([_mesh(model, data, geom)])
     pose = transform(data.geom_xmat[geom].reshape(3, 3), data.geom_xpos[geom])
@@ -145,7 +151,7 @@ def _boxes(model: mujoco.MjModel, data: mujoco.MjData, geom: int) -> list[BoxCol
 
 
 def _geom_name(model: mujoco.MjModel, geom: int) -> str:
-    """Name of the shape or its mesh, after that of its body, as sometimes only the body is named handle."""
+    """Combine the name of a geom's body, which may be the only one named handle, with that of the geom or its mesh."""
     number = int(model.geom_dataid[geom])
     meshed = model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_MESH
     own = model.geom(geom).name or (model.mesh(number).name if meshed else "") or f"geom_{geom}"
@@ -153,13 +159,15 @@ def _geom_name(model: mujoco.MjModel, geom: int) -> str:
 
 
 def _seen(model: mujoco.MjModel, urdf: bool) -> NDArray[np.bool_]:
-    """Mask of the visible geoms, also of those fixed to the world, and of colliding shapes in addition to
-    visible ones of the same group, unless meshes represent the body.
+    """Return the mask (G,) of the geoms that are visible, including those fixed to the world.
+
+    Collision geoms are included if their body has no visible geom, or if they share a group with visible geoms and no
+    mesh represents their body.
     """
     colliding = model.geom_priority > 0
     shown = find_visible_geoms(model, colliding)
-    # Some makers draw a link by its collision shapes alone. The root of a URDF is MuJoCo's world, that of an MJCF
-    # holds the room.
+    # Some models represent a link by collision geoms only. The root link of a URDF file becomes MuJoCo's world body,
+    # whereas the world body of an MJCF file holds the surroundings.
     bare = ~np.isin(model.geom_bodyid, model.geom_bodyid[shown]) & (model.geom_group < SHOWN_GROUPS)
     shown |= bare & colliding & (model.geom_rgba[:, 3] > 0) & (urdf | (model.geom_bodyid > 0))
     drawn = shown & (model.geom_type == mujoco.mjtGeom.mjGEOM_MESH)
@@ -169,7 +177,7 @@ def _seen(model: mujoco.MjModel, urdf: bool) -> NDArray[np.bool_]:
 
 
 def _make_names_unique(meshes: list[Mesh]) -> tuple[Mesh, ...]:
-    """Every name once."""
+    """Append numbers to repeated names of meshes."""
     names = Counter[str]()
     found = []
     for mesh in meshes:
@@ -195,7 +203,7 @@ def _mesh(model: mujoco.MjModel, data: mujoco.MjData, geom: int) -> Mesh:
 
 
 def _material(rgba: NDArray[np.float32], texture: NDArray[np.uint8]) -> Material:
-    """A color (4,), 0..1, which multiplies a texture (H, W, 3 or 4) if there is one."""
+    """Build a material from a color (4,), 0..1, which multiplies the texture (H, W, 3 or 4) if there is one."""
     if not texture.size:
         r, g, b, opacity = np.clip(rgba, 0, 1).tolist()
         return Material(color_srgb=(r, g, b), opacity=opacity)
@@ -208,7 +216,7 @@ def _material(rgba: NDArray[np.float32], texture: NDArray[np.uint8]) -> Material
 
 
 def _texture(model: mujoco.MjModel, material: int) -> NDArray[np.uint8]:
-    """The color texture (H, W, 3 or 4) of a material; of a cube its first face."""
+    """Return the color texture (H, W, 3 or 4) of a material, or the first face of a cube texture."""
     if material < 0:
         return NO_TEXTURE
     number = int(model.mat_texid[material, _COLOR_ROLES].max())
@@ -224,7 +232,7 @@ def _texture(model: mujoco.MjModel, material: int) -> NDArray[np.uint8]:
 
 
 def _uvs(model: mujoco.MjModel, mesh: int) -> Array:
-    """Texture coordinates (F, 3, 2), v up; empty where the mesh has none."""
+    """Return the texture coordinates (F, 3, 2) of a mesh, v up; empty if the mesh has none."""
     start, count = int(model.mesh_texcoordadr[mesh]), int(model.mesh_texcoordnum[mesh])
     if start < 0 or not count:
         return np.zeros((0, 3, 2))

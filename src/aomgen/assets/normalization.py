@@ -1,4 +1,4 @@
-"""Convert a foreign asset to the asset frame: closed, with colliders, masses and a handle."""
+"""Convert an imported asset to the asset frame: closed, with colliders, masses and a handle."""
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
@@ -17,25 +17,32 @@ from aomgen.core.transforms import apply, matrix_from_rotvec, transform
 from aomgen.core.values import Array
 from aomgen.errors import AssetError, SeveralJointsError
 
-# Rounds in which colliders are cut back, what is left free between them, and boards thinner than which carry nothing, [m].
+# Largest number of iterations in which static colliders are cut back; the remaining clearance, [m]; and the smallest
+# thickness of a box that is kept, [m].
 CUTS: Final = 6
 CLEARANCE_M, THINNEST_M = 2e-4, 1e-3
 T = TypeVar("T")
-# A link's own colliders are used where so much of its surface lies within this of them, [m].
+# A link's own colliders are used if at least this share of its surface is within this distance of them, [m].
 COVER_SHARE, COVER_M, COVER_SAMPLES = 0.9, 0.02, 4000
-# Used for a link whose file names no plausible mass, [kg/m^3] of its colliders.
+# Density of the colliders that is assumed for a link without a plausible mass in the file, [kg/m^3].
 FALLBACK_DENSITY = 400.0
-# Densities outside these belong to no furniture or appliance, [kg/m^3].
+# Range of plausible densities of furniture and appliances, [kg/m^3].
 DENSITIES: Final = (20.0, 4000.0)
-# Limits at which an asset takes room that differs less than this share are equally closed.
+# Two joint limits count as equally closed if the volumes of the asset's bounding boxes differ by less than this share.
 SAME_ROOM: Final = 0.02
 
 
 def choose_joint(joints: Mapping[str, T], name: str, path: Path) -> T:
-    """The joint of that name, whole or its last part behind "/"; without a name the only one.
+    """Select a joint by its name or by the last component of its path; an empty name selects the only joint.
+
+    Args:
+        joints: Joints by name or by path with "/".
+        name: Name of the joint; may be empty.
+        path: File of the joints, for messages.
 
     Raises:
-        AssetError: There is none of that name, or there are several to choose from; all are listed.
+        AssetError: There is no joint, or not exactly one of that name.
+        SeveralJointsError: The name is empty and there are several joints; all are listed.
     """
     found = [item for known, item in joints.items() if not name or name in (known, known.rpartition("/")[2])]
     if len(found) == 1:
@@ -48,10 +55,16 @@ def choose_joint(joints: Mapping[str, T], name: str, path: Path) -> T:
 
 
 def finish_link(link: AssetLink, path: Path) -> AssetLink:
-    """The link with boxes that cover it where it has no colliders, a mass, and every collider's name once.
+    """Return a link with colliders, a positive mass and unique collider names.
+
+    If the link has no colliders, boxes cover its meshes; if it has no mass, `FALLBACK_DENSITY` is assumed.
+
+    Args:
+        link: Link to be completed.
+        path: Its file, for messages.
 
     Raises:
-        AssetError: It has no meshes.
+        AssetError: The link has no meshes.
     """
     boxes: list[BoxCollider] = []
     names = Counter[str]()
@@ -79,16 +92,16 @@ def complete(
     """Convert a model to an asset: closed, with colliders, masses and a handle, in the asset frame.
 
     Args:
-        drawn: The model in its original pose; links may be without colliders and mass.
+        drawn: The model in the pose of its file; links may be without colliders and mass.
         path: Its file, for messages.
-        limits: Lower and upper limit of the joint in place of the file's, [rad] or [m] from the drawn pose.
-        handle: Low and high corner of a box around the handle, in the coordinates of the file, [m].
+        limits: Lower and upper joint limit relative to the pose in the file, [rad] or [m]; replace those of the file.
+        handle: Lower and upper corner of a box around the handle, in the coordinates of the file, [m].
 
     Returns:
         The asset; `notes` list the assumptions.
 
     Raises:
-        AssetError: A link without meshes, or a moving one without a handle.
+        AssetError: A link has no meshes, or no handle was found on the moving link.
     """
     if limits:
         drawn = replace(drawn, joint=replace(drawn.joint, lower=float(limits[0]), upper=float(limits[1])))
@@ -113,16 +126,16 @@ def complete(
 
 
 def _with_plausible_mass(link: AssetLink) -> AssetLink:
-    """The link, with a mass of usual density where the given one is implausible for furniture or appliances."""
+    """Return the link, with a mass of usual density if its own is implausible for furniture or appliances."""
     low, high = DENSITIES
     plausible = low <= link.mass / link.volume <= high
     return link if plausible else replace(link, mass=FALLBACK_DENSITY * link.volume)
 
 
 def clear_path(asset: ArticulatedAsset) -> ArticulatedAsset:
-    """Cut static colliders back to where the moving ones pass, and drop boxes that become too thin.
+    """Cut static colliders back where the moving colliders pass, and remove boxes that become too thin.
 
-    Boxes overhang curved surfaces, and parts of purely visual models often overlap.
+    This is necessary because boxes protrude from curved surfaces, and parts of purely visual models often overlap.
     """
     for _ in range(CUTS):
         cuts: dict[str, list[Array]] = {}
@@ -138,13 +151,13 @@ def clear_path(asset: ArticulatedAsset) -> ArticulatedAsset:
 
 
 def _cut(box: BoxCollider, shifts: list[Array]) -> BoxCollider:
-    """The box with its faces moved inward, each by the longest shift that points mostly through it."""
+    """Move the faces of a box inward, each by the longest of the shifts that are mostly along its inward normal."""
     R = box.T_asset_box[:3, :3]
     inward = np.zeros((2, 3))
     for shift in shifts:
         local = R.T @ shift
         axis = int(np.argmax(np.abs(local)))
-        # An upward shift removes material from below.
+        # A shift in the positive direction removes material at the lower face.
         side = 0 if local[axis] > 0 else 1
         inward[side, axis] = max(inward[side, axis], abs(local[axis]))
     half = np.maximum(box.half_extents - inward.sum(0) / 2, 0.0)
@@ -154,9 +167,10 @@ def _cut(box: BoxCollider, shifts: list[Array]) -> BoxCollider:
 
 
 def close(asset: ArticulatedAsset) -> ArticulatedAsset:
-    """The asset turned to the limit of its joint at which it takes the least room, which becomes joint value 0.
+    """Move the joint to the limit at which the asset's bounding box is smallest; this pose becomes joint value 0.
 
-    Files are drawn open or closed, with limits on either side; what is closed is nearly always a smaller box.
+    Files show objects open or closed, with limits of either sign; the bounding box is nearly always smallest when the
+    object is closed. The axis is reversed if necessary, so that positive values open the joint.
     """
     joint = asset.joint
     limits = np.array([joint.lower, joint.upper])
@@ -175,11 +189,11 @@ def close(asset: ArticulatedAsset) -> ArticulatedAsset:
 
 
 def to_asset_frame(asset: ArticulatedAsset) -> ArticulatedAsset:
-    """The asset in the asset frame: front towards -y, on z = 0, centred in x and y.
+    """Transform an asset to the asset frame: front toward -y, standing on z = 0, centered in x and y.
 
-    The front is turned by whole quarter turns, as files are drawn along their axes; a part that
-    opens upwards (a lid) keeps its heading. Where the file names its handle, the face that
-    carries it is the front. An asset that is already in this frame is not changed.
+    The rotation is a multiple of 90 degrees about z, because models are aligned with the axes of their files; a part that
+    opens upward (a lid) keeps its heading. If the file names the handle, the face that carries it is the front. An asset
+    that is already in this frame is not changed.
     """
     named = asset.handle_bar is not None
     outward = outward_normal(asset) if named else opening_direction(asset.moving, asset.joint)

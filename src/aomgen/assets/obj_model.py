@@ -1,4 +1,4 @@
-"""Articulated objects in OBJ, with a JSON file that states which groups move, and about which joint."""
+"""Read articulated objects in OBJ, with a JSON file that states the joints and the groups that they move."""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -22,20 +22,20 @@ from aomgen.io.images import opacity_of, read_image
 from aomgen.io.paths import find_inside
 from aomgen.io.schema import complaint
 
-# Largest OBJ read, [bytes]: some 3 million triangles.
+# Largest accepted OBJ file, [bytes]; this corresponds to about 3 million triangles.
 MAX_BYTES = 256 << 20
-# Selects the connected components of a group on one side of a plane: GROUP#component:min_x<-140
+# Selector of the connected components of a group on one side of a plane, for example GROUP#component:min_x<-140.
 COMPONENT = "#component:min_"
-# Rotation that turns Y up into Z up, with the front, +z, towards -y.
+# Transform from Y up to Z up (4, 4), which turns the front from +z to -y.
 _Z_UP = np.array([[1.0, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1]])
-# Keywords of MTL in lower case, and their properties.
+# MTL keywords in lower case, and the material properties that they set.
 _NUMBERS = {"d": "opacity", "pr": "roughness", "pm": "metallic"}
 _MAPS = {"map_d": "opacity", "map_pr": "roughness", "map_pm": "metallic", "norm": NORMAL_MAP}
 Three = Annotated[tuple[FiniteFloat, ...], Field(min_length=3, max_length=3)]
 
 
 class JointEntry(BaseModel):
-    """A joint in the coordinates of the OBJ file; the drawn pose is value 0."""
+    """A joint in the coordinates of the OBJ file; the pose in the file is joint value 0."""
 
     model_config = ConfigDict(extra="ignore", frozen=True)
     name: str
@@ -49,7 +49,7 @@ class JointEntry(BaseModel):
     upper_deg: FiniteFloat | None = None
 
     def limits(self) -> tuple[float, float] | None:
-        """In radians, or in units of the file; None where they are not given."""
+        """Return the lower and upper limit in radians or in the file's unit of length; None if they are not given."""
         if self.type == "revolute" and self.lower_deg is not None and self.upper_deg is not None:
             return float(np.radians(self.lower_deg)), float(np.radians(self.upper_deg))
         if self.type == "prismatic" and self.lower is not None and self.upper is not None:
@@ -58,7 +58,7 @@ class JointEntry(BaseModel):
 
 
 class ModelEntry(BaseModel):
-    """A model: Y up, its front towards +z."""
+    """Description of a model with Y up and its front toward +z."""
 
     model_config = ConfigDict(extra="ignore", frozen=True)
     category: str = "object"
@@ -69,11 +69,17 @@ class ModelEntry(BaseModel):
 
 
 def read_obj_model(path: Path, joints_file: Path, joint_name: str) -> ArticulatedAsset:
-    """Read the object of a file as it is modelled, Z up, in metres: neither closed nor with a handle or colliders.
+    """Read an object in the pose of its file, Z up, in meters, without colliders and handle; see `normalization.complete`.
+
+    Args:
+        path: OBJ file.
+        joints_file: JSON file that describes its joints.
+        joint_name: Name of the joint that moves; may be empty if there is only one.
 
     Raises:
         MissingFileError, MalformedFileError, LimitExceededError, UnsafePathError: A file cannot be used.
-        AssetError: No joint, or several and none named; groups that are not there.
+        AssetError: The file describes no joint, no joint of that name, or several to choose from; the joint has no limits;
+            its groups contain no mesh or all meshes.
     """
     entry = _entry(path, joints_file)
     item = choose_joint({joint.name: joint for joint in entry.joints}, joint_name, joints_file)
@@ -102,7 +108,7 @@ def read_obj_model(path: Path, joints_file: Path, joint_name: str) -> Articulate
 
 
 def _entry(path: Path, joints_file: Path) -> ModelEntry:
-    """Read the entry of a model: the one in `models` that ends with its folder, or the whole file."""
+    """Read the description of a model: the entry of `models` that names its folder or file, or the whole file."""
     data: Any = read_json(joints_file)
     if isinstance(data, dict) and "models" in data:
         models = data["models"]
@@ -120,7 +126,7 @@ def _entry(path: Path, joints_file: Path) -> ModelEntry:
 
 
 def _read_meshes(path: Path) -> list[Mesh]:
-    """One mesh for every material of every group, in the file's coordinates."""
+    """Read one mesh for every material of every group, in the coordinates of the file."""
     if not path.is_file():
         raise MissingFileError(path, "is missing", "check the path of the asset")
     if not path.stat().st_size <= MAX_BYTES:
@@ -141,11 +147,11 @@ def _read_meshes(path: Path) -> list[Mesh]:
 
 
 def _find_textures(path: Path) -> dict[str, Path]:
-    """Files of all textures by the last word of the name that the materials give them.
+    """Find the files of all textures, by the last word of the statement that names them.
 
     Raises:
-        UnsafePathError, MissingFileError: Materials or textures lie outside or are missing; trimesh would go on
-            without them.
+        UnsafePathError, MissingFileError: A material or texture file is outside the folder or missing; trimesh ignores
+            such files.
     """
     folder, found = path.parent, dict[str, Path]()
     for library in _read_names(path, "mtllib"):
@@ -157,13 +163,13 @@ def _find_textures(path: Path) -> dict[str, Path]:
 
 
 def _read_names(path: Path, keyword: str) -> list[str]:
-    """List the arguments of all lines whose first word begins with a keyword."""
+    """List the arguments of all lines that begin with a keyword."""
     lines = [line.split(None, 1) for line in path.read_text("utf-8", errors="replace").splitlines()]
     return [words[1].strip() for words in lines if len(words) > 1 and words[0].startswith(keyword)]
 
 
 def _split_meshes(meshes: list[Mesh], groups: tuple[str, ...]) -> tuple[list[Mesh], list[Mesh]]:
-    """Split meshes into static and moving ones; those of groups that begin with one of the names move."""
+    """Split meshes into static and moving ones; meshes move if their names begin with one of the groups."""
     static, moving = [], []
     for mesh in meshes:
         whole = [group for group in groups if COMPONENT not in group and mesh.name.startswith(group)]
@@ -206,7 +212,7 @@ def _mesh(name: str, item: trimesh.Trimesh, textures: dict[str, Path]) -> Mesh:
 
 
 def _read_values(statements: Mapping[str, list[str]], textures: dict[str, Path]) -> dict[str, Any]:
-    """Opacity, roughness and metallic as arguments of a `Material`, from an MTL's words by their keyword."""
+    """Convert MTL statements (words by keyword) to arguments of a `Material`: opacity, roughness, metallic and maps."""
     values: dict[str, Any] = {"maps": {}}
     for keyword, name in _NUMBERS.items():
         if keyword in statements:

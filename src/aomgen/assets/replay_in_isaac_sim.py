@@ -2,16 +2,16 @@
 
     ./python.sh replay_in_isaac_sim.py EPISODE ROBOT.usd --gripper finger_joint 0.0 0.8
 
-This script was never run in Isaac Sim, for lack of one. The functions that read the files are tested; the code that
-drives the simulator follows the names of Isaac Sim 4.5 and 5. Please report necessary changes.
+This script was never run in Isaac Sim. The functions that read the files are tested; the code that drives the
+simulator uses the interfaces of Isaac Sim 4.5 and 5. Please report necessary changes.
 
-EPISODE is a folder with `episode.json` and `frames.npz`; it names the object's USD file. You bring the robot: a USD
-file with a fixed base, whose root is the world frame of the episode, whose arm joints have the names and zeros of
-the episode, and whose drives are stiff enough to follow. `--gripper` names the joint that closes the gripper, and its
-values when open and closed, [rad] or [m].
+EPISODE is a folder with `episode.json`, which names the object's USD file, and `frames.npz`. ROBOT.usd is a USD file of
+the robot with a fixed base: its root is the world frame of the episode, its arm joints have the names and zero positions
+of the episode, and its drives are stiff enough to follow the commands. `--gripper` names the joint that closes the
+gripper, and its values when the gripper is open and closed, [rad] or [m].
 """
 
-# Isaac Sim comes with its own Python.
+# The modules of Isaac Sim exist only in the Python interpreter that it includes.
 # pyright: reportMissingImports=false
 
 import argparse
@@ -22,19 +22,20 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-# Commands a second, at least; a frame lasts a whole number of them.
+# Smallest rate of commands, [Hz]; the rate used is a multiple of the frame rate.
 CONTROL_HZ = 125
-# The arm rests at its first configuration for this long before the episode begins, [s].
+# Time for which the arm holds its first configuration before the episode begins, [s].
 SETTLE_S = 0.2
 EPISODE_FILE, FRAMES_FILE = "episode.json", "frames.npz"
 ROBOT_PRIM, OBJECT_PRIM = "/World/Robot", "/World/Object"
 
 
 class Replayed(NamedTuple):
-    """Content of an episode that is replayed; metres, radians, seconds; T frames, J arm joints.
+    """Content of an episode with T frames and J arm joints, in meters, radians and seconds.
 
-    `commands` (T + 1, J + 1) are joints and gripper, 0 open .. 1 closed, at the begin of each frame and the end of
-    the last; `T_world_object` (4, 4) is the pose of the USD's root, `thetas` (T,) the object's joint.
+    `commands` (T + 1, J + 1) holds the arm joints and the gripper (0 open .. 1 closed) at the beginning of each frame and
+    at the end of the last one. `T_world_object` (4, 4) is the pose of the USD file's root, and `thetas` (T,) are the values
+    of the object's joint.
     """
 
     usd: Path
@@ -46,7 +47,7 @@ class Replayed(NamedTuple):
 
 
 def read_recording(folder: Path) -> Replayed:
-    """Read an episode's folder."""
+    """Read an episode from its folder."""
     described = json.loads((folder / EPISODE_FILE).read_text(encoding="utf-8"))
     with np.load(folder / FRAMES_FILE, allow_pickle=False) as frames:
         states = np.column_stack([frames["joints"], frames["gripper"]])
@@ -66,10 +67,15 @@ def read_recording(folder: Path) -> Replayed:
 def plan_control(
     recording: Replayed, gripper: tuple[float, float], rate: int
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Joint targets and their velocities (N, J + 1) at `rate` steps a second, which frames divide.
+    """Compute joint targets and their velocities, each (N, J + 1), [rad] or [m] and per second.
 
-    The robot stands for SETTLE_S, then goes straight from command to command. The last column is the joint that
-    closes the gripper, which has the values `gripper` when open and closed.
+    The robot holds its first configuration for SETTLE_S, then commands are interpolated linearly. The last column is the
+    joint that closes the gripper.
+
+    Args:
+        recording: Episode to be replayed.
+        gripper: Values of the gripper's joint when it is open and closed.
+        rate: Rate of the targets, [Hz], a multiple of the frame rate.
     """
     frames = np.arange(len(recording.commands))
     steps = np.arange(frames[-1] * rate // recording.fps + 1) * recording.fps / rate
@@ -80,7 +86,7 @@ def plan_control(
 
 
 def quaternion_wxyz(R: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Unit quaternion (4,), real part first, of a rotation (3, 3): the eigenvector of Bar-Itzhack's matrix."""
+    """Convert a rotation (3, 3) to a unit quaternion (4,), real part first, as the eigenvector of Bar-Itzhack's matrix."""
     xx, xy, xz, yx, yy, yz, zx, zy, zz = R.ravel()
     K = np.array(
         [
@@ -95,7 +101,7 @@ def quaternion_wxyz(R: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def main() -> None:
-    """Build the scene, drive the robot, and print the final value of the object's joint."""
+    """Replay the episode named on the command line."""
     parser = argparse.ArgumentParser(description="Replay a generated episode in Isaac Sim.")
     parser.add_argument("episode", type=Path)
     parser.add_argument("robot", type=Path, help="USD file of the robot, its gripper included")
@@ -106,7 +112,14 @@ def main() -> None:
 
 
 def replay(recording: Replayed, robot_usd: Path, gripper_joint: str, gripper: tuple[float, float]) -> None:
-    """Drive the robot through a recording; the gripper's joint values are those of open and closed."""
+    """Build the scene, drive the robot through a recording, and print the final value of the object's joint.
+
+    Args:
+        recording: Episode to be replayed.
+        robot_usd: USD file of the robot.
+        gripper_joint: Name of the joint that closes the gripper.
+        gripper: Values of this joint when the gripper is open and closed, [rad] or [m].
+    """
     from isaacsim import SimulationApp
 
     app = SimulationApp({"headless": False})
@@ -131,7 +144,7 @@ def replay(recording: Replayed, robot_usd: Path, gripper_joint: str, gripper: tu
     for step, (target, velocity) in enumerate(zip(targets, velocities, strict=True)):
         action = ArticulationAction(joint_positions=target, joint_velocities=velocity, joint_indices=indices)
         robot.apply_action(action)
-        # A step that renders would advance physics by a whole frame.
+        # A step with rendering would advance physics by a whole frame.
         world.step(render=False)
         if step % count == 0:
             world.render()
@@ -140,10 +153,10 @@ def replay(recording: Replayed, robot_usd: Path, gripper_joint: str, gripper: tu
 
 
 def _fix_to_world(root: Any, T_world_object: NDArray[np.float64]) -> None:
-    """Place the object's root prim, and hold its static link there."""
+    """Set the pose of the object's root prim, and fix its static link to the world."""
     from pxr import Gf, Usd, UsdGeom, UsdPhysics
 
-    # USD multiplies rows.
+    # USD uses row vectors, so its matrices are transposed.
     place = Gf.Matrix4d(T_world_object.T.tolist())
     xform = UsdGeom.Xformable(root)
     xform.ClearXformOpOrder()

@@ -1,4 +1,4 @@
-"""Meshes and colliders of a USD stage, sorted into static and moving link."""
+"""Read the meshes and colliders of the static and the moving link from a USD stage."""
 
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -17,13 +17,13 @@ from aomgen.core.values import Array
 from aomgen.errors import AssetError, LimitExceededError, MalformedFileError
 from aomgen.io.geom_surface import Shape, hull_surface, outer_points
 
-# Far above any asset that renders well; more would fill the memory.
+# Largest number of faces of an asset, which bounds the memory; usual assets have far fewer.
 MAX_FACES = 3_000_000
 
 
 @dataclass(slots=True)
 class _Collected:
-    """Parts of one link while the stage is walked."""
+    """Parts of one link that are collected during the traversal of a stage."""
 
     name: str
     meshes: list[Mesh] = field(default_factory=list)
@@ -36,14 +36,23 @@ class _Collected:
 def read_links(
     stage: Any, moving_bodies: frozenset[str], all_bodies: frozenset[str], to_metric: Array, path: Path
 ) -> tuple[AssetLink, AssetLink]:
-    """Static and moving link of the stage in a file, metric, Z up; bodies are prim paths.
+    """Read the static and the moving link of a stage, in meters, Z up.
 
-    Boxes (UsdGeom.Cube with CollisionAPI) are taken as they are, other shapes that collide are covered by boxes,
-    see `box_cover`. A link in which nothing collides has no colliders.
+    Box colliders (UsdGeom.Cube with CollisionAPI) are used unchanged, other collision shapes are covered by boxes, see
+    `box_cover`. A link without collision shapes has no colliders.
+
+    Args:
+        stage: Open Usd.Stage.
+        moving_bodies: Prim paths of the bodies that the joint moves.
+        all_bodies: Prim paths of all bodies.
+        to_metric: Transform (4, 4) from stage coordinates to meters, Z up.
+        path: File of the stage; its folder must contain the textures.
 
     Raises:
-        MalformedFileError: Indices out of range, counts that do not fit, values not finite.
-        LimitExceededError: More than MAX_FACES faces.
+        MalformedFileError: A mesh has indices out of range, inconsistent counts or values that are not finite.
+        LimitExceededError: The stage has more than MAX_FACES faces.
+        AssetError: A box collider is sheared.
+        UnsafePathError, MissingFileError: A texture is outside the folder or missing.
     """
     from pxr import Usd, UsdGeom, UsdPhysics
 
@@ -123,7 +132,7 @@ def _box(prim: Any, place: Array, name: str) -> BoxCollider:
 
 
 def _primitive(prim: Any, place: Array, name: str, folder: Path) -> list[Mesh]:
-    """The surface of a cube, sphere, cylinder, capsule or cone; empty for other shapes."""
+    """Build the surface of a cube, sphere, cylinder, capsule or cone; the list is empty for other shapes."""
     from pxr import UsdShade
 
     points = _primitive_points(prim)
@@ -137,7 +146,7 @@ def _primitive(prim: Any, place: Array, name: str, folder: Path) -> list[Mesh]:
 
 
 def _primitive_points(prim: Any) -> Array | None:
-    """Points (N, 3) of which a shape is the hull, in its own units."""
+    """Return points (N, 3) whose convex hull is the primitive, in its own coordinates; None for other shapes."""
     from pxr import UsdGeom
 
     if prim.IsA(UsdGeom.Cube):
@@ -154,13 +163,13 @@ def _primitive_points(prim: Any) -> Array | None:
             item = schema(prim)
             half = 0.5 * float(item.GetHeightAttr().Get())
             points = outer_points(kind, np.array([float(item.GetRadiusAttr().Get()), half, 0.0]))
-            # The shapes stand along z and are turned so that z becomes their axis; a turn, no mirroring.
+            # The points are computed for the z axis; cyclic permutation of the coordinates is a rotation to the prim's axis.
             return np.roll(points, {"X": 1, "Y": 2, "Z": 0}[str(item.GetAxisAttr().Get())], axis=1)
     return None
 
 
 def _meshes(prim: Any, place: Array, name: str, folder: Path) -> list[Mesh]:
-    """The prim's mesh, one for each material of its face subsets."""
+    """Read the triangles of a mesh prim as one mesh for each material of its face subsets."""
     from pxr import UsdGeom, UsdShade
 
     item = UsdGeom.Mesh(prim)
@@ -190,7 +199,12 @@ def _meshes(prim: Any, place: Array, name: str, folder: Path) -> list[Mesh]:
 
 
 def _pieces(prim: Any, owners: NDArray[np.int64]) -> list[tuple[str, Any, NDArray[np.bool_]]]:
-    """Name suffix, prim that carries the material, and triangles of every material subset."""
+    """List the name suffix, the prim that carries the material, and the triangle mask of every material subset.
+
+    Args:
+        prim: Mesh prim.
+        owners: Polygon number of every triangle (F,).
+    """
     from pxr import UsdGeom, UsdShade
 
     pieces, rest = [], np.ones(len(owners), bool)
@@ -204,7 +218,7 @@ def _pieces(prim: Any, owners: NDArray[np.int64]) -> list[tuple[str, Any, NDArra
 
 
 def _fan(counts: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Corner numbers (F, 3) and polygon numbers (F,) of a fan triangulation."""
+    """Triangulate polygons with the given numbers of corners as fans; return corner (F, 3) and polygon numbers (F,)."""
     starts = np.cumsum(counts) - counts
     triangles = np.maximum(counts - 2, 0)
     owners = np.repeat(np.arange(len(counts)), triangles)
@@ -214,7 +228,7 @@ def _fan(counts: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64
 
 
 def _corner_uvs(prim: Any, corners: NDArray[np.int64], indices: NDArray[np.int64], points: int) -> Array:
-    """Texture coordinates (F, 3, 2); empty where the mesh has none that fit."""
+    """Read the texture coordinates (F, 3, 2) of a mesh; empty if it has none with a matching count."""
     from pxr import UsdGeom
 
     api = UsdGeom.PrimvarsAPI(prim)
@@ -231,7 +245,7 @@ def _corner_uvs(prim: Any, corners: NDArray[np.int64], indices: NDArray[np.int64
 
 
 def _base_material(prim: Any) -> Material:
-    """From displayColor, which holds where no material is bound."""
+    """Build the material of a prim's displayColor, which is used if no material is bound."""
     from pxr import UsdGeom
 
     colors = UsdGeom.Gprim(prim).GetDisplayColorAttr().Get()

@@ -1,4 +1,4 @@
-"""Properties of a USD material: base color, opacity, roughness, metallic, normals, as numbers or textures."""
+"""Read the properties of USD materials: base color, opacity, roughness, metallic and normals, as numbers or textures."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
@@ -14,10 +14,10 @@ from aomgen.core.mesh import NORMAL_MAP, NUMBERS
 from aomgen.errors import AssetError, MissingFileError, UnsafePathError
 from aomgen.io.images import decode_image, opacity_of, read_image
 
-# Opacity of glass: Omniverse's shader for it has none.
+# Opacity that is assumed for OmniGlass, Omniverse's glass shader, which has no such input.
 GLASS_OPACITY: Final = 0.2
 COLOR: Final = "color"
-# Stands for the channels that `opacity_of` chooses.
+# Placeholder for the channel that `opacity_of` selects.
 MONO: Final = "mono"
 
 
@@ -27,9 +27,9 @@ class _Slot:
 
     Attributes:
         preview: Input of UsdPreviewSurface; a texture is connected to it.
-        numbers: Inputs of Omniverse's MDL shaders (OmniPBR, OmniGlass) with a value for the whole surface.
-        textures: Inputs of these shaders that name a texture, with the channels to read.
-        influence: Input of these shaders with the weight of the texture against the number.
+        numbers: Inputs of Omniverse's MDL shaders (OmniPBR, OmniGlass) that hold a value for the whole surface.
+        textures: Inputs of these shaders that name a texture, with the channels that are read.
+        influence: Input of these shaders that holds the weight of the texture relative to the number.
     """
 
     preview: str
@@ -61,7 +61,7 @@ _SLOTS: Final = {
     ),
     NORMAL_MAP: _Slot(preview="normal", textures={"normalmap_texture": "rgb"}, influence="bump_factor"),
 }
-# Inputs that are used unless their switch is off.
+# Inputs that are ignored if the other input, a switch, is off.
 _SWITCHES: Final = {
     "opacity_constant": "enable_opacity",
     "opacity_texture": "enable_opacity",
@@ -71,7 +71,7 @@ _SWITCHES: Final = {
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Texture:
-    """A texture file, an Sdf.AssetPath, and the values made of it: channels times scale plus bias, in 0..1."""
+    """A texture file, given as Sdf.AssetPath, and its conversion to values in 0..1: channels times scale plus bias."""
 
     file: Any
     channels: str
@@ -80,21 +80,23 @@ class _Texture:
 
 
 def plain_material(color_linear: Any) -> Material:
-    """One linear color (3,)."""
+    """Build a material of one linear color (3,), 0..1."""
     color = np.clip(srgb_from_linear(np.asarray(color_linear, np.float64)[:3]), 0.0, 1.0)
     r, g, b = color.astype(np.float64).tolist()
     return Material(color_srgb=(r, g, b))
 
 
 def read_material(material: Any, folder: Path, fallback: Material) -> Material:
-    """Read a bound UsdShade.Material; properties that it does not state are taken from `fallback`.
+    """Read a bound UsdShade.Material.
 
     Args:
         material: Valid material, UsdPreviewSurface or MDL.
-        folder: Textures must lie inside it (or inside the same .usdz package).
+        folder: Folder that must contain the textures (or the .usdz package with them).
+        fallback: Material whose values are used for properties that `material` does not state.
 
     Raises:
-        UnsafePathError, MissingFileError, MalformedFileError, LimitExceededError: For textures.
+        UnsafePathError, MissingFileError, MalformedFileError, LimitExceededError: A texture cannot be used.
+        AssetError: An unsupported output of a texture is connected.
     """
     shader = _surface(material)
     if shader is None:
@@ -129,7 +131,7 @@ def _is_glass(shader: Any) -> bool:
 
 
 def _input(shader: Any, name: str) -> Any | None:
-    """Value of an input; None where there is none or where it is switched off."""
+    """Return the value of an input; None if there is none or it is switched off."""
     switch = _SWITCHES.get(name)
     if switch is not None and _input(shader, switch) in (False, 0):
         return None
@@ -143,7 +145,7 @@ def _value(shader: Any, slot: _Slot) -> Any | None:
 
 
 def _find_texture(shader: Any, name: str, number: float) -> _Texture | None:
-    """Find the texture of a property, which is blended with a number or the normal of a flat surface."""
+    """Find the texture of a property, with its blend with `number` or, for normal maps, with the unperturbed normal."""
     from pxr import UsdShade
 
     slot = _SLOTS[name]
@@ -164,7 +166,7 @@ def _find_texture(shader: Any, name: str, number: float) -> _Texture | None:
 
 
 def _read_uv_texture(node: Any, file: Any, name: str, output: str) -> _Texture:
-    """Read the texture of a property from an output of a UsdUVTexture."""
+    """Describe the texture of a property that is connected to an output of a UsdUVTexture."""
     if name == COLOR:
         return _Texture(file=file, channels="rgb")
     normal = name == NORMAL_MAP
@@ -185,7 +187,7 @@ def _read_uv_texture(node: Any, file: Any, name: str, output: str) -> _Texture:
 def _read_slot(
     shader: Any, name: str, numbers: Mapping[str, float], folder: Path
 ) -> NDArray[np.uint8] | None:
-    """Image (H, W) or (H, W, 3) of a property; None without a texture."""
+    """Read the image (H, W) or (H, W, 3) of a property; None if it has no texture."""
     texture = _find_texture(shader, name, numbers.get(name, 0.0))
     if texture is None:
         return None
@@ -202,7 +204,7 @@ def _read_slot(
 def _cut_out(
     shader: Any, number: float, image: NDArray[np.uint8] | None
 ) -> tuple[float, NDArray[np.uint8] | None]:
-    """Opacity all or nothing where the material has a threshold; no image where it would be opaque."""
+    """Threshold opacity to 0 or 1 if the material states a threshold; the image becomes None if it is opaque throughout."""
     limit = _input(shader, "opacityThreshold") or _input(shader, "opacity_threshold") or 0.0
     if limit > 0:
         number = float(number >= limit)
@@ -211,7 +213,7 @@ def _cut_out(
 
 
 def _read_texture(asset_path: Any, folder: Path) -> NDArray[np.uint8]:
-    """Texture (H, W, 4) of an Sdf.AssetPath, which must not leave `folder`."""
+    """Read the texture (H, W, 4) of an Sdf.AssetPath, which must be inside `folder`."""
     if "[" in (asset_path.resolvedPath or asset_path.path):
         return _read_packaged(asset_path, folder)
     given = Path(asset_path.resolvedPath or asset_path.path)
@@ -237,7 +239,12 @@ def _require_inside(place: Path, folder: Path, name: str) -> None:
 
 
 def check_layers(stage: Any, folder: Path) -> None:
-    """Refuse a stage that was composed from files outside `folder`, or of which a layer cannot be found."""
+    """Check that all layers of a stage were found and are inside `folder`.
+
+    Raises:
+        UnsafePathError: A layer is outside the folder.
+        AssetError: The stage has composition errors, for example a missing layer.
+    """
     for layer in stage.GetUsedLayers():
         if layer.anonymous or not layer.realPath:
             continue

@@ -1,4 +1,4 @@
-"""One USD file to one articulated asset; runs in the child process only."""
+"""Parse a USD file to an articulated asset; this module is used in the child process only."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -17,7 +17,7 @@ from aomgen.core.transforms import apply, matrix_from_quat
 from aomgen.core.values import Array
 from aomgen.errors import AssetError, MalformedFileError
 
-# Rotation that turns a Y-up stage into Z up.
+# Transform from Y up to Z up (4, 4).
 _Z_UP_FROM_Y_UP = np.array([[1.0, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1]])
 
 
@@ -26,16 +26,19 @@ def parse_usd(
 ) -> ArticulatedAsset:
     """Parse a USD file in this process.
 
-    With a name, the joint of that prim name or path is the one that moves, and others are fixed as they are modelled.
-    The moving link is what hangs on the joint's body 1 (or on body 0 where body 1 is the
-    world), with everything fixed to it; the rest is static. As the file stands is joint value
-    0; the axis is turned so that the larger limit is positive. The result is moved so that its
-    front faces -y, it stands on z = 0 and is centred in x; a file that is already in this frame
-    is not changed. A file without `aomgen:handle_point` is foreign: it is closed and gets a handle,
-    see `normalization.complete`, which also explains `limits` and `handle`.
+    The moving link consists of the joint's body 1 (or body 0 if body 1 is the world) and all bodies that other joints
+    connect to it; the rest is static. The pose in the file is joint value 0, and the axis is oriented so that the limit
+    with the larger magnitude is positive. The result is in the asset frame, see `normalization.to_asset_frame`. A file
+    without `aomgen:handle_point` was not written by AOMGen: it is closed and gets a handle, see `normalization.complete`.
+
+    Args:
+        path: USD file.
+        joint_name: Prim name or path of the joint that moves; may be empty if there is only one. Other joints are fixed.
+        limits: Lower and upper joint limit, [rad] or [m]; replace those of the file.
+        handle: Lower and upper corner of a box around the handle, in the coordinates of the stage in meters, Z up.
 
     Raises:
-        MalformedFileError, UnsafePathError, MissingFileError, AssetError: See `usd_read.read_usd`.
+        MalformedFileError, UnsafePathError, MissingFileError, LimitExceededError, AssetError: See `usd_read.read_usd`.
     """
     from pxr import Tf, Usd, UsdGeom
 
@@ -71,16 +74,19 @@ def parse_usd(
 def _find_joint(
     stage: Any, name: str, to_metric: Array, unit: float, path: Path, *, limited: bool
 ) -> tuple[Joint, frozenset[str], frozenset[str]]:
-    """A revolute or prismatic joint of a stage, and the prim paths of the bodies that move and of all.
+    """Find a revolute or prismatic joint of a stage, and the prim paths of the moving bodies and of all bodies.
 
     Args:
-        name: Name of the joint; may be empty if there is only one.
-        to_metric: From stage coordinates to metres, Z up (4, 4).
-        unit: metersPerUnit.
+        stage: Open Usd.Stage.
+        name: Name or path of the joint; may be empty if there is only one.
+        to_metric: Transform (4, 4) from stage coordinates to meters, Z up.
+        unit: metersPerUnit of the stage.
         path: File, for messages.
+        limited: Refuse a joint without limits; otherwise such a joint gets the placeholder limits 0 .. 1.
 
     Raises:
-        AssetError: There is none, or several to choose from (all are listed), or it has no limits or body.
+        AssetError: There is no joint, or there are several to choose from (all are listed); the joint has no limits or
+            no body.
     """
     from pxr import Usd, UsdPhysics
 
@@ -103,7 +109,7 @@ def _target(relation: Any) -> str:
 
 
 def _find_rigid_group(body: str, prims: list[Any], moving: Any) -> set[str]:
-    """The body and all that joints other than the moving one connect to it."""
+    """Return the prim paths of a body and of all bodies that joints other than the moving one connect to it."""
     from pxr import UsdPhysics
 
     pairs = [
@@ -145,7 +151,7 @@ def _metric_joint(
     scale = np.pi / 180.0 if revolute else unit
     frame = _frame(stage, prim, child, bodies[child], to_metric)
     axis = frame[:3, "XYZ".index(str(api.GetAxisAttr().Get()))]
-    # The child's axis points along a positive value, the parent's against it when seen from the child.
+    # A positive value moves body 1 relative to body 0 along the axis; if body 0 moves, the sign is reversed.
     sign = 1.0 if child == 1 else -1.0
     value = _value_as_it_stands(stage, prim, child, bodies, to_metric, sign * axis, revolute)
     lower, upper = lower * scale - value, upper * scale - value
@@ -156,7 +162,7 @@ def _metric_joint(
 
 
 def _frame(stage: Any, prim: Any, side: int, body: str, to_metric: Array) -> Array:
-    """Joint frame on one of its bodies: unit axes and origin (4, 4), metric."""
+    """Compute the joint frame (4, 4) on one of its bodies: unit axes and origin, [m]."""
     from pxr import UsdGeom, UsdPhysics
 
     api = UsdPhysics.Joint(prim)
@@ -177,7 +183,7 @@ def _frame(stage: Any, prim: Any, side: int, body: str, to_metric: Array) -> Arr
 def _value_as_it_stands(
     stage: Any, prim: Any, child: int, bodies: list[str], to_metric: Array, axis: Array, revolute: bool
 ) -> float:
-    """Joint value of the authored poses, [rad] or [m]; 0 where the two frames do not fit together."""
+    """Compute the joint value in the pose of the file, [rad] or [m]; 0 if the two joint frames are inconsistent."""
     own = _frame(stage, prim, child, bodies[child], to_metric)
     other = _frame(stage, prim, 1 - child, bodies[1 - child], to_metric)
     offset = own[:3, 3] - other[:3, 3]

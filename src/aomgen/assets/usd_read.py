@@ -1,7 +1,7 @@
-"""Reading articulated USD assets safely: a child process parses, this one only takes arrays.
+"""Read articulated USD assets in a child process, so that a crash of the parser does not end this process.
 
-The child is `python -m aomgen.assets.usd_read FILE FOLDER JOINT CHOICES`: it writes the asset into FOLDER; an error of ours
-becomes a JSON line on standard error and exit code REFUSED, anything else is a crash that the parent reports.
+The child, `python -m aomgen.assets.usd_read FILE FOLDER JOINT CHOICES`, writes the asset as an artifact to FOLDER. It
+reports an `AomgenError` as a JSON line on standard error with exit code REFUSED; any other exit code is a crash.
 """
 
 import json
@@ -24,11 +24,11 @@ from aomgen.errors import (
 )
 from aomgen.io.artifact import load_artifact, save_artifact
 
-# Largest USD file read, and address space of the child, [bytes]: far above usual assets, and room to read it.
+# Largest accepted USD file, and limit of the child's address space, [bytes].
 MAX_BYTES, MAX_MEMORY_BYTES = 512 << 20, 8 << 30
-# Usual assets take a few seconds, [s]; a parser that hangs is stopped.
+# Time after which the child is stopped, [s]; usual assets take a few seconds.
 TIMEOUT_S = 120.0
-# Exit code of an asset that is refused with a message; 1 and 2 are the interpreter's own.
+# Exit code if an asset is refused with a message; codes 1 and 2 are used by the interpreter.
 REFUSED = 3
 ARTIFACT = "asset"
 SUFFIXES = (".usd", ".usda", ".usdc", ".usdz")
@@ -42,18 +42,27 @@ def read_usd(
     handle: Sequence[float] = (),
     timeout_s: float = TIMEOUT_S,
 ) -> ArticulatedAsset:
-    """Read an articulated asset in a child process, so that a parser crash stays a typed error.
+    """Read an articulated asset in a child process, so that a crash of the parser becomes a `MalformedFileError`.
 
-    Any metersPerUnit and upAxis, instances, face subsets, UsdPreviewSurface or MDL materials
-    are understood; the result is metric, Z up, its front towards -y, standing on z = 0 (see
-    `usd_parse.parse_usd`). Whatever the file refers to must lie in its folder.
+    Any metersPerUnit and upAxis, instances, face subsets, and UsdPreviewSurface and MDL materials are supported. All files
+    to which the file refers must be in its folder.
+
+    Args:
+        path: USD file.
+        joint: Prim name or path of the joint that moves; may be empty if there is only one.
+        limits: Lower and upper joint limit, [rad] or [m]; replace those of the file.
+        handle: Lower and upper corner of a box around the handle, in the coordinates of the stage in meters, Z up.
+        timeout_s: Time limit of the child.
+
+    Returns:
+        The asset in meters, Z up, with its front toward -y, standing on z = 0; see `usd_parse.parse_usd`.
 
     Raises:
-        MissingFileError: The file or one of its textures is not there.
-        MalformedFileError: Not USD, damaged, or the parser crashed or ran out of time.
-        LimitExceededError: Larger than what is read without asking.
-        UnsafePathError: A layer or texture lies outside the file's folder.
-        AssetError: Several revolute or prismatic joints and none named, or no usable geometry.
+        MissingFileError: The file or one of its textures is missing.
+        MalformedFileError: The file is not USD or damaged, or the parser crashed or exceeded the time limit.
+        LimitExceededError: The file or its number of faces is too large.
+        UnsafePathError: A layer or texture is outside the file's folder.
+        AssetError: There is no joint, or there are several and none is named; the geometry, limits or handle are unusable.
     """
     if not path.is_file():
         raise MissingFileError(path, "is missing", "check the path of the asset")
@@ -88,7 +97,7 @@ def _run_child(arguments: list[str], path: Path, timeout_s: float) -> None:
 
 
 def _error_of(message: str, path: Path) -> AomgenError:
-    """The error that the child put on the last line of its standard error."""
+    """Restore the error from the last line of the child's standard error."""
     try:
         values = json.loads(message.strip().splitlines()[-1])
         return restore_error(values["error"], values["args"], values["values"])
@@ -97,9 +106,10 @@ def _error_of(message: str, path: Path) -> AomgenError:
 
 
 def parse_as_child(arguments: list[str]) -> int:
-    """Parse the joint `arguments[2]` of file `arguments[0]` into folder `arguments[1]`; returns the exit code.
+    """Parse a USD file, save the asset as an artifact, and return the exit code.
 
-    `arguments[3]` holds limits and handle in JSON, as `parse_usd` takes them.
+    Args:
+        arguments: File, folder of the artifact, joint name, and `limits` and `handle` of `parse_usd` in JSON.
     """
     from aomgen.assets.usd_parse import parse_usd
 

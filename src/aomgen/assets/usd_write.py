@@ -1,8 +1,8 @@
-"""Articulated assets as self-contained USD: UsdGeom, UsdPreviewSurface, UsdPhysics.
+"""Write articulated assets as self-contained USD with UsdGeom, UsdPreviewSurface and UsdPhysics.
 
-The assumptions of verification about joint and contacts are written where importers read them: joint
-resistance in the attributes of MuJoCo's `MjcJointAPI` and of PhysX's `PhysxJointAxisAPI`, contact friction
-in a physics material with `MjcMaterialAPI`. usd-core brings neither schema, so both are written by name.
+The joint resistance and contact friction that verification assumes are written to the attributes that importers read:
+joint resistance to those of MuJoCo's `MjcJointAPI` and of PhysX's `PhysxJointAxisAPI`, contact friction to a physics
+material with `MjcMaterialAPI`. usd-core contains none of these schemas, so their attributes are written by name.
 """
 
 from collections.abc import Sequence
@@ -29,9 +29,9 @@ from aomgen.io.atomic import write_bytes
 from aomgen.io.images import encode_png
 from aomgen.io.usd import export_stage, new_stage
 
-# Namespace of our attributes, for properties that UsdPhysics does not define.
+# Namespace of custom attributes, for properties that UsdPhysics does not define.
 NAMESPACE = "aomgen"
-# Replays episodes with an asset of ours in another simulator; it needs no package of ours.
+# Script that replays episodes in Isaac Sim; it does not depend on AOMGen.
 REPLAY_SCRIPT = Path(__file__).with_name("replay_in_isaac_sim.py")
 CONTACT_MATERIAL = "contact"
 
@@ -39,14 +39,18 @@ CONTACT_MATERIAL = "contact"
 def write_usd(asset: ArticulatedAsset, path: Path) -> None:
     """Write an asset as one USD file and a folder of textures next to it.
 
-    The asset is closed, at joint value 0. Metres, Z up, joint limits in degrees (revolute) or metres, colors linear,
-    texture paths relative: `<stem>_textures/<link>_<mesh>.png`, maps with their name behind it. Handle point, handle axis, category
-    and credit are custom attributes `aomgen:handle_point` ... `aomgen:credit` of the root.
-    The joint has the nominal resistance of `mjcf.RESISTANCES`; all that verification tries are in
-    `aomgen:verified_damping` and `aomgen:verified_frictionloss`. The path ends in .usda (text) or .usdc.
+    The stage shows the closed asset (joint value 0) in meters, Z up, with joint limits in degrees (revolute) or meters and
+    linear colors. Texture paths are relative: `<stem>_textures/<link>_<mesh>.png`, and `<link>_<mesh>.<map>.png` for maps.
+    Handle point, handle axis, category and credit are custom attributes of the root, `aomgen:handle_point` etc. The joint
+    has the nominal resistance of `mjcf.RESISTANCES`; the resistances that verification varies are listed in
+    `aomgen:verified_damping` and `aomgen:verified_frictionloss`.
+
+    Args:
+        asset: Asset in the asset frame.
+        path: File with the suffix .usda (text) or .usdc (binary).
 
     Raises:
-        ConfigError: Another suffix.
+        ConfigError: The suffix is not supported.
         StorageError: Writing to the disk failed.
     """
     from pxr import Sdf, UsdGeom, UsdPhysics
@@ -75,18 +79,19 @@ def write_usd(asset: ArticulatedAsset, path: Path) -> None:
 
 
 def write_for_replay(asset: ArticulatedAsset, path: Path) -> None:
-    """Write an asset as `write_usd` does, and the script that replays its episodes in Isaac Sim."""
+    """Write an asset by `write_usd`, and next to it the script that replays its episodes in Isaac Sim."""
     write_usd(asset, path)
     write_bytes(path.with_name(REPLAY_SCRIPT.name), REPLAY_SCRIPT.read_bytes())
 
 
 class _Writer:
-    """The stage under construction; `root` is a prim path, `textures` a folder next to the file."""
+    """Writer of one stage; `root` is the prim path of the asset, `textures` a folder next to the file."""
 
     def __init__(self, stage: Any, root: str, textures: Path) -> None:
         self.stage, self.root, self.textures = stage, root, textures
 
     def link(self, link: AssetLink) -> str:
+        """Add a link with meshes, materials and colliders; return its prim path."""
         from pxr import UsdGeom, UsdPhysics
 
         path = f"{self.root}/{_identifier(link.name)}"
@@ -126,7 +131,7 @@ class _Writer:
         UsdShade.MaterialBindingAPI.Apply(item.GetPrim()).Bind(material)
 
     def _material(self, mesh: Mesh, path: str, files: str) -> Any:
-        """A UsdPreviewSurface; the files of its textures begin with `files`."""
+        """Add a UsdPreviewSurface; the names of its texture files begin with `files`."""
         from pxr import Gf, Sdf, UsdShade
 
         kinds = Sdf.ValueTypeNames
@@ -158,7 +163,7 @@ class _Writer:
         return material
 
     def _texture(self, image: NDArray[np.uint8], path: str, name: str, file: str) -> Any:
-        """Write an image next to the stage, and add a node that reads it."""
+        """Write an image to the texture folder, and add a node that reads it."""
         from pxr import Sdf, UsdShade
 
         kinds = Sdf.ValueTypeNames
@@ -191,7 +196,7 @@ class _Writer:
         )
 
     def contact_material(self) -> None:
-        """The physics material that all colliders share."""
+        """Add the physics material that all colliders share."""
         from pxr import UsdPhysics, UsdShade
 
         sliding, torsional, rolling = CONTACT_FRICTION
@@ -205,6 +210,7 @@ class _Writer:
         set_attribute(prim, "mjc:rollingfriction", rolling)
 
     def joint(self, asset: ArticulatedAsset, static: str, moving: str) -> None:
+        """Add the joint of an asset between two links, given by their prim paths."""
         from pxr import Gf, UsdPhysics
 
         joint = asset.joint
@@ -228,10 +234,11 @@ class _Writer:
 
 
 def set_resistance(prim: Any, asset: ArticulatedAsset) -> None:
-    """Damping, dry friction and armature of a joint prim for MuJoCo, PhysX and the record.
+    """Write damping, dry friction and armature of a joint prim for MuJoCo and PhysX.
 
-    PhysX counts turning speeds in degrees. Its older `physxJoint:jointFriction` is a coefficient
-    without unit that no torque corresponds to, so it is left out.
+    The resistances that verification varies are recorded in attributes of AOMGen. PhysX uses degrees per second for
+    revolute joints. Its older `physxJoint:jointFriction` is a dimensionless coefficient that does not correspond to a
+    torque, so it is not written.
     """
     tried, holding = RESISTANCES[asset.joint.type], holding_friction(asset)
     frictions = [friction + holding for _, friction in tried]
@@ -257,7 +264,13 @@ def set_resistance(prim: Any, asset: ArticulatedAsset) -> None:
 
 
 def set_attribute(prim: Any, name: str, value: float | bool | Sequence[float]) -> None:
-    """Write an attribute of a schema that usd-core does not know: floats for PhysX, uniform doubles else, and flags."""
+    """Write an attribute of a schema that usd-core does not contain.
+
+    Args:
+        prim: Prim that gets the attribute.
+        name: Name with its namespace; `physx...` attributes are varying floats, all others uniform doubles.
+        value: Flag, number or list of numbers.
+    """
     from pxr import Sdf
 
     kinds, physx = Sdf.ValueTypeNames, name.startswith("physx")
@@ -270,7 +283,7 @@ def set_attribute(prim: Any, name: str, value: float | bool | Sequence[float]) -
 
 
 def quat_from_x(axis: Array) -> Array:
-    """Quaternion wxyz (4,) that turns the x axis into a unit direction (3,)."""
+    """Compute a quaternion wxyz (4,) that rotates the x axis to a unit direction (3,)."""
     other = np.eye(3)[np.argmin(np.abs(axis))]
     second = np.cross(axis, other)
     second /= np.linalg.norm(second)

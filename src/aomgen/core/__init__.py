@@ -1,1 +1,1 @@
-"""Values and mathematics: numpy only, no files, no logging."""
+"""Value types and mathematics, without file access and logging."""

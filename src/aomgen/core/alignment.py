@@ -13,12 +13,12 @@ from aomgen.errors import SyncError
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Clock:
-    """Log time = video time + `offset_s` + `rate` * (video time - `middle_s`).
+    """Relation of two clocks: log time = video time + `offset_s` + `rate` * (video time - `middle_s`).
 
     Attributes:
         offset_s: Offset at the middle of the video, [s].
-        sd_s: Standard deviation of the offset, [s]; 0 when it was given.
-        rate: Drift; 0.01 is a log that counts 1.01 s while the video counts 1 s.
+        sd_s: Standard deviation of the offset, [s]; 0 if the offset was given.
+        rate: Relative drift; with 0.01, the log's clock advances by 1.01 s per second of the video.
         rate_sd: Standard deviation of the drift.
         middle_s: Video time at which `rate` contributes nothing, [s].
     """
@@ -37,14 +37,14 @@ class Clock:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FixedCamera:
-    """One fixed camera in the world, and its video's clock.
+    """A calibrated fixed camera, and the clock of its video.
 
     Attributes:
-        camera: Optics and pose, world frame.
-        clock: Clock of its video relative to the joint log, None when it was refused.
+        camera: Intrinsics and pose, world frame.
+        clock: Clock of its video relative to the joint log; None if the estimate was refused.
         refusal: Location, problem and remedy of the refused clock; empty otherwise.
         note: Description of the method that estimated the pose.
-        trusted: Whether all information about the camera agrees.
+        trusted: Whether all information about the camera is consistent.
         figures: Metrics by name.
     """
 
@@ -81,17 +81,17 @@ class Alignment:
     """The similarity between reconstruction and world, and its confidence.
 
     Attributes:
-        S_world_recon: Similarity (4, 4), metres per recon unit included.
-        support: Share of outline points, over all views, that the images confirm within 2 px.
+        S_world_recon: Similarity (4, 4), including the scale in meters per recon unit.
+        support: Share of outline points, over all views, that are confirmed by image edges within 2 px.
         chance: The same share for displaced outlines.
-        runner_up_support: The same share for the best different hypothesis, 0 when there was none.
+        runner_up_support: The same share for the best different hypothesis; 0 if there was none.
         residual_px: Median distance of confirmed outline points from image edges.
-        residual_px_of_view: The same for each view that shows enough robot.
-        ee_sd_m: Standard deviation of the end effector.
-        joint_zeros_rad: Offset to add to each joint of the log (J,), see `calibrate_fixed_cameras`; 0 without
-            evidence for one, empty before it was estimated.
-        joint_zero_sds_rad: Standard deviations.
-        cameras: Fixed cameras by name; empty before they were calibrated.
+        residual_px_of_view: The same for each view in which enough of the robot is visible.
+        ee_sd_m: Standard deviation of the end-effector position, [m].
+        joint_zeros_rad: Offset to be added to each joint of the log (J,), see `calibrate_fixed_cameras`; 0 without
+            evidence for an offset, empty before the estimation.
+        joint_zero_sds_rad: Standard deviations of these offsets (J,).
+        cameras: Fixed cameras by name; empty before the calibration.
     """
 
     S_world_recon: Matrix4

@@ -1,4 +1,4 @@
-"""An articulated asset: a fixed link, a moving link, one joint between them."""
+"""An articulated asset: a static link, a moving link, and the joint between them."""
 
 from dataclasses import dataclass, replace
 
@@ -13,12 +13,12 @@ from aomgen.core.values import Array, Matrix4, Vector3, freeze_arrays
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BoxCollider:
-    """An oriented box for collisions in the simulation.
+    """An oriented box for collision detection.
 
     Attributes:
-        name: Unique inside the asset; the handle's boxes start with "handle".
-        T_asset_box: Pose of the centre (4, 4).
-        half_extents: (3,), [m].
+        name: Unique within its link; the names of the handle's boxes start with "handle".
+        T_asset_box: Pose of the box's center (4, 4).
+        half_extents: Half extents (3,), [m].
     """
 
     name: str
@@ -41,7 +41,7 @@ class BoxCollider:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AssetLink:
-    """One rigid part: visible meshes and colliders, both in the asset frame at joint value 0."""
+    """One rigid link: visible meshes and colliders, both in the asset frame at joint value 0, and its mass, [kg]."""
 
     name: str
     meshes: tuple[Mesh, ...]
@@ -50,11 +50,11 @@ class AssetLink:
 
     @property
     def volume(self) -> float:
-        """Volume of all colliders, [m^3]."""
+        """Sum of the volumes of all colliders, [m^3]."""
         return sum(8 * float(box.half_extents.prod()) for box in self.colliders)
 
     def distances(self, points: Array) -> Array:
-        """Compute distances (N,) of points (N, 3), asset frame, to the nearest collider, 0 inside, [m]."""
+        """Compute the distances (N,) of points (N, 3), asset frame, to the nearest collider, 0 inside, [m]."""
         nearest = np.full(len(points), np.inf)
         for box in self.colliders:
             T = box.T_asset_box
@@ -65,7 +65,7 @@ class AssetLink:
 
     @property
     def bounds(self) -> tuple[Array, Array]:
-        """Low and high corner (3,) of the colliders, asset frame, [m]."""
+        """Lower and upper corner (3,) of the bounding box of the colliders, asset frame, [m]."""
         corners = np.concatenate([box.corners for box in self.colliders])
         return corners.min(0), corners.max(0)
 
@@ -82,22 +82,21 @@ class AssetLink:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ArticulatedAsset:
-    """A static link and a moving link joined by one joint.
+    """A static link and a moving link that are connected by one joint.
 
-    The asset frame is Z up with the support plane at z = 0 and the closed state at joint value
-    0; makers put the front (where the handle is) towards -y, centred in x. All lengths in
-    metres, in the asset frame.
+    In the asset frame, z points up, the support plane is z = 0, and joint value 0 is the closed state. By convention, the
+    front, which carries the handle, faces -y, and the asset is centered in x. All lengths are in meters.
 
     Attributes:
-        name: For example "microwave-3".
-        category: For example "microwave".
+        name: Name, for example "microwave-3".
+        category: Category, for example "microwave".
         static: The link that stands on the table.
-        moving: Door, drawer or lid.
-        joint: Axis positive in the opening direction, asset frame.
-        handle_point: Grasped center of the handle (3,).
+        moving: The door, drawer or lid.
+        joint: Joint with its axis positive in the opening direction, asset frame.
+        handle_point: Grasp point at the center of the handle (3,).
         handle_axis: Unit direction (3,) along the handle's bar.
-        credit: Author and licence, where attribution is required.
-        notes: Assumptions that were made when it was read from a foreign file, one sentence each.
+        credit: Author and license, if attribution is required.
+        notes: Assumptions that were made when the asset was imported, one sentence each.
     """
 
     name: str
@@ -114,12 +113,12 @@ class ArticulatedAsset:
 
     @property
     def handle_boxes(self) -> list[BoxCollider]:
-        """The handle's colliders, if any is named so."""
+        """Colliders whose names start with "handle"."""
         return [box for box in self.moving.colliders if box.name.startswith("handle")]
 
     @property
     def handle_bar(self) -> BoxCollider | None:
-        """The handle's collider that holds `handle_point`, when the handle has colliders."""
+        """The handle collider whose center is closest to `handle_point`; None if there is no handle collider."""
         return min(
             self.handle_boxes,
             key=lambda box: float(np.linalg.norm(box.T_asset_box[:3, 3] - self.handle_point)),

@@ -11,25 +11,26 @@ from aomgen.core.transforms import apply, transform
 from aomgen.core.values import Array, Matrix4, Vector3, freeze_arrays
 from aomgen.errors import InputError
 
-# A box lies between these quantiles of the points, so that outliers do not stretch it.
+# Quantiles of the points between which a box extends, so that outliers do not enlarge it.
 QUANTILES = (0.01, 0.99)
-# Quantiles for the yaw of the footprint: handles are up to 2 % of the points.
+# Quantiles that are used to find the yaw of the footprint; handles are up to 2 % of the points.
 FOOTPRINT_QUANTILES = (0.02, 0.98)
-# Least number of points that define a box.
+# Smallest number of points that define a box.
 MIN_POINTS = 20
-# Largest number of points that vote: bounds memory; a plane with a hundredth of them is still significant.
+# Largest number of points that are counted for each plane hypothesis, which bounds the memory; a plane that contains a
+# hundredth of them is still significant.
 _VOTERS = 8000
-# Rounds of least squares on the points near the plane; further rounds change little.
+# Number of least-squares iterations on the points near the plane; further iterations change little.
 _ROUNDS = 3
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class OrientedBox:
-    """A box in any orientation.
+    """A box with arbitrary orientation.
 
     Attributes:
-        T_world_box: Centre and axes (4, 4).
-        half_extents: (3,), [m].
+        T_world_box: Pose of the box (4, 4): center and axes.
+        half_extents: Half extents (3,), [m].
     """
 
     T_world_box: Matrix4
@@ -43,7 +44,7 @@ class OrientedBox:
         return float(2 * np.linalg.norm(self.half_extents))
 
     def coordinates(self, points_world: ArrayLike) -> Array:
-        """Compute the coordinates of points (N, 3) in the box's frame."""
+        """Compute the coordinates (N, 3) of points (N, 3), world frame, in the box's frame, [m]."""
         R, center = self.T_world_box[:3, :3], self.T_world_box[:3, 3]
         return np.asarray(points_world, np.float64) @ R - center @ R
 
@@ -64,7 +65,7 @@ class OrientedBox:
         return apply(self.T_world_box, np.array(ends) * self.half_extents)
 
     def faces(self) -> list[tuple[Array, float]]:
-        """List planes `normal @ x = offset` of the six faces, world frame, normals along the box's axes."""
+        """List the planes `normal @ x = offset` of the six faces, world frame; all normals are in positive axis directions."""
         normals, centers = self.T_world_box[:3, :3].T, self.T_world_box[:3, 3] @ self.T_world_box[:3, :3]
         return [
             (normal, float(center + side))
@@ -74,10 +75,10 @@ class OrientedBox:
 
 
 def fit_box(points_world: ArrayLike, R_world_box: Array) -> OrientedBox:
-    """Fit a box with given axes (3, 3) to points (N, 3), without those beyond `QUANTILES`.
+    """Fit a box with given axes (3, 3) to points (N, 3), [m]; points beyond `QUANTILES` are ignored.
 
     Raises:
-        InputError: Fewer than 20 points.
+        InputError: There are fewer than 20 points.
     """
     points = np.asarray(points_world, np.float64)
     if not len(points) >= MIN_POINTS:
@@ -90,7 +91,7 @@ def fit_box(points_world: ArrayLike, R_world_box: Array) -> OrientedBox:
 
 
 def find_upright_axes(points_world: ArrayLike) -> Array:
-    """Find the axes (3, 3), z up, of the upright box with the least base around points (N, 2 or more).
+    """Find the axes (3, 3), z up, of the upright box with the smallest base around points (N, 2) or (N, 3).
 
     The yaw is in 0..pi/2.
     """
@@ -107,7 +108,7 @@ def find_upright_axes(points_world: ArrayLike) -> Array:
 
 
 def upright_axes(yaw: float) -> Array:
-    """Return the axes (3, 3) after a rotation about the vertical, [rad]."""
+    """Return the axes (3, 3) after a rotation about the vertical by `yaw`, [rad]."""
     c, s = np.cos(yaw), np.sin(yaw)
     return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
 
@@ -121,15 +122,18 @@ def fit_plane(
     axis: Array | None = None,
     max_tilt_deg: float = 90.0,
 ) -> tuple[Array, Array] | None:
-    """Fit the plane near most of the points (N, 3); returns its unit normal (3,) and a point (3,) on it.
-
-    The result is None when no trial gives a plane.
+    """Fit the plane that contains most of the points (N, 3) within a tolerance.
 
     Args:
-        tolerance: Largest distance of a point that belongs to the plane.
-        trials: Number of triples of points that are tried.
-        axis: Unit vector (3,) of the normal's approximate direction, or None for any direction.
+        points: Points (N, 3).
+        tolerance: Largest distance of an inlier from the plane, in the unit of the points.
+        rng: Generator that selects the triples.
+        trials: Number of triples of points that are tested.
+        axis: Approximate direction of the normal (3,), a unit vector; None for any direction.
         max_tilt_deg: Largest angle between normal and `axis`, [deg].
+
+    Returns:
+        Unit normal (3,) and a point (3,) on the plane; None if no triple gives a plane.
 
     Source: RANSAC (Fischler & Bolles, 1981), then least squares on the inliers.
     """

@@ -13,13 +13,13 @@ from aomgen.errors import ConfigError
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Camera:
-    """Pinhole camera, OpenCV axes, pixel centres at +0.5.
+    """Pinhole camera, OpenCV axes, pixel centers at +0.5.
 
     Attributes:
         fx, fy, cx, cy: Intrinsics, [px].
         width, height: Image size, [px].
-        T_world_cam: Pose (4, 4). "world" is the frame of whatever is drawn: before alignment
-            it is the `recon` frame, and the variable that holds the camera says so.
+        T_world_cam: Pose (4, 4). "world" is the frame of the rendered scene: before alignment, this is the `recon` frame,
+            which is then part of the name of the variable that holds the camera.
 
     Example:
         >>> pose = ag.look_at(eye=(1, 0, 1), target=(0, 0, 0))
@@ -51,15 +51,15 @@ class Camera:
 
     @property
     def center(self) -> Array:
-        """Camera centre (3,), world frame."""
+        """Camera center (3,), world frame."""
         return self.T_world_cam[:3, 3]
 
     def move(self, T_world_cam: ArrayLike) -> "Camera":
-        """Return the same optics at another pose."""
+        """Return the camera at another pose (4, 4)."""
         return replace(self, T_world_cam=T_world_cam)
 
     def resize(self, width: int, height: int) -> "Camera":
-        """Return the same view at another resolution."""
+        """Return the camera with another resolution, [px], and the same field of view."""
         sx, sy = width / self.width, height / self.height
         return replace(
             self,
@@ -72,16 +72,16 @@ class Camera:
         )
 
     def crop(self, left: int, top: int, side: int) -> "Camera":
-        """Return the camera of a square of the image, [px]."""
+        """Return the camera of a square section of the image with upper left corner (left, top), [px]."""
         return replace(self, cx=self.cx - left, cy=self.cy - top, width=side, height=side)
 
     def narrow(self, width: int) -> "Camera":
-        """Return the same view, at most `width` pixels wide."""
+        """Return the camera with the resolution reduced to at most `width` pixels per row."""
         share = min(1.0, width / self.width)
         return self.resize(round(self.width * share), max(1, round(self.height * share)))
 
     def project(self, points_world: ArrayLike) -> tuple[Array, Array]:
-        """Project points (N, 3) to pixels (N, 2) and depths (N,); points behind have depth <= 0."""
+        """Project points (N, 3) to pixels (N, 2) and depths (N,) along the optical axis, <= 0 behind the camera."""
         points_cam = apply(self.T_cam_world, points_world)
         depths = points_cam[..., 2]
         safe = np.where(np.abs(depths) < 1e-9, 1e-9, depths)
@@ -91,7 +91,7 @@ class Camera:
         return pixels, depths
 
     def projection_slopes(self, points_world: ArrayLike) -> Array:
-        """Compute derivatives (N, 2, 3) of pixels by the positions of points (N, 3), [px/m]."""
+        """Compute the derivatives (N, 2, 3) of pixels with respect to the positions of points (N, 3), [px/m]."""
         x, y, z = np.moveaxis(apply(self.T_cam_world, points_world), -1, 0)
         zero = np.zeros_like(z)
         along_u = self.fx * np.stack([1 / z, zero, -x / z**2], -1)
@@ -99,7 +99,7 @@ class Camera:
         return np.stack([along_u, along_v], -2) @ self.T_cam_world[:3, :3]
 
     def directions(self) -> Array:
-        """Compute viewing rays (height, width, 3), world frame, scaled to depth 1 (not unit length)."""
+        """Compute the viewing rays (height, width, 3) of all pixels, world frame, scaled to depth 1 (not to unit length)."""
         u, v = np.meshgrid(np.arange(self.width) + 0.5, np.arange(self.height) + 0.5)
         rays_cam = np.stack([(u - self.cx) / self.fx, (v - self.cy) / self.fy, np.ones_like(u)], -1)
         return rays_cam @ self.T_world_cam[:3, :3].T
@@ -107,7 +107,7 @@ class Camera:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CameraPath:
-    """A moving camera: the optics of `camera`, whose own pose is ignored, and its pose at T frames."""
+    """A moving camera: intrinsics of `camera`, whose pose is ignored, and poses (T, 4, 4) at T frames."""
 
     camera: Camera
     Ts_world_cam: Annotated[Array, "T 4 4"]
@@ -119,7 +119,7 @@ class CameraPath:
         return self.camera.move(self.Ts_world_cam[frame])
 
     def part(self, frames: slice) -> "CameraPath":
-        """Select some of the frames."""
+        """Select a range of frames."""
         return replace(self, Ts_world_cam=self.Ts_world_cam[frames])
 
 
@@ -128,7 +128,7 @@ def look_at(eye: ArrayLike, target: ArrayLike, up: ArrayLike = (0.0, 0.0, 1.0)) 
 
     Args:
         eye, target: Points (3,), [m].
-        up: Direction (3,) that points upwards in the image.
+        up: Direction (3,) that points upward in the image.
 
     Raises:
         ConfigError: `eye` and `target` are equal, or `up` is the viewing direction.
@@ -154,7 +154,7 @@ def look_at(eye: ArrayLike, target: ArrayLike, up: ArrayLike = (0.0, 0.0, 1.0)) 
 
 
 def camera_in_world(S_world_recon: Array, camera_recon: Camera) -> Camera:
-    """Convert a camera of the recon frame to the world frame, same pixels."""
+    """Transform a camera from the recon frame to the world frame by a similarity (4, 4); its pixels do not change."""
     _, R, _ = similarity_parts(S_world_recon)
     T = np.eye(4)
     T[:3, :3] = R @ camera_recon.T_world_cam[:3, :3]

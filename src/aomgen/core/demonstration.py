@@ -1,4 +1,4 @@
-"""Trajectories of arm and object; the recorded demonstration, its object and support, in the world frame."""
+"""Trajectories of arm and object, and the recorded demonstration with its object and support, in the world frame."""
 
 from dataclasses import dataclass, fields, replace
 from typing import Annotated, Protocol, Self
@@ -12,9 +12,9 @@ from aomgen.core.joint import Joint
 from aomgen.core.light import Light
 from aomgen.core.values import Array, Matrix4, Vector3, freeze_arrays
 
-# Smallest closing of the gripper that is a grasp; fingers that reach under a lid are hardly open before it.
+# Smallest change of the gripper value that counts as a grasp; fingers that reach under a lid close only a little.
 MIN_GRASP = 0.05
-# A gripper that measures less than this counts as open.
+# A gripper with a value below this counts as open.
 OPEN = 0.03
 
 
@@ -31,10 +31,10 @@ class Trajectory:
     """T samples of an arm of J joints, its gripper, and the joint of the object.
 
     Attributes:
-        times_s: (T,), increasing, [s].
+        times_s: Times (T,), increasing, [s].
         joints: Arm joints (T, J), [rad] or [m].
-        gripper: (T,), 0 open .. 1 closed.
-        thetas: Joint of the object (T,), [rad] or [m].
+        gripper: Gripper (T,), 0 open .. 1 closed.
+        thetas: Joint values of the object (T,), [rad] or [m].
 
     Example:
         >>> path = Trajectory(times_s=[0, 1], joints=[[0.0], [2.0]], gripper=[0, 1], thetas=[0, 0])
@@ -55,25 +55,25 @@ class Trajectory:
         return len(self.times_s)
 
     def __getitem__(self, rows: slice | NDArray[np.int64] | NDArray[np.bool_]) -> Self:
-        """Select samples; a value of a derived class keeps fields that are not arrays over time."""
+        """Select samples; fields of derived classes that are not arrays over time are kept."""
         over_time = [field.name for field in fields(self) if _is_over_time(field.type)]
         return replace(self, **{name: getattr(self, name)[rows] for name in over_time})
 
     def at(self, times_s: ArrayLike) -> "Trajectory":
-        """Interpolate the samples linearly at times (N,); they are constant beyond the recorded ones."""
+        """Interpolate the samples linearly at times (N,), [s]; before the first and after the last sample they are constant."""
         times = np.asarray(times_s, np.float64)
         columns = np.column_stack([self.joints, self.gripper, self.thetas])
         values = np.stack([np.interp(times, self.times_s, column) for column in columns.T], 1)
         return Trajectory(times_s=times, joints=values[:, :-2], gripper=values[:, -2], thetas=values[:, -1])
 
     def ee_poses(self, robot: Kinematics) -> Array:
-        """Compute end effector poses (T, 4, 4), world frame."""
+        """Compute the end-effector poses (T, 4, 4), world frame."""
         return robot.ee_poses(self.joints)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SceneTrajectory(Trajectory):
-    """A trajectory with the object's pose (4, 4), world frame: everything that an image depends on."""
+    """A trajectory with the object's pose (4, 4), world frame; together they determine the images of a camera."""
 
     T_world_object: Matrix4
 
@@ -85,14 +85,14 @@ def _is_over_time(declared: object) -> bool:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Demonstration(Trajectory):
-    """Recorded motion of the robot and of the object's part, sampled at a constant rate on the video's clock.
+    """Recorded motion of the robot and of the object's moving part, sampled at a constant rate on the video's clock.
 
     Attributes:
-        Ts_world_ee: End effector poses (T, 4, 4).
-        start_s, end_s: Times at which the part begins and ceases to move.
-        joint: Joint, world frame; 0 is the scanned state, and the axis is positive in the demonstrated direction.
-        grasp_ee: Grasped point of the part (3,), end effector frame, [m].
-        ee_turn_ratio: Rotation of the end effector over rotation of the part during contact.
+        Ts_world_ee: End-effector poses (T, 4, 4).
+        start_s, end_s: Times at which the part starts and stops moving, [s].
+        joint: Joint, world frame; value 0 is the scanned state, and the axis is positive in the demonstrated direction.
+        grasp_ee: Grasp point on the part (3,), end-effector frame, [m].
+        ee_turn_ratio: Ratio of the end effector's rotation to that of the part during contact.
     """
 
     Ts_world_ee: Annotated[Array, "T 4 4"]
@@ -110,13 +110,13 @@ class Demonstration(Trajectory):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Timing:
-    """Moments of the demonstration, [s] from its first sample.
+    """Times of the events of a demonstration, [s] from its first sample.
 
     Attributes:
-        close: The gripper begins to close.
-        start, end: The part begins and ceases to move.
-        free: The gripper is open again.
-        last: The demonstration ends.
+        close: Time at which the gripper starts to close.
+        start, end: Times at which the part starts and stops moving.
+        free: Time at which the gripper is open again.
+        last: End of the demonstration.
     """
 
     close: float
@@ -127,16 +127,16 @@ class Timing:
 
     @property
     def marks(self) -> Array:
-        """All moments in order (6,), 0 first."""
+        """All times in order (6,), beginning with 0."""
         return np.array([0.0, self.close, self.start, self.end, self.free, self.last])
 
 
 def gripper_command(demo: Demonstration, opened_most: float = 1.0) -> Array:
-    """Compute the gripper command (T,), 0..1, from the measured opening.
+    """Compute the gripper command (T,), 0 open .. 1 closed, from the measured gripper values.
 
-    A gripper that holds a bar stalls before it is closed, so the level at which it stalls counts as 1. Its
-    initial level is kept, or replaced by `opened_most` where that is more open. A demonstration without a
-    grasp keeps the measured values.
+    A gripper that holds a bar stalls before it is fully closed, so the value at which it stalls is mapped to 1. The initial
+    value is kept, or replaced by `opened_most` if that is smaller (more open). Without a grasp, the measured values are
+    returned.
     """
     opened, share = _closing(demo)
     if opened is None:
@@ -146,9 +146,9 @@ def gripper_command(demo: Demonstration, opened_most: float = 1.0) -> Array:
 
 
 def _closing(demo: Demonstration) -> tuple[float | None, Array]:
-    """Return the gripper's initial level, and its share of closing from there to its hold (T,), 0..1.
+    """Return the gripper's initial value, and its progress (T,), 0..1, from there to the value at which it holds.
 
-    Without a grasp, the result is None and the measured values.
+    Without a grasp, the results are None and the measured values.
     """
     contact = demo.contact_frames
     hold, opened = float(np.median(demo.gripper[contact])), float(np.min(demo.gripper[: contact[0] + 1]))
@@ -159,7 +159,7 @@ def _closing(demo: Demonstration) -> tuple[float | None, Array]:
 
 
 def timing(demo: Demonstration) -> Timing:
-    """Find the moments at which the gripper closes, pulls, opens and leaves."""
+    """Find the times at which the gripper closes and opens, and at which the part starts and stops moving."""
     times = demo.times_s - demo.times_s[0]
     _, share = _closing(demo)
     start, end = demo.start_s - demo.times_s[0], demo.end_s - demo.times_s[0]
@@ -174,11 +174,11 @@ def timing(demo: Demonstration) -> Timing:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SupportPlane:
-    """The table: a horizontal plane and its known rectangle.
+    """The table: a horizontal plane, and the rectangle of known extent.
 
     Attributes:
         height: z of the plane, world frame, [m].
-        low_xy, high_xy: Corners (2,) of the known rectangle, [m]; -inf and inf where unknown.
+        low_xy, high_xy: Lower and upper corner (2,) of the rectangle, world frame, [m]; -inf and inf for unknown sides.
     """
 
     height: float
@@ -193,9 +193,9 @@ class EpisodeScene:
     """Scene that all episodes of a run share.
 
     Attributes:
-        support: The table for the objects.
+        support: Table on which the objects stand.
         obstacles: Other objects within the robot's reach.
-        T_world_plane: Pose of the table's surface (4, 4), on which shadows fall.
+        T_world_plane: Pose of the table's surface (4, 4), on which shadows are cast.
         light: Light on new objects.
         light_source: Description of the light's origin.
         cameras: Cameras of the episodes' images, world frame, by name.
@@ -218,7 +218,7 @@ class RecordedObject:
     Attributes:
         moving_points_world: Surface of the moving part (N, 3), [m].
         static_points_world: Surface of the static part (M, 3), [m].
-        support: The plane under the object.
+        support: The table under the object.
     """
 
     moving_points_world: Annotated[Array, "_ 3"]

@@ -15,8 +15,8 @@ class EnvironmentMap:
     """Radiance from all directions, seen from inside, world frame.
 
     Attributes:
-        radiance_linear: (H, W, 3). Rows go from straight up (+z) to straight down; the center is +x, and
-            columns continue from there to -y, as seen when looking along +x.
+        radiance_linear: Linear RGB (H, W, 3). Rows range from +z (up) to -z; the center column is +x, and columns to the
+            right of it continue toward -y, as seen from the center in the direction +x.
     """
 
     radiance_linear: Annotated[NDArray[np.float32], "H W 3"]
@@ -25,21 +25,21 @@ class EnvironmentMap:
 
     @property
     def directions(self) -> Array:
-        """Unit directions (H, W, 3) from which the pixels' light comes."""
+        """Unit directions (H, W, 3), world frame, from which the light of each pixel arrives."""
         return map_directions(*self.radiance_linear.shape[:2])
 
     @property
     def solid_angles(self) -> Array:
-        """Solid angle (H,) of a pixel of each row, [sr]; 4 pi over all pixels."""
+        """Solid angle (H,) of one pixel of each row, [sr]; the sum over all pixels is 4 pi."""
         height, width = self.radiance_linear.shape[:2]
         borders = np.cos(np.linspace(0, np.pi, height + 1))
         return np.asarray((borders[:-1] - borders[1:]) * (2 * np.pi / width), np.float64)
 
     def light(self) -> Light:
-        """Compute the light of the first nine harmonics."""
+        """Compute the light that is represented by the first nine spherical harmonics."""
         height, width = self.radiance_linear.shape[:2]
         longitudes, sh = _longitudes(width), np.zeros((9, 3))
-        # Row by row: the basis of a whole image would take gigabytes.
+        # Rows are processed one by one, because the basis of a whole image would take gigabytes.
         for row, polar, solid_angle in zip(
             self.radiance_linear, _polar_angles(height), self.solid_angles, strict=True
         ):
@@ -47,7 +47,7 @@ class EnvironmentMap:
         return light_from_harmonics(sh)
 
     def turn(self, angle_rad: float) -> "EnvironmentMap":
-        """Rotate about the vertical, counterclockwise as seen from above; linear between columns."""
+        """Rotate the map about the vertical, [rad], counterclockwise as seen from above; columns are interpolated linearly."""
         shift = angle_rad * self.radiance_linear.shape[1] / (2 * np.pi)
         whole = int(np.floor(shift))
         near, far = (np.roll(self.radiance_linear, -step, axis=1) for step in (whole, whole + 1))
@@ -61,12 +61,12 @@ def map_directions(height: int, width: int) -> Array:
 
 
 def _polar_angles(height: int) -> Array:
-    """Compute the angle (H,) of each row from straight up, [rad]."""
+    """Compute the polar angle (H,) of each row, measured from +z, [rad]."""
     return np.asarray((np.arange(height) + 0.5) * (np.pi / height), np.float64)
 
 
 def _longitudes(width: int) -> Array:
-    """Compute the angle (W,) of each column from +x towards +y, [rad]."""
+    """Compute the longitude (W,) of each column, measured from +x toward +y, [rad]."""
     return np.asarray(np.pi - (np.arange(width) + 0.5) * (2 * np.pi / width), np.float64)
 
 

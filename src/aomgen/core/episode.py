@@ -1,4 +1,4 @@
-"""One generated demonstration as a frozen value."""
+"""A generated demonstration as an immutable value."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -15,7 +15,7 @@ from aomgen.core.values import Array, freeze_arrays
 
 PHASES: Final = ("approach", "contact", "retreat")
 FINGERS: Final = ("left", "right")
-# Camera of an episode in addition to the recorded one.
+# Name of the camera of an episode that is added to the recorded one.
 NEW_CAMERA: Final = "side"
 
 
@@ -24,11 +24,11 @@ class ContactLog:
     """Finger contacts of an episode, one row for each contact, ordered by frame.
 
     Attributes:
-        frames: (C,) frame index of each contact.
-        fingers: (C,) index into `FINGERS`.
-        points_world: (C, 3), [m].
-        normals_world: (C, 3) unit, from the object into the finger.
-        forces: (C,) normal force, [N].
+        frames: Frame index of each contact (C,).
+        fingers: Index into `FINGERS` (C,).
+        points_world: Contact points (C, 3), [m].
+        normals_world: Unit normals (C, 3), from the object toward the finger.
+        forces: Normal forces (C,), [N].
     """
 
     frames: Annotated[NDArray[np.int64], "C"]
@@ -42,33 +42,32 @@ class ContactLog:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Episode(SceneTrajectory):
-    """Everything about one demonstration except its images.
+    """All data of one demonstration except its images, with T frames at a constant rate and J arm joints.
 
-    T frames at a constant rate, J arm joints. The plain fields are the states that the robot has
-    reached at frame t; an "action" at frame t is the robot's target for frame t + 1, and at the last
-    frame the target at which it stays.
+    Inherited fields hold the states that the robot has reached at frame t. An action at frame t is the robot's target for
+    frame t + 1; at the last frame, it is the target that the robot holds.
 
     Attributes:
-        index: Number of the variation that this episode renders; names its folder.
-        seed: Seed of the whole generation.
+        index: Number of the variation that this episode renders, and of its folder.
+        seed: Seed of the generation.
         instruction: Language instruction.
         robot: Robot model, for example "ur5e_2f85".
         asset: Name of the articulated object.
         asset_usd: Path of its USD file, relative to the episode's folder.
-        joint_names: J names.
+        joint_names: Names of the J arm joints.
         fps: Frames per second.
-        action_joints: (T, J), [rad].
-        action_gripper: (T,), 0 open .. 1 closed.
-        Ts_world_ee, Ts_world_ee_action: End effector poses (T, 4, 4).
-        phases: (T,) index into `PHASES`.
+        action_joints: Target joints (T, J), [rad] or [m].
+        action_gripper: Target gripper (T,), 0 open .. 1 closed.
+        Ts_world_ee, Ts_world_ee_action: Reached and target end-effector poses (T, 4, 4).
+        phases: Index into `PHASES` (T,).
         contacts: Finger contacts.
-        joint: The object's joint, world frame, at this episode's object pose.
-        keypoints: `core.keypoints.KEYPOINTS` at joint value 0, world frame, [m].
-        cameras: Camera of each video, by name; a moving one is at its first pose.
-        verdict: Results of the verification; plain JSON values.
-        simulation: Assumptions of the verification about object and control; plain JSON values.
+        joint: The object's joint, world frame, at the object's pose in this episode.
+        keypoints: Positions of `core.keypoints.KEYPOINTS` (5, 3) at joint value 0, world frame, [m].
+        cameras: Camera of each video, by name; a moving camera has its first pose.
+        verdict: Results of the verification, as JSON values.
+        simulation: Assumptions of the verification about object and control, as JSON values.
         camera_poses: Poses T_world_cam (T, 4, 4) of the moving cameras, by name.
-        visible: Which keypoints (T, 5) each camera shows, by name; empty before the images are rendered.
+        visible: Mask (T, 5) of the keypoints that are visible to each camera, by name; empty before the images are rendered.
     """
 
     index: int
@@ -103,6 +102,6 @@ class Episode(SceneTrajectory):
                 raise ValueError(f"Episode.visible of {name} has shape {np.shape(shown)}, or no camera")
 
     def camera_at(self, name: str, frame: int) -> Camera:
-        """Return a camera at a frame."""
+        """Return a camera with its pose at a frame."""
         poses = self.camera_poses.get(name)
         return self.cameras[name] if poses is None else self.cameras[name].move(poses[frame])

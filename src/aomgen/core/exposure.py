@@ -1,4 +1,4 @@
-"""Exposure and white balance: one gain for each channel in linear light."""
+"""Exposure and white balance, as one gain per channel in linear light."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,17 +9,21 @@ from aomgen.core.values import Array
 
 # Range of colors that are neither dominated by noise nor clipped, sRGB 0..1.
 _DARK, _BRIGHT = 0.08, 0.92
-# A larger gain has another cause than exposure.
+# Largest gain; a larger ratio of colors is not caused by exposure.
 _MAX_GAIN = 4.0
-# Number of frames of the median image, evenly over the video, and stride of the pixels: enough for medians.
+# Number of frames, spread evenly over the video, from which the median image is computed, and stride of the pixels that are
+# compared; both are sufficient for medians.
 _SAMPLES, _STRIDE = 15, 3
-# A frame is bad if its residual from the median image exceeds the usual one by this factor, and also exceeds
-# noise and compression, 8 bit.
+# A frame is invalid if its residual from the median image exceeds the median residual of all frames by this factor, and also
+# exceeds the level of noise and compression, in 8-bit values.
 _BAD, _NOISE = 6.0, 3.0
 
 
 def fit_gains(seen_srgb: NDArray[np.floating], target_srgb: NDArray[np.floating]) -> Array:
-    """Fit gains (3,) from seen to target colors (N, 3), 0..1, by the median; 1 where none is comparable."""
+    """Fit the gains (3,) that convert observed colors to target colors (N, 3), sRGB 0..1.
+
+    The gains are medians over colors that are neither dark nor clipped; a channel without such colors gets the gain 1.
+    """
     lower, upper = np.minimum(seen_srgb, target_srgb), np.maximum(seen_srgb, target_srgb)
     ratios = linear_from_srgb(target_srgb) / np.maximum(linear_from_srgb(seen_srgb), 1e-3)
     gains, known = compute_masked_median(ratios, (lower > _DARK) & (upper < _BRIGHT))
@@ -27,12 +31,12 @@ def fit_gains(seen_srgb: NDArray[np.floating], target_srgb: NDArray[np.floating]
 
 
 def apply_gains(colors_srgb: NDArray[np.floating], gains: Array) -> NDArray[np.floating]:
-    """Apply gains (3,) to colors (..., 3), 0..1."""
+    """Apply gains (3,) to colors (..., 3), sRGB 0..1; the results are limited to 1."""
     return np.minimum(illuminate_srgb(colors_srgb, gains), 1)
 
 
 def change_exposure(image_srgb: NDArray[np.uint8], gains: Array) -> NDArray[np.uint8]:
-    """Apply gains (3,) to an 8 bit image (..., 3)."""
+    """Apply gains (3,) to an 8-bit sRGB image (..., 3)."""
     table = apply_gains(np.arange(256)[:, None] / 255, gains)
     return np.rint(255 * table).astype(np.uint8)[image_srgb, np.arange(3)]
 
@@ -43,14 +47,14 @@ def match_frames(
     """Match every frame of a fixed camera to the exposure of the video's median image, by the static scene.
 
     Args:
-        frames_srgb: (T, H, W, 3).
+        frames_srgb: Frames of the video (T, H, W, 3).
         hidden: Masks of the robot (T, H, W).
-        region: Mask of the part at its scanned pose (H, W).
+        region: Mask of the moving part at its scanned pose (H, W).
 
-    Returns:
-        Frames (T, H, W, 3), and a mask (T,) of frames with deviating content: drop-outs, flashes, cuts.
+        Returns:
+            Frames (T, H, W, 3), and a mask (T,) of frames with deviating content, for example dropouts, flashes or cuts.
 
-    Not checked: that the static scene fills more than half of the image.
+        Not checked: whether the static scene covers more than half of the image.
     """
     still = ~region[::_STRIDE, ::_STRIDE]
     colors = frames_srgb[:, ::_STRIDE, ::_STRIDE][:, still]

@@ -1,4 +1,4 @@
-"""A set of 3D Gaussians as a frozen value."""
+"""A set of 3D Gaussians as an immutable value."""
 
 from dataclasses import dataclass
 from typing import Annotated
@@ -11,18 +11,18 @@ from aomgen.core.sh import rotate_sh
 from aomgen.core.transforms import apply, quat_from_matrix, quat_multiply, similarity_parts
 from aomgen.core.values import Array, freeze_arrays
 
-# Real spherical harmonic of degree 0, a constant: sqrt(1 / (4 pi)).
+# The real spherical harmonic of degree 0, which is constant: sqrt(1 / (4 pi)).
 SH_C0 = 0.28209479177387814
-# sRGB colors below this have no meaningful ratio.
+# sRGB values below this are too dark for meaningful ratios.
 BLACK = 1e-3
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Gaussians:
-    """N Gaussians with real values: scales in metres, opacities in 0..1 (no logs, no logits).
+    """N Gaussians with real values: scales in meters, opacities in 0..1 (no logarithms, no logits).
 
     Attributes:
-        means: Centres (N, 3) float32, [m].
+        means: Centers (N, 3) float32, [m].
         quats: Rotations (N, 4) float32, wxyz, unit.
         scales: Standard deviations along the rotated axes (N, 3) float32, [m].
         opacities: (N,) float32, 0..1.
@@ -42,7 +42,7 @@ class Gaussians:
 
     @property
     def sh_degree(self) -> int:
-        """Degree 0..3 that the stored coefficients reach."""
+        """Degree 0..3 of the stored coefficients."""
         return int(np.sqrt(self.sh.shape[1])) - 1
 
     def select(self, which: NDArray[np.bool_ | np.integer]) -> "Gaussians":
@@ -56,7 +56,7 @@ class Gaussians:
         )
 
     def transform(self, S: ArrayLike) -> "Gaussians":
-        """Move by a rigid transform or similarity (4, 4); orientation and SH rotate with it."""
+        """Transform the Gaussians, including their SH coefficients, by a rigid transform or similarity (4, 4)."""
         scale, R, _ = similarity_parts(S)
         return gaussians_of(
             means=apply(S, self.means),
@@ -67,30 +67,30 @@ class Gaussians:
         )
 
     def with_sh(self, sh: ArrayLike) -> "Gaussians":
-        """Replace the coefficients by others (N, K, 3)."""
+        """Replace the SH coefficients by others (N, K, 3)."""
         return gaussians_of(
             means=self.means, quats=self.quats, scales=self.scales, opacities=self.opacities, sh=sh
         )
 
     @property
     def colors_srgb(self) -> Array:
-        """Mean colors (N, 3) over all views, sRGB, not limited to 0..1."""
+        """Mean colors (N, 3) over all viewing directions, sRGB, not limited to 0..1."""
         return 0.5 + SH_C0 * self.sh[:, 0].astype(np.float64)
 
     def recolor(self, colors_srgb: Array) -> "Gaussians":
-        """Replace the mean colors by others (N, 3); view-dependent color changes in proportion."""
+        """Replace the mean colors by others (N, 3), sRGB; view-dependent colors are scaled in proportion."""
         before = self.colors_srgb
         sh = self.sh * np.where(before > BLACK, colors_srgb / np.maximum(before, BLACK), 1.0)[:, None]
         sh[:, 0] = (colors_srgb - 0.5) / SH_C0
         return self.with_sh(sh)
 
     def illuminate(self, factors: ArrayLike) -> "Gaussians":
-        """Multiply the light by factors (N, 3) or (N, 1), linear."""
+        """Multiply the linear colors by factors (N, 3) or (N, 1)."""
         before = self.colors_srgb
         return self.recolor(np.where(before > 0, illuminate_srgb(before, factors), before))
 
     def with_sh_degree(self, degree: int) -> "Gaussians":
-        """Cut or zero-pad the coefficients to a degree 0..3."""
+        """Truncate or zero-pad the SH coefficients to a degree 0..3."""
         want, have = (degree + 1) ** 2, self.sh.shape[1]
         sh = np.zeros((len(self), want, 3), np.float32)
         sh[:, : min(want, have)] = self.sh[:, : min(want, have)]
@@ -126,14 +126,18 @@ def concatenate(sets: list[Gaussians]) -> Gaussians:
 def gaussians_from_points(
     points: ArrayLike, colors_srgb: NDArray[np.uint8], *, opacity: float = 0.3, size: float = 0.7
 ) -> Gaussians:
-    """Make a round Gaussian of SH degree 0 per point (N, 3), of `size` times the distance to its neighbors.
+    """Make one isotropic Gaussian of SH degree 0 for each point.
+
+    Args:
+        points: Points (N, 3).
+        colors_srgb: Colors (N, 3).
+        opacity: Opacity of all Gaussians.
+        size: Ratio of a Gaussian's standard deviation to the distance of its neighbors, see `neighbour_distances`.
 
     Raises:
-        ValueError: Fewer than two points, coordinates that are not finite, or colors for other
-            points.
+        ValueError: There are fewer than two points, coordinates are not finite, or the shapes differ.
 
-    Source: Kerbl et al., "3D Gaussian splatting for real-time radiance field rendering", 2023,
-    sec. 5.1.
+    Source: Kerbl et al., "3D Gaussian splatting for real-time radiance field rendering", 2023, sec. 5.1.
     """
     points = np.asarray(points, np.float64)
     if points.ndim != 2 or np.shape(colors_srgb) != points.shape:
@@ -151,12 +155,15 @@ def gaussians_from_points(
 
 
 def neighbour_distances(points: Array) -> Array:
-    """Compute root mean square distances (N,) of points (N, 3) to their three nearest neighbors.
+    """Compute the root mean square distances (N,) of points (N, 3) to their three nearest neighbors.
 
-    Coincident points get a thousandth of the median, isolated ones at most the 99th percentile,
-    so that no Gaussian starts without size and none covers the scene.
+    Distances are limited to the range from a thousandth of the median to the 99th percentile, so that no Gaussian has size
+    zero and none covers the scene.
+
+    Raises:
+        ValueError: There are fewer than two distinct points, or coordinates are not finite.
     """
-    # Rendering Gaussians needs numpy alone, without scipy.
+    # scipy is imported here, because rendering Gaussians requires only numpy.
     from scipy.spatial import cKDTree
 
     if not len(points) >= 2 or not np.isfinite(points).all():

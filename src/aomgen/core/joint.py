@@ -10,18 +10,18 @@ from aomgen.core.transforms import apply, matrix_from_rotvec, transform
 from aomgen.core.values import Array, Vector3, freeze_arrays
 
 JointType = Literal["revolute", "prismatic"]
-# Share of a joint's range that may be used, so that its stop is not reached.
+# Usable share of a joint's range, so that motions do not reach the end stop.
 LIMIT_SHARE = 0.95
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Joint:
-    """A revolute or prismatic joint, axis positive in the opening (demonstrated) direction.
+    """A revolute or prismatic joint whose axis is positive in the opening (demonstrated) direction.
 
     Attributes:
         type: "revolute" or "prismatic".
         axis: Unit direction (3,).
-        origin: A point on the axis (3,), [m]; for a prismatic joint any point of the part.
+        origin: A point on the axis (3,), [m]; for a prismatic joint, any point of the part.
         lower, upper: Range of the joint value, [rad] or [m]; 0 is the closed (scanned) state.
 
     Example:
@@ -39,9 +39,9 @@ class Joint:
     __post_init__ = freeze_arrays
 
     def motion(self, thetas: ArrayLike) -> Array:
-        """Compute transforms (..., 4, 4) of the part from value 0 to `thetas` (...,).
+        """Compute the transforms (..., 4, 4) that move the part from joint value 0 to `thetas` (...,), [rad] or [m].
 
-        They are in the frame of axis and origin.
+        The transforms are expressed in the frame of axis and origin.
         """
         thetas = np.asarray(thetas, np.float64)
         if self.type == "prismatic":
@@ -50,7 +50,7 @@ class Joint:
         return transform(R, self.origin - R @ self.origin)
 
     def move(self, T_to_from: ArrayLike) -> "Joint":
-        """Express the joint in another frame (rigid (4, 4), or a similarity)."""
+        """Express the joint in another frame, given a rigid transform or similarity (4, 4)."""
         T = np.asarray(T_to_from, np.float64)
         scale = float(np.linalg.norm(T[:3, 0]))
         unit = scale if self.type == "prismatic" else 1.0

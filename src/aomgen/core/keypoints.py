@@ -1,4 +1,4 @@
-"""Five points of an articulated object that describe where and how it opens: grasp, ends of handle and axis."""
+"""Five keypoints of an articulated object: grasp point, ends of the handle, and ends of the joint axis."""
 
 from collections.abc import Sequence
 from typing import Final
@@ -14,11 +14,12 @@ from aomgen.core.transforms import apply
 from aomgen.core.values import Array
 
 KEYPOINTS: Final = ("grasp", "handle_0", "handle_1", "axis_0", "axis_1")
-# Number of the first of them that move with the part; the others stay on the joint's axis.
+# Number of leading keypoints that move with the part; the others stay on the joint axis.
 MOVING_POINTS: Final = 3
-# Coordinates of two ends that differ by less are equal when the ends are ordered, [m].
+# Coordinates that differ by less than this count as equal when two ends are ordered, [m].
 SAME_M: Final = 1e-4
-# Distance of a visible surface from a point inside it, [m]: a handle is thin, and an axis lies behind a door's edge.
+# Largest distance in depth between a keypoint and the visible surface around it, [m]: for points on the handle, which is thin,
+# and for points on the joint axis, which is behind the edge of a door.
 NEAR_M, NEAR_AXIS_M = 0.025, 0.06
 
 
@@ -26,11 +27,12 @@ def find_keypoints(asset: ArticulatedAsset) -> Array:
     """Find the keypoints (5, 3) of an asset at joint value 0, asset frame, [m].
 
     - grasp: the asset's handle point.
-    - handle: the ends of the collider that holds the handle point, on the line through it along the handle's axis. The
-      first one is lower; of level handles, the one nearer to the hinge, and then the one with the smaller x and y.
-    - axis: for a hinge, the ends of the moving part's extent along the axis; for a slide, the points at which the line
-      through the middle of the moving part along the axis enters and leaves its box. The handle is not part of either.
-      The first one is lower; of level axes, the one with the smaller x, and then the smaller y.
+    - handle: the ends of the collider at the handle point, on the line through this point along the handle axis. The first
+      end is the lower one; of horizontal handles, the one closer to the hinge, then the one with the smaller x and y.
+    - axis: for a revolute joint, the ends of the moving part's extent along the joint axis; for a prismatic joint, the
+      points at which the line through the center of the moving part along the axis enters and leaves its bounding box.
+      The handle is not included in the extent. The first end is the lower one; of horizontal axes, the one with the
+      smaller x, then the smaller y.
     """
     body = [box for box in asset.moving.colliders if not box.name.startswith("handle")]
     corners = np.concatenate([box.corners for box in body or asset.moving.colliders])
@@ -47,7 +49,13 @@ def find_keypoints(asset: ArticulatedAsset) -> Array:
 
 
 def move_keypoints(keypoints: ArrayLike, joint: Joint, thetas: ArrayLike) -> Array:
-    """Move keypoints (5, 3) at joint value 0 to joint values (T,): (T, 5, 3); frame of points and joint."""
+    """Compute the positions (T, 5, 3) of keypoints at joint values.
+
+    Args:
+        keypoints: Keypoints (5, 3) at joint value 0, [m].
+        joint: Joint in the frame of the keypoints.
+        thetas: Joint values (T,), [rad] or [m].
+    """
     closed = np.asarray(keypoints, np.float64)
     points = np.tile(closed, (np.size(thetas), 1, 1))
     points[:, :MOVING_POINTS] = apply(joint.motion(np.ravel(thetas))[:, None], closed[:MOVING_POINTS])
@@ -55,7 +63,7 @@ def move_keypoints(keypoints: ArrayLike, joint: Joint, thetas: ArrayLike) -> Arr
 
 
 def project_keypoints(camera: Camera, points_world: Array) -> tuple[Array, Array]:
-    """Project points (..., 3) to pixels (..., 2) and depths (...,), [m]; points behind the camera are at (-1, -1)."""
+    """Project points (..., 3) to pixels (..., 2), [px], and depths (...,), [m]; points behind the camera get (-1, -1)."""
     pixels, depths = camera.project(points_world)
     return np.where(depths[..., None] > 0, pixels, -1.0), depths
 
@@ -63,10 +71,19 @@ def project_keypoints(camera: Camera, points_world: Array) -> tuple[Array, Array
 def judge_visible(
     camera: Camera, points_world: Array, depth: NDArray[np.floating], labels: NDArray[np.uint8]
 ) -> NDArray[np.bool_]:
-    """Judge which keypoints (5, 3) an image shows, by its depth (H, W), [m], and its part labels (H, W).
+    """Determine which keypoints are visible in an image.
 
-    A point is visible if one of the pixels around it shows the object at about the point's depth: the points of the
-    handle on the moving part, those of the axis on either part.
+    A keypoint is visible if one of the 3 x 3 pixels around it shows the object at about the depth of the keypoint: the
+    moving part for points on the handle, either part for points on the axis.
+
+    Args:
+        camera: Camera of the image.
+        points_world: Keypoints (5, 3), world frame.
+        depth: Depth of the image (H, W), [m].
+        labels: Part labels of the image (H, W), see `conventions.PART_LABELS`.
+
+    Returns:
+        Mask (5,) of the visible keypoints.
     """
     pixels, depths = project_keypoints(camera, points_world)
     visible = np.zeros(len(points_world), bool)
@@ -90,5 +107,5 @@ def _order_ends(ends: Array, keys: Sequence[Array]) -> Array:
 
 
 def _axis_distances(joint: Joint, points: Array) -> Array:
-    """Compute distances (N,) of points (N, 3) from a joint's axis, [m]."""
+    """Compute the distances (N,) of points (N, 3) from a joint axis, [m]."""
     return np.linalg.norm(np.cross(points - joint.origin, joint.axis), axis=1)

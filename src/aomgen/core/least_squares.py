@@ -13,17 +13,19 @@ import numpy as np
 from aomgen.core.values import Array
 
 StateT = TypeVar("StateT")
-# Step of central differences, in the unit of an unknown: near the cube root of the machine's precision.
+# Step of central differences, in the unit of an unknown: near the cube root of the machine precision.
 _STEP = 1e-6
-# Initial damping of Levenberg-Marquardt: almost none, as starts are near the solution.
+# Initial damping of Levenberg-Marquardt; it is small, because initial states are close to the solution.
 _DAMPING = 1e-6
-# Damping at which a rejected step is as short as rounding errors, so that the descent ends.
+# Damping at which a rejected step is as small as rounding errors, so that the optimization ends.
 _MAX_DAMPING = 1e8
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Kernel:
-    """Weight `(1 + (r / scale)^2)^-power` of a residual r: Huber-like 1/2, Cauchy 1, Geman and McClure 2.
+    """Robust kernel that gives a residual r the weight `(1 + (r / scale)^2)^-power`.
+
+    The power is 1/2 for a Huber-like kernel, 1 for Cauchy's, and 2 for that of Geman and McClure.
 
     Source: Barron, "A general and adaptive robust loss function", 2019.
     """
@@ -32,10 +34,11 @@ class Kernel:
     power: float = 2.0
 
     def weights(self, residuals: Array) -> Array:
+        """Compute the weights (m,) of residuals (m,)."""
         return (1 + (residuals / self.scale) ** 2) ** -self.power
 
     def costs(self, residuals: Array) -> Array:
-        """Compute costs (m,) with these weights: `r^2` for small residuals."""
+        """Compute the costs (m,) that correspond to these weights; they are `r^2` for small residuals."""
         u = 1 + (residuals / self.scale) ** 2
         grown = np.log(u) if self.power == 1 else (u ** (1 - self.power) - 1) / (1 - self.power)
         return self.scale**2 * grown
@@ -47,10 +50,11 @@ class ResidualTerm(Generic[StateT]):
 
     Attributes:
         name: Key of the term in the solution.
-        residual: State -> residuals (m,).
-        sd: Standard deviation of one residual, or of each (m,), in their unit.
-        kernel: Robust kernel in the unit of the residuals; None without outliers.
-        jacobian: State -> derivative of the residuals (m, d) by a step; None for central differences.
+        residual: Function from a state to residuals (m,).
+        sd: Standard deviation of all residuals, or of each (m,), in their unit.
+        kernel: Robust kernel in the unit of the residuals; None if there are no outliers.
+        jacobian: Function from a state to the derivative (m, d) of the residuals with respect to a step; None for central
+            differences.
     """
 
     name: str
@@ -60,7 +64,7 @@ class ResidualTerm(Generic[StateT]):
     jacobian: Callable[[StateT], Array] | None = None
 
     def cost(self, residuals: Array) -> float:
-        """Compute the robust sum of squares, in standard deviations."""
+        """Compute the robust sum of squares, in units of the standard deviations."""
         costs = residuals**2 if self.kernel is None else self.kernel.costs(residuals)
         return float(np.sum(costs / np.square(self.sd)))
 
@@ -73,7 +77,7 @@ class ResidualTerm(Generic[StateT]):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Solution(Generic[StateT]):
-    """State at the optimum, and normal equations (d, d), (d,) of each term there, by its name."""
+    """State at the optimum, and the normal equations (d, d), (d,) of each term there, by its name."""
 
     state: StateT
     normals: dict[str, tuple[Array, Array]]
@@ -86,12 +90,12 @@ class Solution(Generic[StateT]):
         return np.linalg.pinv(A * scale[:, None] * scale, hermitian=True) * scale[:, None] * scale
 
     def step_without(self, *names: str) -> Array:
-        """Compute the step (d,) to the optimum without some terms, to first order."""
+        """Compute the step (d,) to the optimum of the other terms, to first order, if some terms are left out."""
         return _step([normal for key, normal in self.normals.items() if key not in names], 0.0)
 
 
 def add(state: Array, step: Array) -> Array:
-    """Move a plain vector."""
+    """Add a step to a state that is a plain vector."""
     return state + step
 
 
@@ -109,12 +113,12 @@ def solve(
     Args:
         terms: All evidence.
         start: Initial state.
-        retract: Moves a state by a step (d,); `add` for plain vectors.
-        dimension: d.
-        max_iterations: Largest number of steps tried.
-        tolerance: Relative decrease of the cost that ends the descent.
+        retract: Function that moves a state by a step (d,); `add` for plain vectors.
+        dimension: Number d of unknowns.
+        max_iterations: Largest number of steps that are tried.
+        tolerance: Relative decrease of the cost below which the optimization ends.
 
-    Source: Levenberg-Marquardt, damping scaled by the diagonal.
+        Source: Levenberg-Marquardt algorithm with damping scaled by the diagonal.
     """
     state, damping = start, _DAMPING
     residuals = [term.residual(state) for term in terms]
@@ -136,7 +140,7 @@ def solve(
 
 
 def jackknife_covariance(estimates: Array) -> Array:
-    """Compute the covariance (d, d) of estimates (n, d), each without one group. Source: Tukey, 1958."""
+    """Compute the jackknife covariance (d, d) from n estimates (n, d), each without one group. Source: Tukey, 1958."""
     apart = estimates - estimates.mean(0)
     return (len(estimates) - 1) / len(estimates) * apart.T @ apart
 
@@ -167,7 +171,7 @@ def _linearize(
 
 
 def _step(normals: Sequence[tuple[Array, Array]], damping: float) -> Array:
-    """Compute the damped step (d,); undetermined unknowns do not change."""
+    """Compute the damped step (d,) of the summed normal equations; undetermined unknowns do not change."""
     A, b = np.sum([A for A, _ in normals], axis=0), np.sum([b for _, b in normals], axis=0)
     diagonal = np.where(np.diag(A) > 0, np.diag(A), 1.0)
     return np.linalg.solve(A + max(damping, 1e-12) * np.diag(diagonal), b)

@@ -1,4 +1,4 @@
-"""A camera's optics with lens distortion, the pinhole camera of undistorted images, and undistortion."""
+"""Camera intrinsics with lens distortion, and undistortion of points and images."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -10,25 +10,25 @@ from scipy.sparse import csr_array
 from aomgen.core.camera import Camera
 from aomgen.core.values import Array
 
-# Number of Newton steps from the distorted ray; after the fifth, changes are below 1e-9 for any usable lens.
+# Number of Newton steps from the distorted ray; after the fifth, changes are below 1e-9 for all usable lenses.
 NEWTON_STEPS = 12
-# Points on each edge of the image: distortion is smooth, so that its extremes are found to far less than a
-# pixel.
+# Number of points on each edge of the image at which the distortion is evaluated; it is smooth, so that its extremes are
+# found with subpixel accuracy.
 BORDER_SAMPLES = 64
 Resample = Callable[[NDArray[np.uint8]], NDArray[np.uint8]]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Lens:
-    """Optics of one camera: pinhole intrinsics and two radial, two tangential coefficients.
+    """Intrinsics of one camera: a pinhole with two radial and two tangential distortion coefficients.
 
     Attributes:
-        fx, fy, cx, cy: Intrinsics, [px], pixel centres at +0.5.
+        fx, fy, cx, cy: Intrinsics, [px], pixel centers at +0.5.
         width, height: Image size, [px].
-        k1, k2: Radial coefficients (of r^2 and r^4 at depth 1).
+        k1, k2: Radial coefficients, of r^2 and r^4 at depth 1.
         p1, p2: Tangential coefficients.
 
-    Source: D. C. Brown, Close-range camera calibration (1971), in the order of OpenCV.
+    Source: D. C. Brown, Close-range camera calibration (1971); coefficients as in OpenCV.
     """
 
     fx: float
@@ -44,12 +44,12 @@ class Lens:
 
     @property
     def bends(self) -> bool:
-        """True with any distortion."""
+        """True if any distortion coefficient is not 0."""
         return any((self.k1, self.k2, self.p1, self.p2))
 
     @property
     def valid(self) -> bool:
-        """True if the distortion can be inverted everywhere in the image (no folding back)."""
+        """True if the distortion is invertible everywhere in the image."""
         rays = self.rays(_border(self.width, self.height))
         if not np.all(np.isfinite(rays)):
             return False
@@ -73,10 +73,10 @@ class Lens:
         return rays
 
     def straight(self) -> "Lens":
-        """Return the pinhole optics of the undistorted image, of the same size.
+        """Return the pinhole intrinsics of the undistorted image, which has the same size.
 
-        The magnification is the smallest one at which every pixel of the undistorted image was
-        photographed; the principal point stays.
+        The focal length is the smallest one at which every pixel of the undistorted image is inside the original image; the
+        principal point is kept.
         """
         if not self.bends:
             return self
@@ -104,17 +104,17 @@ class Lens:
         )
 
     def undistort(self, pixels: ArrayLike) -> Array:
-        """Compute positions (N, 2) of image points (N, 2) in the undistorted image, [px]."""
+        """Convert image points (N, 2) to points (N, 2) of the undistorted image, [px]."""
         return self.straight().pixels(self.rays(pixels)) if self.bends else np.array(pixels, np.float64)
 
     def source_pixels(self) -> Array:
-        """Compute the source point (height, width, 2) of every pixel of the undistorted image."""
+        """Compute the point in the original image (height, width, 2), [px], of every pixel of the undistorted image."""
         u, v = np.meshgrid(np.arange(self.width) + 0.5, np.arange(self.height) + 0.5)
         centres = np.stack([u.ravel(), v.ravel()], 1)
         return self.pixels(self.straight().rays(centres)).reshape(self.height, self.width, 2)
 
     def largest_shift_px(self) -> float:
-        """Compute the largest shift by the distortion on the image's border, [px]."""
+        """Compute the largest displacement that the distortion causes on the border of the image, [px]."""
         border = _border(self.width, self.height)
         plain = self.rays(border) * [self.fx, self.fy] + [self.cx, self.cy]
         return float(np.linalg.norm(plain - border, axis=1).max())
@@ -154,7 +154,7 @@ def _border(width: int, height: int) -> Array:
 
 
 def undistorter(lens: Lens) -> Resample:
-    """Make a function that undistorts images (H, W, 3) uint8 of one lens; the weights are computed once."""
+    """Make a function that undistorts images (H, W, 3) uint8 of a lens; the interpolation weights are computed once."""
     return resampler(lens.source_pixels())
 
 
@@ -174,7 +174,7 @@ def resampler(source_pixels: Array) -> Resample:
 
 
 def undistort_labels(labels: NDArray[np.uint8], lens: Lens) -> NDArray[np.uint8]:
-    """Undistort a label image (H, W): every pixel takes the label of the nearest one."""
+    """Undistort a label image (H, W) by nearest-neighbor interpolation."""
     return resample_labels(labels, lens.source_pixels())
 
 
@@ -186,7 +186,7 @@ def resample_labels(labels: NDArray[np.uint8], source_pixels: Array) -> NDArray[
 
 
 def _cubic(pixels: Array, size: tuple[int, int]) -> csr_array:
-    """Compute weights (N, H * W) of the 16 pixels around each point; the border's pixels are repeated."""
+    """Compute the weights (N, H * W) of the 16 pixels around each point; pixels on the border are repeated."""
     height, width = size
     corner = np.floor(pixels - 0.5).astype(np.int64)
     taps_x = _taps(pixels[:, 0] - 0.5 - corner[:, 0])
@@ -200,7 +200,7 @@ def _cubic(pixels: Array, size: tuple[int, int]) -> csr_array:
 
 
 def _taps(shares: Array) -> Array:
-    """Compute weights (N, 4) of the pixels at -1, 0, 1, 2 for a point at `shares` (N,) between 0 and 1."""
+    """Compute the weights (N, 4) of the pixels at -1, 0, 1, 2 for points at `shares` (N,) between 0 and 1."""
     t = shares[:, None]
     return 0.5 * np.concatenate(
         [

@@ -1,8 +1,7 @@
-"""Light as radiance from directions, the irradiance of surfaces under it, and its spherical harmonics.
+"""Light as radiance from directions, its spherical harmonics, and the irradiance of surfaces.
 
-Nine harmonics of the radiance determine the shading of a diffuse surface. A surface point stores
-the irradiance that each harmonic causes there (its *transfer*), so that the shading of a rotated
-body is one dot product.
+Nine harmonics of the radiance determine the shading of a diffuse surface. A surface point stores the irradiance that each
+harmonic causes there (its *transfer*), so that the shading of a rotated body is one dot product.
 
 Source: Ramamoorthi & Hanrahan 2001 (nine coefficients suffice for diffuse shading); Sloan, Kautz & Snyder 2002
 (precomputed transfer).
@@ -17,11 +16,11 @@ from numpy.typing import ArrayLike, NDArray
 from aomgen.core.sh import sh_basis, sh_rotation, sphere_directions
 from aomgen.core.values import Array, Matrix4, Vector3, freeze_arrays
 
-# Factors that turn radiance coefficients of bands 0, 1, 2 into irradiance coefficients.
+# Factors that convert radiance coefficients of bands 0, 1, 2 to irradiance coefficients.
 COSINE_BANDS: Final = np.repeat([np.pi, 2 * np.pi / 3, np.pi / 4], [1, 3, 5])
-# Number of directions that represent light from everywhere: irradiance is then accurate to a thousandth.
+# Number of directions that represent light from all directions; the irradiance is then accurate to a thousandth.
 DIRECTIONS: Final = 256
-# Number of directions around the center of a wide directional light.
+# Number of directions in the ring around the center of a wide directional light.
 RING: Final = 6
 
 
@@ -30,9 +29,9 @@ class Light:
     """Light that arrives from D directions, in the exposure of the scene's images.
 
     Attributes:
-        directions: Unit vectors towards the light, world frame.
-        radiance: Linear RGB (D, 3) that a white diffuse surface reflects when it faces the direction: radiance times
-            solid angle over pi; 1 is image white.
+        directions: Unit vectors (D, 3) toward the light, world frame.
+        radiance: Linear RGB (D, 3) that a white diffuse surface reflects if it faces the direction: radiance times solid
+            angle over pi; 1 is image white.
     """
 
     directions: Annotated[Array, "D 3"]
@@ -42,11 +41,11 @@ class Light:
 
     @property
     def radiance_sh(self) -> Array:
-        """Harmonics (9, 3) of the radiance, world frame."""
+        """Spherical harmonics (9, 3) of the radiance, world frame."""
         return np.pi * sh_basis(self.directions, 2).T @ self.radiance
 
     def irradiance(self, normals: ArrayLike, visibility: ArrayLike = 1.0) -> Array:
-        """Compute the irradiance over pi (N, 3) of surfaces: the linear RGB that white ones reflect.
+        """Compute the irradiance over pi (N, 3) of surfaces, which is the linear RGB that white diffuse surfaces reflect.
 
         Args:
             normals: Unit normals (N, 3), world frame.
@@ -56,26 +55,26 @@ class Light:
         return np.asarray((cosines * np.asarray(visibility)) @ self.radiance, np.float64)
 
     def view_from(self, R_world_body: ArrayLike) -> Array:
-        """Compute harmonics (..., 9, 3) in the frames of bodies rotated by (..., 3, 3)."""
+        """Compute the harmonics (..., 9, 3) in the frames of bodies with orientations (..., 3, 3)."""
         return rotate_radiance(self.radiance_sh, R_world_body)
 
     def scale_by(self, gain: ArrayLike) -> "Light":
-        """Multiply the radiance by a factor, or by three, one per channel."""
+        """Multiply the radiance by a factor, or by one factor per channel (3,)."""
         return replace(self, radiance=self.radiance * np.asarray(gain, np.float64))
 
     def turn(self, R: ArrayLike) -> "Light":
-        """Rotate all directions by R (3, 3)."""
+        """Rotate all directions by a rotation (3, 3)."""
         return replace(self, directions=self.directions @ np.asarray(R, np.float64).T)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DirectionalLight:
-    """The part of a level surface's light that comes from one side and casts visible shadows.
+    """The part of a horizontal surface's light that comes from one direction and casts visible shadows.
 
     Attributes:
-        directions: Unit vectors (K, 3) towards the light, world frame; one for crisp shadows, see `spread_directions`.
+        directions: Unit vectors (K, 3) toward the light, world frame; one for sharp shadows, see `spread_directions`.
         share: Share (3,) of this light in the surface's irradiance, linear RGB, 0..1.
-        T_world_plane: Pose of the surface, z = 0 on it.
+        T_world_plane: Pose of the surface (4, 4), on which z = 0.
     """
 
     directions: Annotated[Array, "K 3"]
@@ -90,19 +89,19 @@ class DirectionalLight:
             raise ValueError("DirectionalLight.share is not in 0..1")
 
     def split(self, light: Light) -> tuple[Light, Light]:
-        """Split all light at the surface into light from everywhere and this light."""
+        """Split the total light at the surface into light from all directions and this light, in that order."""
         up = self.T_world_plane[:3, 2]
         total = light.irradiance(up[None])[0]
         radiance = self.share * total / max(float((self.directions @ up).sum()), 1e-9)
         own = Light(directions=self.directions, radiance=np.tile(radiance, (len(self.directions), 1)))
         rest = light_from_harmonics(light.radiance_sh - own.radiance_sh)
-        # Nine harmonics of one direction are negative elsewhere, unlike light.
+        # Nine harmonics of a single direction are negative in other directions, which light cannot be.
         rest = replace(rest, radiance=np.maximum(rest.radiance, 0))
         return rest.scale_by((1 - self.share) * total / np.maximum(rest.irradiance(up[None])[0], 1e-9)), own
 
 
 def spread_directions(direction: ArrayLike, width: float) -> Array:
-    """Spread directions (K, 3) over a disc of half-angle `width` [rad] around one (3,): center and ring."""
+    """Spread directions (K, 3) over a disc with the half-angle `width`, [rad], around one direction (3,): center and ring."""
     center = np.asarray(direction, np.float64)
     if not width:
         return center[None]
@@ -110,32 +109,31 @@ def spread_directions(direction: ArrayLike, width: float) -> Array:
     side /= np.linalg.norm(side)
     turns = np.arange(RING) * 2 * np.pi / RING
     ring = np.stack([np.cos(turns), np.sin(turns)], 1) @ np.stack([side, np.cross(center, side)])
-    # Together with the center the ring has the second moment of the disc.
+    # Ring and center together have the second moment of the disc.
     spread = np.concatenate([center[None], center + np.tan(width) * np.sqrt((RING + 1) / (2 * RING)) * ring])
     return spread / np.linalg.norm(spread, axis=1, keepdims=True)
 
 
 def light_from_harmonics(radiance_sh: ArrayLike) -> Light:
-    """Make light from everywhere whose radiance has the harmonics (9, 3); negative where these are."""
+    """Make light from all directions whose radiance has the harmonics (9, 3); it is negative where their sum is."""
     directions = sphere_directions(DIRECTIONS)
-    # The smallest radiance with exactly these harmonics, which equals their
-    # value except for quadrature errors.
+    # This is the smallest radiance with exactly these harmonics; it equals their sum except for quadrature errors.
     weights = np.linalg.pinv(np.pi * sh_basis(directions, 2).T)
     return Light(directions=directions, radiance=weights @ np.asarray(radiance_sh, np.float64))
 
 
 def hemisphere_light(sky: ArrayLike, ground: ArrayLike) -> Light:
-    """Make light of two hemispheres: radiance (3,) from above and from below, bands 0 and 1."""
+    """Make the light of two hemispheres with radiance (3,) from above and from below, by bands 0 and 1."""
     sky, ground = np.asarray(sky, np.float64), np.asarray(ground, np.float64)
     sh = np.zeros((9, 3))
-    # Projections of the two hemispheres: Y0 * 2 pi each, and +-pi * 0.4886 for the z band.
+    # Projections of the two hemispheres are Y0 * 2 pi each for band 0, and +-pi * 0.4886 for the z harmonic of band 1.
     sh[0] = 0.28209479177387814 * 2 * np.pi * (sky + ground)
     sh[2] = 0.4886025119029199 * np.pi * (sky - ground)
     return light_from_harmonics(sh)
 
 
 def rotate_radiance(radiance_sh: ArrayLike, R_world_body: ArrayLike) -> Array:
-    """Rotate harmonics (9, C) of the world frame to the frames (..., 3, 3) of bodies: (..., 9, C)."""
+    """Rotate harmonics (9, C) from the world frame to the frames (..., 3, 3) of bodies; returns (..., 9, C)."""
     Rs_body_world = np.asarray(R_world_body, np.float64).swapaxes(-1, -2)
     radiance = np.asarray(radiance_sh)
     radiance = np.broadcast_to(radiance, (*Rs_body_world.shape[:-2], *radiance.shape[-2:]))
@@ -149,15 +147,18 @@ def rotate_radiance(radiance_sh: ArrayLike, R_world_body: ArrayLike) -> Array:
 def project_radiance(directions: ArrayLike, solid_angles: ArrayLike, radiance: ArrayLike) -> Array:
     """Project radiance (D, ...) to harmonics (9, ...).
 
-    The unit directions (D, 3) have solid angles (D,), or one for all, [sr].
+    Args:
+        directions: Unit directions (D, 3).
+        solid_angles: Solid angle of each direction (D,), or of all, [sr].
+        radiance: Radiance from each direction (D, ...).
     """
     weighted = sh_basis(directions, 2) * np.asarray(solid_angles)[..., None]
     return np.asarray(weighted.T @ np.asarray(radiance), np.float64)
 
 
 def open_transfer(normals: ArrayLike) -> NDArray[np.float32]:
-    """Compute transfer (N, 9) of unoccluded surfaces with unit normals (N, 3).
+    """Compute the transfer (N, 9) of unoccluded surfaces with unit normals (N, 3).
 
-    Times harmonics it is irradiance over pi.
+    The product of transfer and radiance harmonics is irradiance over pi.
     """
     return (sh_basis(normals, 2) * (COSINE_BANDS / np.pi)).astype(np.float32)

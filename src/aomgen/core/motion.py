@@ -1,4 +1,4 @@
-"""The estimated motion of the object's part: joint, values over time, contacts."""
+"""The estimated motion of the object's moving part: joint, joint values over time, contacts."""
 
 from dataclasses import dataclass
 from typing import Annotated, Literal
@@ -14,14 +14,14 @@ Direction = Literal["opening", "closing"]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ContactPatch:
-    """Contact of one finger with the moving part when the motion began.
+    """Contact of one finger with the moving part at the start of the motion.
 
     Attributes:
         finger: "left", "right", "palm"; "hand" if the fingers are unknown.
         point: Center of the patch on the finger's surface (3,), world frame, [m].
         normal: Unit direction from the finger into the part (3,), world frame.
         spread_m: RMS distance of the patch from its center, [m].
-        gap_m: Distance between finger and reconstructed part there, [m]; it includes the alignment's error.
+        gap_m: Distance between finger and reconstructed part there, [m]; it includes the error of the alignment.
     """
 
     finger: str
@@ -38,13 +38,13 @@ class MotionCurve:
     """The motion score over the video, for the report.
 
     Attributes:
-        times_s: (T,), video clock.
-        scores: Raw score (T,), NaN-free, 0..1.
-        smoothed: Savitzky-Golay smoothed score (T,).
-        threshold: Level that a frame has to exceed to open a motion interval.
-        distances_m: Smallest finger-to-part distance (T,), [m], part at its scanned pose.
-        speeds_m_s: End-effector speed (T,), [m/s].
-        gripper: (T,), 0 open .. 1 closed.
+        times_s: Times (T,), video clock, [s].
+        scores: Raw scores (T,), 0..1, never NaN.
+        smoothed: Scores after Savitzky-Golay smoothing (T,).
+        threshold: Score above which a frame starts a motion interval.
+        distances_m: Smallest distance between fingers and part at its scanned pose (T,), [m].
+        speeds_m_s: End-effector speeds (T,), [m/s].
+        gripper: Gripper (T,), 0 open .. 1 closed.
     """
 
     times_s: Annotated[Array, "T"]
@@ -60,30 +60,30 @@ class MotionCurve:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MotionEstimate:
-    """The recovered motion of the articulated object; times are video times, space is the world frame.
+    """The estimated motion of the articulated object, in video time and in the world frame.
 
     Attributes:
-        clock_offset_s: Joint log time minus video time.
+        clock_offset_s: Joint log time minus video time, [s].
         clock_offset_sd_s: Standard deviation of the offset, [s]; 0 if it was stated.
-        start_s, end_s: First and last time at which the part moves.
+        start_s, end_s: Times at which the part starts and stops moving, [s].
         curve: Motion score over the video, which determines start and end.
         contacts: One patch for each finger in contact.
-        grasp_ee: Grasped point of the part (3,), end-effector frame, [m].
-        joint: Value 0 is the scanned state, axis positive in the demonstrated direction.
+        grasp_ee: Grasp point on the part (3,), end-effector frame, [m].
+        joint: Joint; value 0 is the scanned state, and the axis is positive in the demonstrated direction.
         axis_sd_rad: Standard deviation of the axis direction, [rad].
-        origin_sd_m: Standard deviation of the axis line where it passes the contact, [m].
+        origin_sd_m: Standard deviation of the position of the axis line near the contact, [m].
         axis_ci95_rad: Angle around `joint.axis` that contains the true direction with a probability of 95 %, [rad].
         origin_ci95_m: Distance from the axis line, near the contact, within which the true line is with a probability
             of 95 %, [m]; 0 for a prismatic joint, whose axis has no position.
-        type_margin: Twice the log evidence of the chosen joint type over the other one.
-        ee_turn_ratio: Rotation of the end effector over rotation of the part (1: rigid grasp; 0: the
-            handle rotates in the fingers; NaN-free: 0 for a prismatic joint).
-        times_s: Video frame times (T,).
-        thetas: Joint value at each (T,), [rad] or [m].
-        theta_sd: Standard deviation (T,), same unit.
-        slip_m: Slip of the grasped point along the part since the start (T,), [m]; 0 outside the motion.
-        pivot_rad: Rotation of the end effector relative to the part since the start (T,), [rad]; likewise.
-        direction: "opening" if the part ends more open than it was scanned, else "closing".
+        type_margin: Twice the difference in log evidence between the chosen joint type and the other one.
+        ee_turn_ratio: Ratio of the end effector's rotation to that of the part: 1 for a rigid grasp, 0 if the handle
+            rotates in the fingers, and 0 (not NaN) for a prismatic joint.
+        times_s: Times of the video frames (T,), [s].
+        thetas: Joint value at each time (T,), [rad] or [m].
+        theta_sd: Standard deviation of each joint value (T,), [rad] or [m].
+        slip_m: Slip of the grasp point along the part since the start (T,), [m]; 0 outside the motion.
+        pivot_rad: Rotation of the end effector relative to the part since the start (T,), [rad]; 0 outside the motion.
+        direction: "opening" if the part ends more open than in the scan, else "closing".
         part_odds: Likelihood ratio, from contact and video, between the prompted part and the best other region as the
             moving part.
     """
@@ -113,5 +113,5 @@ class MotionEstimate:
     __post_init__ = freeze_arrays
 
     def theta_at(self, times_s: ArrayLike) -> Array:
-        """Interpolate joint values linearly at video times (N,), ends held."""
+        """Interpolate joint values linearly at video times (N,), [s]; they are constant outside of the video."""
         return np.interp(np.asarray(times_s, np.float64), self.times_s, self.thetas)

@@ -1,4 +1,4 @@
-"""The part of the scene that each Gaussian belongs to, and the points of a part."""
+"""Part labels of Gaussians, and points of a labeled part."""
 
 from dataclasses import dataclass
 from typing import Annotated, Final
@@ -10,16 +10,16 @@ from aomgen.core.gaussians import Gaussians, concatenate
 from aomgen.core.transforms import matrix_from_quat
 from aomgen.core.values import Array, freeze_arrays
 
-# Gaussians with a lower opacity are haze, not surface.
+# Gaussians with a lower opacity do not represent a surface.
 SOLID_OPACITY: Final = 0.3
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Cut:
-    """Gaussians that were cut, and their pieces.
+    """Gaussians that were split at part borders, and their pieces.
 
     Attributes:
-        sources: (M,) index of the Gaussian that each piece comes from.
+        sources: Index of the original Gaussian of each piece (M,).
         pieces: The M pieces.
     """
 
@@ -29,11 +29,11 @@ class Cut:
     __post_init__ = freeze_arrays
 
     def apply(self, gaussians: Gaussians) -> Gaussians:
-        """Return all whole Gaussians, in order, then the pieces."""
+        """Return all Gaussians that were not split, in order, followed by the pieces."""
         return concatenate([gaussians.select(self._whole(len(gaussians))), self.pieces])
 
     def origins(self, count: int) -> NDArray[np.int64]:
-        """Return the index, below `count`, of the source of each Gaussian that `apply` returns."""
+        """Return the index, among `count` original Gaussians, of the source of each Gaussian that `apply` returns."""
         return np.concatenate([np.flatnonzero(self._whole(count)), self.sources])
 
     def _whole(self, count: int) -> NDArray[np.bool_]:
@@ -47,26 +47,25 @@ def no_cut(gaussians: Gaussians) -> Cut:
     return Cut(sources=np.zeros(0, np.int64), pieces=gaussians.select(np.zeros(0, np.int64)))
 
 
-# Boxes with a larger misfit (5 % of the box per side) cause a warning.
+# A larger misfit of the boxes (5 % of the box per side) causes a warning.
 DOUBTED_MISFIT = 0.2
-# Labels with a lower overlap with the prompts' masks (IoU) cause a warning: on eleven captures such labels
-# overlapped with the true part by .40 to .83, all others by more.
+# A lower overlap (IoU) of the labels with the prompts' masks causes a warning: on eleven captures, such labels had an IoU of
+# 0.40 to 0.83 with the true part, and the IoU of all other labels was higher.
 DOUBTED_AGREEMENT = 0.6
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Parts:
-    """Labels of N Gaussians: those of the scan, some of them cut.
+    """Part labels of N Gaussians, which are those of the scan after some were split.
 
     Attributes:
-        labels: (N,), see `conventions.PART_LABELS`.
-        robot_bodies: (N,), index into the robot's `body_names`, -1 where the label is not robot.
-        cut: Gaussians of the scan that were cut, and their pieces.
-        method: "boxes" (two boxes explain the evidence), "masks" (no part resembles a panel)
-            or another method's name.
+        labels: Labels (N,), see `conventions.PART_LABELS`.
+        robot_bodies: Index into the robot's `body_names` (N,); -1 for other labels than robot.
+        cut: Gaussians of the scan that were split, and their pieces.
+        method: "boxes" (two boxes explain the evidence), "masks" (no part resembles a panel), or the name of another
+            method.
         box_misfit: Distance of the labels' extents from the prompts' boxes, see `box_misfit`.
-        static_agreement, moving_agreement: IoU of the rendered part with its
-            masks in the prompted images, 0..1.
+        static_agreement, moving_agreement: IoU of the rendered part with its masks in the prompted images, 0..1.
     """
 
     labels: Annotated[NDArray[np.uint8], "N"]
@@ -99,26 +98,26 @@ class Parts:
 
 
 def surface_points(gaussians: Gaussians, labels: NDArray[np.uint8], label: int) -> Array:
-    """Select centres (N, 3) of a part's solid Gaussians, in their frame.
+    """Select the centers (N, 3) of a part's solid Gaussians, in their frame, [m].
 
     Args:
-        gaussians: The scene (G).
+        gaussians: G Gaussians of the scene.
         labels: Part label of every Gaussian (G,), see `conventions`.
-        label: The part.
+        label: Label of the part.
     """
     return np.asarray(gaussians.means[(labels == label) & (gaussians.opacities > SOLID_OPACITY)], np.float64)
 
 
 def spread_points(gaussians: Gaussians, labels: NDArray[np.uint8], label: int, spacing_m: float) -> Array:
-    """Sample points (N, 3) along the longest axis of each of a part's solid Gaussians, in their frame.
+    """Sample points (N, 3) along the longest axis of each solid Gaussian of a part, in their frame, [m].
 
-    A thin bar consists of few long Gaussians, whose centres alone leave gaps.
+    A thin bar consists of few long Gaussians, so that their centers alone would leave gaps.
 
     Args:
-        gaussians: The scene (G).
+        gaussians: G Gaussians of the scene.
         labels: Part label of every Gaussian (G,), see `conventions`.
-        label: The part.
-        spacing_m: Distance of neighboring points; each Gaussian reaches one standard deviation, [m].
+        label: Label of the part.
+        spacing_m: Distance of neighboring points, [m]; the points extend to one standard deviation from the center.
     """
     part = gaussians.select((labels == label) & (gaussians.opacities > SOLID_OPACITY))
     longest = np.argmax(part.scales, axis=1)

@@ -1,4 +1,4 @@
-"""Values between a fitted asset and a verified episode."""
+"""Values from a fitted asset to a verified episode."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
@@ -17,15 +17,16 @@ from aomgen.core.verdict import Verdict
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Rejection:
-    """Reason why a variation gave no episode; stored and counted, never raised.
+    """Reason why a variation gave no episode; rejections are returned, stored and counted, never raised.
 
     Attributes:
         reason: Short key, for example "unreachable" or "collision".
-        detail: One sentence with the value against its limit.
-        metrics: The metrics behind it, by name with unit.
-        excess: Distance of the value beyond its limit, as a share of the limit; None where there is no limit.
+        detail: One sentence with the value and its limit.
+        metrics: The metrics on which the rejection is based, by name with unit.
+        excess: Amount by which the value exceeds its limit, relative to the limit; None if there is no limit.
         bodies: Names of the two bodies that overlap; empty for other reasons.
-        worst: Sample of the motion (1,) in which it breaks its limit most; None where that is not known. It is not stored.
+        worst: The sample of the motion that violates the limit most, as a trajectory of length 1; None if it is unknown.
+            It is not stored.
     """
 
     reason: str
@@ -37,12 +38,12 @@ class Rejection:
 
     @property
     def passed(self) -> bool:
-        """False, as opposed to `Verdict.passed`."""
+        """Always False; the counterpart of `Verdict.passed`."""
         return False
 
 
 def measure_excess(value: float, limit: float) -> float | None:
-    """Measure how far a value is beyond its limit, as a share of the limit; None for a limit of 0.
+    """Compute the amount by which a value exceeds its limit, relative to the limit; None for a limit of 0.
 
     Example:
         >>> measure_excess(3.0, 1.0)
@@ -56,18 +57,19 @@ Adaptation = Literal["object", "trajectory"]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FittedAsset:
-    """An asset at the recorded object's pose, with the planned motion of its part.
+    """An asset at the pose of the recorded object, with the planned motion of its moving part.
 
     Attributes:
-        asset: The asset after scaling (and mirroring), in its own frame.
-        T_world_asset: Rigid pose (4, 4) at the recorded object's location.
-        contact_asset: Grasp point with the part closed (3,), asset frame, [m].
-        shares: (K,), 0..1: time since the part began to move over the time it moved.
-        thetas: Joint value (K,) at each share, [rad] or [m]: rising from 0, or falling to 0 where the part is closed.
-        scale: Scale that was applied to the asset.
-        mirrored: The asset was mirrored to bring its hinge to the recorded side.
-        mode: "object" (scaled to the recorded motion) or "trajectory" (true size).
-        residual_mm: RMS distance between recorded and new path of the held point, [mm].
+        asset: The asset after scaling and mirroring, asset frame.
+        T_world_asset: Pose (4, 4) at the recorded object's location.
+        contact_asset: Grasp point at joint value 0 (3,), asset frame, [m].
+        shares: Times relative to the duration of the part's motion (K,), 0..1.
+        thetas: Joint value at each of these times (K,), [rad] or [m]: increasing from 0 for opening, or decreasing to 0 for
+            closing.
+        scale: Scale factor that was applied to the asset.
+        mirrored: The asset was mirrored so that its hinge is on the recorded side.
+        mode: "object" (scaled to the recorded motion) or "trajectory" (original size).
+        residual_mm: RMS distance between the recorded and the new path of the grasp point, [mm].
     """
 
     asset: ArticulatedAsset
@@ -84,7 +86,7 @@ class FittedAsset:
 
     @property
     def middle_asset(self) -> Array:
-        """Center of the footprint (3,), asset frame, [m]: objects are rotated about it."""
+        """Center of the footprint (3,), asset frame, [m], about which objects are rotated."""
         low, high = self.asset.static.bounds
         return np.append((low[:2] + high[:2]) / 2, 0.0)
 
@@ -100,7 +102,7 @@ class FittedAsset:
 
     @property
     def travel(self) -> float:
-        """Planned change of the joint value, positive where the part is opened, [rad] or [m]."""
+        """Planned change of the joint value, positive for opening, [rad] or [m]."""
         return self.target_theta - self.start_theta
 
     def backwards(self) -> "FittedAsset":
@@ -108,18 +110,18 @@ class FittedAsset:
         return replace(self, shares=1 - self.shares[::-1], thetas=self.thetas[::-1])
 
     def theta_at(self, shares: ArrayLike) -> Array:
-        """Interpolate joint values at shares (N,) of the motion, ends held."""
+        """Interpolate joint values at relative times (N,) of the motion; they are constant outside of 0..1."""
         return np.interp(np.asarray(shares, np.float64), self.shares, self.thetas)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LightChange:
-    """Difference of an episode's light from the recorded one.
+    """Difference between an episode's light and the recorded light.
 
     Attributes:
-        turn: Rotation of its direction about the vertical, [rad].
-        intensity: Factor on linear radiance.
-        temperature_k: Color temperature of light of 6500 K in the recording.
+        turn: Rotation of the light about the vertical, [rad].
+        intensity: Factor on the linear radiance.
+        temperature_k: Color temperature, [K], to which recorded light of 6500 K changes.
     """
 
     turn: float = 0.0
@@ -129,7 +131,7 @@ class LightChange:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MaterialChange:
-    """Difference of a new object's colors from its textures: rotation of the hue [rad], two factors."""
+    """Difference between a new object's colors and its textures: rotation of the hue, [rad], and two factors."""
 
     hue: float = 0.0
     saturation: float = 1.0
@@ -138,32 +140,33 @@ class MaterialChange:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class OrbitChange:
-    """Motion of a camera about a point: rotations about the vertical and upwards, [rad], distance factor."""
+    """Motion of a camera about a point: rotations about the vertical and upward, [rad], and a factor on the distance."""
 
     turn: float = 0.0
     tilt: float = 0.0
     distance: float = 1.0
 
 
-# Meaning of x and y of a variation: a shift along the world's axes or the object's, or the position in the world.
+# Meaning of x and y of a variation: "world" and "object" are shifts along the axes of these frames, "polygon" is the position
+# in the world frame.
 VariationFrame = Literal["world", "object", "polygon"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Variation:
-    """One sample: the object's pose relative to the recorded one, and all other differences from the recording.
+    """One sample of the object's pose and of all other differences between an episode and the recording.
 
     Attributes:
-        seed, index: Sequence, and number in it.
+        seed, index: Seed of the sequence, and index of the sample in it.
         x, y: Shift of the object, or position of the center of its footprint, see `frame`, [m].
-        yaw: Rotation about the vertical through the center of the object's footprint, [rad].
-        frame: Meaning of x and y.
-        scale: Factor on the fitted asset's size.
+        yaw: Rotation about the vertical axis through the center of the object's footprint, [rad].
+        frame: Meaning of x and y, see `VariationFrame`.
+        scale: Factor on the size of the fitted asset.
         speed: Factor on the speed of the demonstrated motion.
-        start_offset: Offset of the arm joints at the start (J,), [rad] or [m]; empty for none.
+        start_offset: Offset of the arm joints at the start (J,), [rad] or [m]; empty for no offset.
         light, material: Changes of the appearance.
-        orbits: Motion of every moved camera.
-        push_m: Largest displacement of the end effector from its plan on the approach, [m].
+        orbits: Motion of each moved camera.
+        push_m: Largest displacement of the end effector from its planned path during the approach, [m].
 
     Example:
         >>> ag.Variation(seed=0, index=0, x=0.1, y=0.0, yaw=0.5).scale
@@ -203,12 +206,12 @@ class EpisodePlan(SceneTrajectory):
 
     Attributes:
         variation: Variation of the object and the scene.
-        fitted: The object.
+        fitted: Object and its planned motion.
         fps: Samples per second.
-        phases: (T,) index into `core.episode.PHASES`.
-        Ts_world_ee: Commanded end effector poses (T, 4, 4).
+        phases: Index into `core.episode.PHASES` (T,).
+        Ts_world_ee: Commanded end-effector poses (T, 4, 4).
         grasp: Description of the chosen grasp.
-        metrics: Tier A's metrics, by name with unit.
+        metrics: Metrics of tier A (the kinematic checks), by name with unit.
     """
 
     variation: Variation
@@ -222,13 +225,13 @@ class EpisodePlan(SceneTrajectory):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class VerifiedEpisode:
-    """A plan and its simulated execution at the nominal setting, at the plan's samples.
+    """A plan and its simulated execution with the nominal setting, at the samples of the plan.
 
     Attributes:
-        plan: The commands (the actions).
-        reached: States of robot and object.
+        plan: The plan, which holds the commands (actions).
+        reached: Simulated states of robot and object.
         contacts: Finger contacts on the object.
-        verdict: Margins of all settings.
+        verdict: Results of the verification with all settings.
     """
 
     plan: Annotated[EpisodePlan, "T"]

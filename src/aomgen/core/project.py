@@ -1,13 +1,13 @@
-"""Settings of a run."""
+"""Settings of a run, as written in its project file."""
 
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
-# Values and prefixes of a project's `light` other than a file: the scan's own light, and a network's folder.
+# Values of a project's `light` that are not the path of an HDRI: the light of the scan, and the prefix of a network's folder.
 SCAN_LIGHT, DIFFUSION_LIGHT = "scan", "diffusion:"
-# Videos halve the resolution of colors, so their sides are even.
+# Sides of images are even, because videos store colors at half the resolution.
 Side = Annotated[int, Field(ge=64, le=4096, multiple_of=2)]
 
 
@@ -17,23 +17,23 @@ class Project(BaseModel):
     Attributes:
         capture: Folder of the capture.
         out: Folder of the results.
-        seed: Seed of everything random from the twin onwards.
-        assets: Assets that replace the object, `category:seed`, a USD path, or "original" for the recorded object itself.
+        seed: Seed of all random numbers from the twin stage on.
+        assets: Assets that replace the object: `category:seed`, a USD path, or "original" for the recorded object itself.
         poses: Requested number of verified episodes for each asset.
         adapt: Method that fits asset and motion to each other; see `replacement.fitting`.
-        light: Light on new objects: "scan", the light found in the scene; the path of an HDRI; or
+        light: Light on new objects: "scan", the light estimated from the scene; the path of an HDRI; or
             "diffusion:FOLDER", see `replacement.diffusion`.
         light_yaw_deg: Rotation of an HDRI about the vertical, counterclockwise as seen from above.
         inpainter: Folder of a diffusion pipeline that inpaints unobserved regions of the table, see
-            `replacement.diffusion`; empty for patches of observed regions.
-        image_size: Size of the episodes' images, [px].
-        iterations: Training steps.
-        gaussians: Cap on the number of Gaussians in the scene.
+            `replacement.diffusion`; empty for texture synthesis from observed regions.
+        image_size: Width and height of the episodes' images, [px].
+        iterations: Number of training steps of the scene's Gaussians.
+        gaussians: Largest number of Gaussians in the scene.
         segmenter: Source of the masks; see `segmentation.segmenter`.
         alignment_method: Method that aligns scan and robot; "paper" is the baseline.
-        motion_method: Method that recovers the part's motion; "paper" is the baseline.
-        parts_method: Method that finds the object's parts; see `parts.label`.
-        params: Parameters of stages that are not at their defaults, by stage, nested as its dataclasses are.
+        motion_method: Method that estimates the part's motion; "paper" is the baseline.
+        parts_method: Method that labels the object's parts; see `parts.label`.
+        params: Parameters of stages that differ from the defaults, by stage, nested like the stage's dataclasses.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
@@ -65,7 +65,7 @@ class Project(BaseModel):
 
 
 def split_light(light: str) -> tuple[str, str]:
-    """Split a project's `light` into `SCAN_LIGHT`, `DIFFUSION_LIGHT` or nothing, and a path, if any."""
+    """Split a project's `light` into a kind (`SCAN_LIGHT`, `DIFFUSION_LIGHT` or "") and a path, which may be empty."""
     if light == SCAN_LIGHT:
         return SCAN_LIGHT, ""
     head = DIFFUSION_LIGHT if light.startswith(DIFFUSION_LIGHT) else ""

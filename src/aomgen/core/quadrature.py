@@ -1,4 +1,4 @@
-"""Points for averages over a normal distribution."""
+"""Quadrature points for means over a normal distribution."""
 
 import numpy as np
 from scipy.special import ndtri
@@ -8,9 +8,10 @@ from aomgen.core.values import Array
 
 
 def normal_points(count: int, size: int) -> Array:
-    """Return low-discrepancy points (count, size) of the standard normal distribution, equal at every call.
+    """Return deterministic low-discrepancy points (count, size) of the standard normal distribution.
 
-    Source: Halton, 1960. The error of their means decreases almost as 1 / count, that of
-    random samples as 1 / sqrt(count).
+    The error of means over these points decreases almost as 1 / count, that of random samples as 1 / sqrt(count).
+
+    Source: Halton, 1960.
     """
     return np.asarray(ndtri(qmc.Halton(size, scramble=False).random(count + 1)[1:]), np.float64)

@@ -1,4 +1,4 @@
-"""The content of a capture folder as checked values."""
+"""The validated content of a capture folder."""
 
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -10,21 +10,21 @@ from numpy.typing import ArrayLike, NDArray
 from aomgen.core.lens import Lens
 from aomgen.core.values import Array, Matrix4, freeze_arrays
 
-# Standard deviation of a focal length from a data sheet, as a share: lenses differ by sample and focus.
+# Relative standard deviation of a focal length from a data sheet: lenses differ between specimens and with focus.
 STATED_FOCAL_SD = 0.02
-# Standard deviation of a focal length that was calibrated with a target, as a share.
+# Relative standard deviation of a focal length that was calibrated with a target.
 CALIBRATED_FOCAL_SD = 0.001
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class JointLog:
-    """Arm joints and gripper over the log's own clock.
+    """Log of arm joints and gripper.
 
     Attributes:
-        times_s: (T,), strictly increasing, log clock.
-        joints: (T, J), [rad], in the order of `joint_names`.
-        gripper: (T,), 0 open .. 1 closed.
-        joint_names: J names.
+        times_s: Times (T,), strictly increasing, on the log's clock, [s].
+        joints: Arm joints (T, J), [rad] or [m], in the order of `joint_names`.
+        gripper: Gripper (T,), 0 open .. 1 closed.
+        joint_names: Names of the J joints.
     """
 
     times_s: Annotated[Array, "T"]
@@ -35,17 +35,17 @@ class JointLog:
     __post_init__ = freeze_arrays
 
     def at(self, times_s: ArrayLike) -> tuple[Array, Array]:
-        """Interpolate joints (N, J) and gripper (N,) linearly at log times (N,), ends held."""
+        """Interpolate joints (N, J) and gripper (N,) linearly at log times (N,), [s]; both are constant outside of the log."""
         times = np.asarray(times_s, np.float64)
         columns = [np.interp(times, self.times_s, column) for column in self.joints.T]
         return np.stack(columns, -1), np.interp(times, self.times_s, self.gripper)
 
     def shift(self, offset_s: float) -> "JointLog":
-        """Shift the log to a clock that is behind this one by an offset, [s]."""
+        """Convert the log to a clock that is behind the log's clock by an offset, [s]."""
         return replace(self, times_s=self.times_s - offset_s)
 
     def covers(self, times_s: ArrayLike) -> NDArray[np.bool_]:
-        """Return a mask of the times inside the log."""
+        """Return the mask (N,) of the times (N,), [s], within the log."""
         times = np.asarray(times_s, np.float64)
         return (times >= self.times_s[0]) & (times <= self.times_s[-1])
 
@@ -55,14 +55,14 @@ class RobotChoice:
     """The robot model of the log, and its state during the scan.
 
     Attributes:
-        model: A robot known by name, or "" when `model_file` is given.
-        model_file: URDF or MJCF inside the capture, or None.
-        root: Folder that holds everything the file refers to.
-        references: All files that `model_file` refers to.
-        base_frame: "base_link" or "ur_base", the frame of the log and of given camera poses.
+        model: Name of a known robot, or "" if `model_file` is given.
+        model_file: URDF or MJCF file in the capture, or None.
+        root: Folder that contains all files to which `model_file` refers.
+        references: All files to which `model_file` refers.
+        base_frame: Frame of the log and of given camera poses: "base_link" or "ur_base".
         joints: Names (J) of the arm joints in the order of the log.
         scan_joints: Joint values (J,) during the scan, [rad] or [m].
-        scan_gripper: Gripper during the scan, 0..1.
+        scan_gripper: Gripper during the scan, 0 open .. 1 closed.
     """
 
     model: str
@@ -78,17 +78,18 @@ class RobotChoice:
 
 
 def frame_name(index: int) -> str:
-    """Name the image of a frame of a scan video; names sort in the order of time."""
+    """Return the image name of a frame of a scan video; the alphabetical order of names is that of the frames."""
     return f"scan_{index:06d}.png"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Intrinsics:
-    """Stated intrinsics, [px], principal point with pixel centres at +0.5, used as a prior.
+    """Stated intrinsics, [px], with pixel centers at +0.5; they are used as a prior.
 
     Attributes:
-        distortion: Stated k1, k2, p1, p2 (see `Lens`); None when unknown.
-        calibrated: Measured with a target, not taken from a data sheet or another setting.
+        fx, fy, cx, cy: Focal lengths and principal point, [px].
+        distortion: Stated k1, k2, p1, p2 (see `Lens`); None if unknown.
+        calibrated: The intrinsics were measured with a target instead of taken from a data sheet or another setting.
     """
 
     fx: float
@@ -99,7 +100,7 @@ class Intrinsics:
     calibrated: bool = False
 
     def lens(self, width: int, height: int) -> Lens:
-        """Return the optics of images of a size, [px], without distortion where none is stated."""
+        """Return the lens for images of a size, [px]; it has no distortion if none is stated."""
         k1, k2, p1, p2 = self.distortion or (0.0, 0.0, 0.0, 0.0)
         return Lens(
             fx=self.fx, fy=self.fy, cx=self.cx, cy=self.cy, width=width, height=height, k1=k1, k2=k2, p1=p1, p2=p2
@@ -107,7 +108,7 @@ class Intrinsics:
 
     @property
     def focal_sd(self) -> float:
-        """Standard deviation of the focal length, as a share of it."""
+        """Relative standard deviation of the focal length."""
         return CALIBRATED_FOCAL_SD if self.calibrated else STATED_FOCAL_SD
 
 
@@ -118,8 +119,8 @@ class Prompt:
     Attributes:
         part: "robot", "moving" or "static".
         image: File name of the scan image.
-        points: (N, 3): x, y, [px], and label 1 = on the part, 0 = not on it.
-        box: (4,) x0, y0, x1, y1, [px]; empty (0,) when none was given.
+        points: Points (N, 3): x, y, [px], and a label, 1 for points on the part, 0 for points outside of it.
+        box: Box (4,): x0, y0, x1, y1, [px]; empty (0,) if none was given.
     """
 
     part: str
@@ -135,11 +136,11 @@ class DemoCamera:
     """One fixed camera of the demonstration.
 
     Attributes:
-        name: For example "front".
+        name: Name, for example "front".
         video: Path of its video.
-        intrinsics: Known intrinsics, or None to estimate them.
-        T_world_cam: Known hand-eye calibration (4, 4), or None.
-        lens: Distortion of the video's frames, which are undistorted when they are read; None without any.
+        intrinsics: Known intrinsics; None if they have to be estimated.
+        T_world_cam: Pose from a known hand-eye calibration (4, 4), or None.
+        lens: Distortion of the video's frames, which are undistorted when they are read; None without distortion.
     """
 
     name: str
@@ -153,11 +154,11 @@ class DemoCamera:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ScanPoses:
-    """Poses of scan images from another program: an initial estimate, which the matches have to confirm.
+    """Poses of scan images from another program, which are initial values that feature matches must confirm.
 
     Attributes:
         Ts_scan_cam: Pose (4, 4) by image name, OpenCV axes.
-        metric: Whether they are in metres; else their scale is unknown.
+        metric: Whether the poses are in meters; otherwise their scale is unknown.
     """
 
     Ts_scan_cam: dict[str, Array]
@@ -170,19 +171,19 @@ class Recording:
 
     Attributes:
         folder: The capture's folder.
-        name, category, instruction: From capture.toml.
+        name, category, instruction: Values of capture.toml.
         robot: The robot and its state during the scan.
-        scan_images: Paths in name order; none when the scan is a video.
-        scan_video: The scan when it is a video, or None.
+        scan_images: Paths of the scan images in name order; empty if the scan is a video.
+        scan_video: Path of the scan video, or None.
         scan_size: Width and height of every scan image, [px].
         scan_intrinsics: Known intrinsics of the scan, or None.
         cameras: The demonstration's fixed cameras.
-        joint_log: Arm and gripper over the log's clock.
+        joint_log: Log of arm and gripper, on its own clock.
         joint_log_file: File of the joint log.
-        clock_offset_s: Known offset (log time = video time + offset), or None.
+        clock_offset_s: Known offset, [s] (log time = video time + offset), or None.
         prompts: A person's annotations.
         mask_folders: Folders below `masks/`, by name.
-        notes: Sentences about what the readers skipped, sorted, merged or unwrapped.
+        notes: Sentences about data that were skipped, sorted, merged or unwrapped when they were read.
         scan_poses: Poses of scan images that are part of the capture, or None.
     """
 

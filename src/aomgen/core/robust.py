@@ -1,4 +1,4 @@
-"""Robust location and spread."""
+"""Robust estimates of location, scale and linear coefficients."""
 
 from typing import Final
 
@@ -7,26 +7,29 @@ from numpy.typing import ArrayLike, NDArray
 
 from aomgen.core.values import Array
 
-# Ratio of standard deviation and median absolute deviation of normal noise: 1 / (inverse normal at 3/4).
+# Ratio of standard deviation to median absolute deviation of normal noise: 1 / (inverse normal distribution at 3/4).
 SD_OF_MAD: Final = 1.4826
-# Residuals beyond this many standard deviations have little weight.
+# Residuals beyond this multiple of the standard deviation have little weight.
 OUTLIER_SD: Final = 2.5
-# Rounds of iteratively reweighted least squares; further rounds change the weights little.
+# Number of iterations of reweighted least squares; further iterations change the weights little.
 _REWEIGHTINGS: Final = 5
 
 
 def robust_sd(deviations: ArrayLike) -> float:
-    """Compute the standard deviation of normal noise from the median size of its deviations."""
+    """Estimate the standard deviation of normal noise from the median of the absolute deviations."""
     return SD_OF_MAD * float(np.median(np.abs(deviations)))
 
 
 def compute_masked_median(
     values: NDArray[np.floating | np.integer], known: NDArray[np.bool_]
 ) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
-    """Compute the median (...) over the first axis of known values (N, ...), and where any is known.
+    """Compute the median (...) of the known values (N, ...) over the first axis, and a mask of medians that exist.
 
-    The median is 0 where no value is known. `known` (N, ...) may lack trailing axes of the values, for
-    example their color channels.
+    The median is 0 if no value is known.
+
+    Args:
+        values: Values (N, ...).
+        known: Mask (N, ...) of the known values; trailing axes, for example color channels, may be omitted.
     """
     known = np.asarray(known)
     missing = np.expand_dims(~known, tuple(range(known.ndim, values.ndim)))
@@ -37,12 +40,18 @@ def compute_masked_median(
 
 
 def weigh(residuals: Array, sd: float) -> Array:
-    """Compute weights of residuals, 1 for 0. Source: Geman and McClure, 1987."""
+    """Compute the robust weights of residuals; a residual of 0 has the weight 1. Source: Geman and McClure, 1987."""
     return 1 / (1 + (residuals / (OUTLIER_SD * sd)) ** 2) ** 2
 
 
 def regress(columns: Array, targets: Array, weights: Array) -> Array:
-    """Fit coefficients (N, ...) of columns (P, N) to targets (P, ...); columns without information get 0."""
+    """Fit coefficients (N, ...) by weighted least squares, slightly regularized toward 0.
+
+    Args:
+        columns: Columns (P, N).
+        targets: Targets (P, ...).
+        weights: Weights (P,).
+    """
     weighted = columns * weights[:, None]
     normal = weighted.T @ columns
     normal += (1e-3 * np.trace(normal) + 1e-9) * np.eye(len(normal))
@@ -50,7 +59,16 @@ def regress(columns: Array, targets: Array, weights: Array) -> Array:
 
 
 def regress_robustly(columns: Array, target: Array, least_sd: float) -> tuple[Array, Array, float]:
-    """Fit coefficients (N,) of columns (P, N) to a target (P,), with weights (P,) and residual deviation."""
+    """Fit coefficients of columns (P, N) to a target (P,) by iteratively reweighted least squares.
+
+    Args:
+        columns: Columns (P, N).
+        target: Target (P,).
+        least_sd: Lower bound of the residuals' standard deviation.
+
+    Returns:
+        Coefficients (N,), weights (P,), and the standard deviation of the residuals.
+    """
     weights, coefficients, sd = np.ones(len(target)), np.zeros(columns.shape[1]), least_sd
     for _ in range(_REWEIGHTINGS):
         coefficients = regress(columns, target, weights)

@@ -9,10 +9,11 @@ from aomgen.core.values import Array
 
 
 def sh_basis(directions: ArrayLike, degree: int) -> Array:
-    """Compute basis values (N, (degree + 1)^2) at unit directions (N, 3).
+    """Compute the basis functions (N, (degree + 1)^2) at unit directions (N, 3).
 
-    Signs and order follow the 3DGS reference files. Source: Ramamoorthi & Hanrahan 2001,
-    with the Condon-Shortley phase.
+    Signs and order are those of 3DGS files.
+
+    Source: Ramamoorthi & Hanrahan 2001, with the Condon-Shortley phase.
     """
     x, y, z = np.moveaxis(np.asarray(directions, np.float64), -1, 0)
     basis = [np.full_like(x, 0.28209479177387814)]
@@ -43,7 +44,7 @@ def sh_basis(directions: ArrayLike, degree: int) -> Array:
 
 
 def sphere_directions(count: int) -> Array:
-    """Return evenly spread unit directions (count, 3) on a golden spiral."""
+    """Return evenly distributed unit directions (count, 3) on a golden spiral."""
     k = np.arange(count) + 0.5
     z = 1 - 2 * k / count
     angle = np.pi * (1 + np.sqrt(5)) * k
@@ -52,10 +53,10 @@ def sphere_directions(count: int) -> Array:
 
 
 def sh_rotation(R: ArrayLike, degree: int) -> list[Array]:
-    """Compute matrices (..., 2l + 1, 2l + 1), l = 1..degree, that rotate coefficients by R (..., 3, 3).
+    """Compute the matrices (..., 2l + 1, 2l + 1), l = 1..degree, that rotate coefficients by R (..., 3, 3).
 
-    The rotated function is `f'(R d) = f(d)`. Each band is computed exactly from a few sample
-    directions, because a band's basis functions span a space that rotation maps to itself.
+    The rotated function is `f'(R d) = f(d)`. Each band is computed exactly from a few sample directions, because the space
+    that the basis functions of a band span is invariant under rotation.
     """
     R = np.asarray(R, np.float64)
     directions, solvers = _sample_bands(degree)
@@ -67,8 +68,8 @@ def sh_rotation(R: ArrayLike, degree: int) -> list[Array]:
 
 @cache
 def _sample_bands(degree: int) -> tuple[Array, list[Array]]:
-    """Return directions (32, 3), and for each band the pseudo-inverse of its basis there."""
-    # Fixed generic directions, enough for a well-posed system of every band.
+    """Return sample directions (32, 3), and the pseudo-inverse of each band's basis at these directions."""
+    # The directions are fixed and in general position, and sufficient for a well-posed system of every band.
     directions = np.random.default_rng(7).normal(size=(32, 3))
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
     fixed = sh_basis(directions, degree)
@@ -77,7 +78,7 @@ def _sample_bands(degree: int) -> tuple[Array, list[Array]]:
 
 
 def rotate_sh(sh: NDArray[np.float32], R: ArrayLike) -> NDArray[np.float32]:
-    """Rotate coefficients (N, K, 3) by R (3, 3)."""
+    """Rotate SH coefficients (N, K, 3) by R (3, 3)."""
     degree = int(np.sqrt(sh.shape[1])) - 1
     result = np.array(sh, np.float32)
     for band, matrix in enumerate(sh_rotation(R, degree), start=1):

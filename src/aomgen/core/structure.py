@@ -1,4 +1,4 @@
-"""Result of structure from motion: cameras and sparse points of a scan, and the images held out of training."""
+"""Result of structure from motion: cameras and sparse points of a scan; selection of held-out images."""
 
 from dataclasses import dataclass, field
 from typing import Annotated
@@ -11,20 +11,20 @@ from aomgen.core.lens import Lens
 from aomgen.core.recording import Prompt
 from aomgen.core.values import Array, freeze_arrays
 
-# One of this many images is held out, as benchmarks of view synthesis do (Mip-NeRF 360).
+# Spacing, in name order, of the images that are held out of training, as in benchmarks of view synthesis (Mip-NeRF 360).
 HELD_OUT_EVERY = 8
-# Index of the first one; the image with which the walk begins is used for training.
+# Index of the first held-out image; the image with which the scan begins is used for training.
 HELD_OUT_PHASE = 4
 Figures = dict[str, object]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PinholeScan:
-    """Undistorted images of a scan that is a video or has lens distortion; files below the stage's folder.
+    """Undistorted images of a scan that is a video or has lens distortion, as paths relative to the stage's folder.
 
     Attributes:
         images: Undistorted images.
-        masks: Folders of undistorted label images, by name; None = the recorded ones.
+        masks: Folders of undistorted label images, by name; None if the recorded ones are used.
         prompts: A person's annotations, in pixels of these images.
     """
 
@@ -35,21 +35,21 @@ class PinholeScan:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Structure:
-    """A sparse model of the scene in the `recon` frame (no scale, no gravity).
+    """A sparse model of the scene in the `recon` frame, whose scale and vertical direction are unknown.
 
     Attributes:
-        cameras_recon: Registered scan images by file name, in name order.
+        cameras_recon: Cameras of the registered scan images by file name, in name order.
         demo_cameras_recon: Fixed cameras by name.
-        scan_lens: Optics of the scan images when they are distorted: `cameras_recon` and
-            all other values here belong to the undistorted images. None = pinhole images.
-        demo_lenses: The same for the fixed cameras that are distorted.
-        pinhole: The scan of the undistorted images; None = the recorded one.
-        dropped: Scan images that are not in the model, with the reason.
+        scan_lens: Lens of the scan images if they are distorted; `cameras_recon` and all other values then refer to the
+            undistorted images. None for pinhole images.
+        demo_lenses: Lenses of the fixed cameras with distorted images, by name.
+        pinhole: Undistorted scan; None if the recorded images are used.
+        dropped: Reasons by the names of the scan images that are not in the model.
         points_recon: Points (P, 3).
         colors_srgb: Colors (P, 3) uint8.
-        observations: (M, 2) int32, rows of (point, index into `cameras_recon` in order).
-        reprojection_error_px: Mean over all observations, [px].
-        figures: Measured numbers for the manifest (JSON values).
+        observations: Rows (M, 2) of point index and index into `cameras_recon`, int32.
+        reprojection_error_px: Mean reprojection error over all observations, [px].
+        figures: Metrics for the manifest, as JSON values.
     """
 
     cameras_recon: dict[str, Camera]

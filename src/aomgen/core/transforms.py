@@ -1,7 +1,7 @@
 """Rigid transforms, similarities and rotations as plain arrays.
 
-All functions take and return float64 arrays and broadcast over leading axes where their docstrings name a
-"stack". Quaternions are wxyz.
+All functions take and return float64 arrays; those whose docstrings name a "stack" broadcast over leading axes.
+Quaternions are in the order w, x, y, z.
 """
 
 import numpy as np
@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 
 from aomgen.core.values import Array
 
-# Rotations that are given with four digits pass, by `measure_rigidity`.
+# Largest accepted deviation of a given rotation, see `measure_rigidity`; values rounded to four digits are accepted.
 ROTATION_TOLERANCE = 1e-3
 
 
@@ -25,7 +25,7 @@ def transform(R: ArrayLike, t: ArrayLike) -> Array:
 
 
 def measure_rigidity(T: ArrayLike) -> tuple[float, float]:
-    """Return the determinant of the upper left block of a matrix (4, 4), and the largest entry of R R^T - 1."""
+    """Return the determinant of the upper left block R (3, 3) of a matrix (4, 4), and the largest entry of |R R^T - 1|."""
     R = np.asarray(T, np.float64)[:3, :3]
     return float(np.linalg.det(R)), float(np.abs(R @ R.T - np.eye(3)).max())
 
@@ -38,7 +38,7 @@ def invert(T: ArrayLike) -> Array:
 
 
 def apply(T: ArrayLike, points: ArrayLike) -> Array:
-    """Move points (..., 3) by one transform or similarity (4, 4), or a stack that broadcasts."""
+    """Transform points (..., 3) by one transform or similarity (4, 4), or by a stack that broadcasts with them."""
     T = np.asarray(T, np.float64)
     return np.einsum("...ij,...j->...i", T[..., :3, :3], np.asarray(points, np.float64)) + T[..., :3, 3]
 
@@ -56,7 +56,7 @@ def similarity_parts(S: ArrayLike) -> tuple[float, Array, Array]:
 
 
 def matrix_from_rotvec(rotvecs: ArrayLike) -> Array:
-    """Convert axis times angle (..., 3), [rad], to rotations (..., 3, 3). Source: Rodrigues' formula."""
+    """Convert rotation vectors (axis times angle) (..., 3), [rad], to rotations (..., 3, 3). Source: Rodrigues' formula."""
     rotvecs = np.asarray(rotvecs, np.float64)
     angles = np.linalg.norm(rotvecs, axis=-1)[..., None, None]
     K = skew(rotvecs)
@@ -67,7 +67,7 @@ def matrix_from_rotvec(rotvecs: ArrayLike) -> Array:
 
 
 def rotvec_from_matrix(R: ArrayLike) -> Array:
-    """Convert rotations (..., 3, 3) to axis times angle (..., 3), angle in 0..pi."""
+    """Convert rotations (..., 3, 3) to rotation vectors (axis times angle) (..., 3), [rad], with angles in 0..pi."""
     quats = quat_from_matrix(R)
     quats = np.where(quats[..., :1] < 0, -quats, quats)
     sines = np.linalg.norm(quats[..., 1:], axis=-1, keepdims=True)
@@ -84,7 +84,7 @@ def skew(vectors: ArrayLike) -> Array:
 
 
 def matrix_from_quat(quats_wxyz: ArrayLike) -> Array:
-    """Convert quaternions (..., 4), which need not be normalised, to rotations (..., 3, 3)."""
+    """Convert quaternions (..., 4), which need not be normalized, to rotations (..., 3, 3)."""
     q = np.asarray(quats_wxyz, np.float64)
     q = q / np.linalg.norm(q, axis=-1, keepdims=True)
     w, x, y, z = np.moveaxis(q, -1, 0)
@@ -120,7 +120,7 @@ def quat_from_matrix(R: ArrayLike) -> Array:
 
 
 def quat_multiply(a_wxyz: ArrayLike, b_wxyz: ArrayLike) -> Array:
-    """Multiply quaternions (..., 4): rotation b first, then a."""
+    """Multiply quaternions (..., 4); the product is the rotation by b followed by that by a."""
     aw, ax, ay, az = np.moveaxis(np.asarray(a_wxyz, np.float64), -1, 0)
     bw, bx, by, bz = np.moveaxis(np.asarray(b_wxyz, np.float64), -1, 0)
     return np.stack(
@@ -135,12 +135,12 @@ def quat_multiply(a_wxyz: ArrayLike, b_wxyz: ArrayLike) -> Array:
 
 
 def interpolate(T_a: ArrayLike, T_b: ArrayLike, shares: ArrayLike) -> Array:
-    """Interpolate transforms: positions linearly, rotations along the shortest turn. The arguments broadcast.
+    """Interpolate transforms: positions linearly, rotations along the shortest path. The arguments broadcast.
 
     Args:
         T_a: Transforms (..., 4, 4) at share 0.
-        T_b: Transforms (..., 4, 4) at share 1, in the same frames.
-        shares: (...), 0..1.
+        T_b: Transforms (..., 4, 4) at share 1, between the same frames.
+        shares: Interpolation parameters (...), 0..1.
     """
     T_a, T_b = np.asarray(T_a, np.float64), np.asarray(T_b, np.float64)
     shares = np.asarray(shares, np.float64)
@@ -150,14 +150,14 @@ def interpolate(T_a: ArrayLike, T_b: ArrayLike, shares: ArrayLike) -> Array:
 
 
 def path_steps(Ts: Array, turn_weight_m: float) -> Array:
-    """Compute step lengths (..., K - 1) along paths (..., K, 4, 4), [m]; a radian is `turn_weight_m`."""
+    """Compute the step lengths (..., K - 1) along paths (..., K, 4, 4), [m]; a rotation of 1 rad counts as `turn_weight_m`."""
     ways = np.linalg.norm(np.diff(Ts[..., :3, 3], axis=-2), axis=-1)
-    # The chord between two rotations, sqrt(8) sin(angle / 2), is sqrt(2) times a small angle.
+    # The Frobenius norm of the difference of two rotations, sqrt(8) sin(angle / 2), is sqrt(2) times a small angle.
     chords = np.linalg.norm(np.diff(Ts[..., :3, :3], axis=-3), axis=(-2, -1)) / np.sqrt(2)
     return np.asarray(ways + turn_weight_m * chords)
 
 
 def angle_between(a: ArrayLike, b: ArrayLike) -> float:
-    """Compute the angle between two vectors (3,), [rad]; exact also near 0 and pi."""
+    """Compute the angle between two vectors (3,), [rad], which is accurate near 0 and pi as well."""
     a, b = np.asarray(a, np.float64), np.asarray(b, np.float64)
     return float(np.arctan2(np.linalg.norm(np.cross(a, b)), a @ b))

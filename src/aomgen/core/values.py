@@ -1,7 +1,7 @@
-"""Arrays of a declared shape, which cannot be changed after construction, for all frozen values.
+"""Read-only arrays with declared shapes, for the fields of frozen dataclasses.
 
-A field declares its shape in its annotation: `points: Annotated[Array, "N 3"]`. A letter represents one
-length in the whole value, `_` any length.
+A field declares its shape in its annotation: `points: Annotated[Array, "N 3"]`. A letter stands for the same length in all
+fields of a value, `_` for any length.
 """
 
 import types
@@ -20,23 +20,23 @@ Matrix4 = Annotated[Array, "4 4"]
 
 
 def require_indices(indices: NDArray[np.integer], count: int) -> None:
-    """Refuse indices outside 0..count - 1.
+    """Check that all indices are in 0..count - 1.
 
     Raises:
-        ValueError: An index is outside.
+        ValueError: An index is out of range.
     """
     if len(indices) and not (indices.min() >= 0 and indices.max() < count):
         raise ValueError(f"an index is outside 0..{count - 1}")
 
 
 def freeze_arrays(value: Any) -> None:
-    """Make every array of a dataclass read-only and C-contiguous, of the type and shape that its field declares.
+    """Convert every array of a dataclass to the declared type, make it read-only and C-contiguous, and check its shape.
 
-    A field without an array may declare its length. Fields may also hold None. The function is called from,
-    or set as, `__post_init__`.
+    Fields that hold other sequences may declare their length. Fields may also hold None. Dataclasses use this function as
+    their `__post_init__`, or call it there.
 
     Raises:
-        ShapeError: A shape differs.
+        ShapeError: A shape differs from the declared one.
     """
     lengths: dict[str, int] = {}
     for name, dtype, wanted in _read_declared_arrays(type(value)):
@@ -54,7 +54,7 @@ def freeze_arrays(value: Any) -> None:
 
 @cache
 def _read_declared_arrays(kind: type) -> list[tuple[str, Any, list[str]]]:
-    """Read name, element type (None: no array) and shape of every field that declares one."""
+    """Read the name, element type (None if it is no array) and shape of every field that declares a shape."""
     found: list[tuple[str, Any, list[str]]] = []
     for field in fields(kind):
         optional = get_origin(field.type) in (Union, types.UnionType)
@@ -69,7 +69,7 @@ def _read_declared_arrays(kind: type) -> list[tuple[str, Any, list[str]]]:
 
 def _frozen(array: Any, dtype: Any) -> NDArray[Any]:
     frozen = np.asarray(array, dtype=dtype, order="C")
-    # Frozen arrays need no copy; the owner of any other array could still change it.
+    # Read-only arrays need no copy; any other array could still be changed by its owner.
     if frozen.flags.writeable and (frozen is array or frozen.base is not None):
         frozen = frozen.copy()
     frozen.flags.writeable = False

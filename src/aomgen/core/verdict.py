@@ -10,13 +10,13 @@ class Setting:
     """Resistance of the object in one simulated run.
 
     Attributes:
-        name: For example "nominal".
+        name: Name, for example "nominal".
         damping: Damping of the joint, [N m s/rad] or [N s/m].
-        frictionloss: Its total dry friction, [N m] or [N].
+        frictionloss: Total dry friction of the joint without latch, [N m] or [N].
         moving_mass: Mass of the moving part, [kg].
         grip_friction: Factor on the sliding friction of gripper and moving part.
-        latch: Additional dry friction of a catch, [N m] or [N].
-        latch_reach: Joint value below which the catch acts, [rad] or [m].
+        latch: Additional dry friction of a latch, [N m] or [N].
+        latch_reach: Joint value below which the latch acts, [rad] or [m].
     """
 
     name: str
@@ -28,7 +28,7 @@ class Setting:
     latch_reach: float = 0.0
 
     def friction_at(self, theta: float) -> float:
-        """Compute the dry friction of the joint and of an engaged latch, [N m] or [N]."""
+        """Compute the dry friction of the joint, including the latch, at a joint value, [N m] or [N]."""
         return self.frictionloss + self.latch * (theta < self.latch_reach)
 
 
@@ -37,10 +37,10 @@ class Check:
     """A metric and its limit.
 
     Attributes:
-        reason: Reason of the rejection when it fails, for example "contact".
-        figure: Name with unit, for example "contact_share".
+        reason: Reason of the rejection if the check fails, for example "contact".
+        figure: Name of the metric with its unit, for example "contact_share".
         value, limit: Values in the metric's unit.
-        least: The limit is the smallest value that passes, else the largest.
+        least: The limit is the smallest accepted value; otherwise it is the largest.
     """
 
     reason: str
@@ -51,18 +51,18 @@ class Check:
 
     @property
     def passed(self) -> bool:
-        """True if the limit is kept; false for NaN."""
+        """True if the value is within the limit; False for NaN."""
         return self.margin >= 0
 
     @property
     def margin(self) -> float:
-        """Distance to the limit, negative beyond it."""
+        """Distance of the value to the limit, negative beyond it."""
         return self.value - self.limit if self.least else self.limit - self.value
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Hold:
-    """Interval in which finger pads carried force: times [s], and joint values [rad] or [m]."""
+    """Interval in which the finger pads exerted force: first and last time, [s], and joint value, [rad] or [m]."""
 
     first_s: float
     last_s: float
@@ -72,13 +72,14 @@ class Hold:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SettingOutcome:
-    """One simulated run that passed.
+    """Outcome of one simulated run that passed.
 
     Attributes:
+        setting: Setting of the run.
         final_theta: Joint value at the end of the run, [rad] or [m].
-        peak_force_n: Largest sum of normal forces of the pads on the part, [N].
+        peak_force_n: Largest sum of normal forces of the pads on the handle, [N].
         peak_reaction_n: Largest horizontal force of the robot on the object, [N].
-        hold: Interval in which the pads held the part.
+        hold: Interval in which the pads held the handle.
         checks: Metrics that have a limit.
     """
 
@@ -101,11 +102,11 @@ class Verdict:
     """A passed verification.
 
     Attributes:
-        start_theta, target_theta: Planned first and final joint value, fixed before simulation, [rad] or [m].
-        outcomes: One for each setting, the nominal one last.
-        kinematic: Tier A's metrics and their limits.
-        bolted: The object's base was fixed to the world; its reaction is then only reported.
-        seed, index: Seed and index of the variation, from which the settings were drawn.
+        start_theta, target_theta: Planned first and final joint value, which are fixed before simulation, [rad] or [m].
+        outcomes: Outcome for each setting; the nominal setting is last.
+        kinematic: Metrics of tier A (the kinematic checks) and their limits.
+        bolted: The object's base was fixed to the world; the reaction force is then reported without a limit.
+        seed, index: Seed and index of the variation, from which the settings were sampled.
         versions: Versions of the software that computed it, by name.
         digests: SHA-256 of its inputs, by name.
     """
@@ -122,24 +123,24 @@ class Verdict:
 
     @property
     def passed(self) -> bool:
-        """True, as opposed to `Rejection.passed`."""
+        """Always True; the counterpart of `Rejection.passed`."""
         return True
 
     @property
     def margin(self) -> float:
-        """Smallest distance of the runs to the pass limit of the planned motion, as a share of the motion."""
+        """Smallest margin of the joint's travel over all runs, as a share of the planned travel."""
         return self.margins["target_share"]
 
     @property
     def margins(self) -> dict[str, float]:
-        """Smallest distance to each limit of the simulation over all settings, in the metric's unit."""
+        """Smallest margin of each simulated metric over all settings, in the metric's unit."""
         margins: dict[str, float] = {}
         for check in (check for outcome in self.outcomes for check in outcome.checks):
             margins[check.figure] = min(check.margin, margins.get(check.figure, check.margin))
         return margins
 
     def as_json(self) -> dict[str, Any]:
-        """Return the certificate: plain values that depend on the inputs alone."""
+        """Return the certificate as JSON values, which depend only on the inputs."""
         limits = {check.figure: check.limit for check in self.outcomes[0].checks}
         return {
             "passed": self.passed,

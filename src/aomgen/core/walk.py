@@ -1,4 +1,4 @@
-"""A walk with a camera around a scene: where each image was taken, and the sector from which none was."""
+"""Positions of the cameras of a scan around the scene, and the widest sector without a camera."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -12,13 +12,13 @@ from aomgen.core.values import Array, freeze_arrays
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Walk:
-    """Cameras around what they look at.
+    """N cameras of a scan relative to the point at which they are directed.
 
     Attributes:
-        target: Point nearest to all optical axes, in the frame of the cameras.
-        axes: Unit vectors as rows: right and forward of the first camera, and up, the mean of all cameras.
-        positions: Cameras from the target along these axes.
-        directions: Optical axes, likewise.
+        target: Point closest to all optical axes (3,), in the frame of the cameras.
+        axes: Unit vectors as rows (3, 3): right and forward directions of the first camera, and the mean up direction.
+        positions: Camera positions (N, 3) relative to the target, along these axes.
+        directions: Directions of the optical axes (N, 3), along these axes.
     """
 
     target: Annotated[Array, "3"]
@@ -30,14 +30,14 @@ class Walk:
 
     @property
     def azimuths(self) -> Array:
-        """Directions (N,) of the cameras from the target, seen from above, [rad], from -pi to pi."""
+        """Azimuths (N,) of the cameras as seen from the target, [rad], in -pi..pi."""
         return np.arctan2(self.positions[:, 1], self.positions[:, 0])
 
     def find_gap(self) -> tuple[float, int, int]:
         """Find the widest sector without a camera.
 
         Returns:
-            Its angle, [rad], and the cameras before and after it, counterclockwise from above.
+            Its angle, [rad], and the indices of the cameras before and after it, counterclockwise as seen from above.
         """
         order = np.argsort(self.azimuths, kind="stable")
         taken = self.azimuths[order]
@@ -47,10 +47,10 @@ class Walk:
 
 
 def describe_walk(Ts_world_cam: Sequence[ArrayLike]) -> Walk:
-    """Describe the cameras of a scan from above.
+    """Compute the positions of the cameras of a scan relative to their common target.
 
     Args:
-        Ts_world_cam: Poses (4, 4) of at least two cameras, upright on average; any frame and scale.
+        Ts_world_cam: Poses (4, 4) of at least two cameras, which are upright on average, in any frame and scale.
     """
     Ts = np.asarray(Ts_world_cam, np.float64)
     up = _normalize(-Ts[:, :3, 1].mean(0))
@@ -66,11 +66,11 @@ def describe_walk(Ts_world_cam: Sequence[ArrayLike]) -> Walk:
 
 
 def find_target(Ts_world_cam: ArrayLike) -> Array:
-    """Return the point (3,) nearest to all optical axes of poses (N, 4, 4), world frame."""
+    """Compute the point (3,), world frame, that is closest to the optical axes of poses (N, 4, 4), by least squares."""
     Ts = np.asarray(Ts_world_cam, np.float64)
     axes, centers = Ts[:, :3, 2], Ts[:, :3, 3]
     projections = np.eye(3) - axes[:, :, None] * axes[:, None, :]
-    # Axes that are nearly parallel determine a point at any distance; the smallest shift is taken.
+    # Nearly parallel axes do not determine the distance of the point; the solution closest to the mean position is used.
     middle = centers.mean(0)
     return (
         middle

@@ -1,8 +1,7 @@
-"""Estimation of the directional light that casts the shadow of the robot on its work surface.
+"""Estimate the directional light that casts the shadow of the robot on its work surface.
 
-A fixed camera shows the same point of the surface in light and in shadow. A direction is right when the
-shadow that the posed twin would cast from there explains how the brightness of every point changes over time;
-the colors of the points do not matter.
+A fixed camera observes points of the surface in light and in shadow. A direction is correct if the shadow that the twin
+would cast under light from there explains how the brightness of every point changes over time, independent of its color.
 """
 
 from dataclasses import dataclass, replace
@@ -25,29 +24,29 @@ from aomgen.splatting.rasterizer import render
 from aomgen.splatting.surfaces import compute_rendered_points
 from aomgen.twin.twin import CONTOUR_PX, PosedImages, TwinModel, body_poses, pose_bodies
 
-# Number of images that are compared; one half is used for the fit, the other for validation.
+# Number of images that are compared; one half is used for fitting, the other for validation.
 IMAGES: Final = 16
-# Every third of the fitted images is used to evaluate the first directions.
+# Every third image of the fitting half is used to evaluate the initial directions.
 FIRST_EVERY: Final = 3
 # Number of observed points of the surface.
 POINTS: Final = 4000
-# A point is visible when no moving body covers more than this of it, `CONTOUR_PX` around.
+# A point is visible if moving bodies cover less than this share of every pixel within `CONTOUR_PX` of it.
 COVERED: Final = 0.02
-# Brightness is compared only above this, sRGB: below, noise exceeds changes of light.
+# Smallest sRGB value that is compared; in darker pixels, noise exceeds the changes of light.
 DARK: Final = 0.03
-# Least height of a light above the surface, as the sine of its elevation.
+# Smallest sine of a light's elevation above the surface.
 MIN_SINE: Final = 0.25
-# Number of first directions: the spacing of about 8 degrees is less than the width of an arm's shadow.
+# Number of initial directions on the sphere; their spacing of about 8 degrees is less than the width of an arm's shadow.
 FIRST_DIRECTIONS: Final = 350
-# First step of the refinement, about half the spacing of the first directions, and last step, [rad]: it moves
-# the shadow of a point 1 m high by less than half a centimeter.
+# First step of the refinement, about half the spacing of the initial directions, and last step, [rad], which moves the
+# shadow of a point at a height of 1 m by less than 0.5 cm.
 FIRST_STEP, LAST_STEP = 0.07, 0.004
-# Half angular widths of lights that are tried, [rad]: a spot, a bulb's shade, a nearby panel, a window.
+# Half angular widths of lights that are tested, [rad], for example of a spotlight, a lampshade, a nearby panel, a window.
 WIDTHS: Final = (0.0, 0.05, 0.1, 0.15, 0.2)
-# The shadow has to explain at least this share of the variance in images it was not fitted to.
-# With less, as under soft light, most of the rendered shadow would be wrong.
+# Smallest share of the variance in the validation images that the shadow must explain. With less, for example under soft
+# light, most of the rendered shadow would be wrong.
 MIN_EXPLAINED: Final = 0.5
-# A point with at least this share of shadow is fully in it.
+# A point is in the core of a shadow if at least this share of the light is blocked.
 CORE: Final = 0.95
 
 
@@ -56,12 +55,12 @@ class SurfaceObservations:
     """Colors of N points of a surface in T images.
 
     Attributes:
-        points: World frame (N, 3).
+        points: Points (N, 3), world frame.
         logs: Logarithms of linear colors (T, N, 3).
-        seen: Visibility of the points past moving bodies (T, N).
+        seen: Mask (T, N) of points that are not occluded by moving bodies.
         casters: Result of `select_casters`.
         Ts_world_body: Poses of the bodies (T, B, 4, 4).
-        T_world_plane: Pose of the surface.
+        T_world_plane: Pose of the surface (4, 4).
     """
 
     points: Array
@@ -72,20 +71,20 @@ class SurfaceObservations:
     T_world_plane: Array
 
     def part(self, which: slice) -> "SurfaceObservations":
-        """Select some of the images."""
+        """Select a subset of the images."""
         Ts = self.Ts_world_body[which]
         return replace(self, logs=self.logs[which], seen=self.seen[which], Ts_world_body=Ts)
 
     def block(self, directions: Array) -> Array:
-        """Compute the blocked share (T, N) of the light from directions (K, 3) at the points."""
+        """Compute the share (T, N) of the light from directions (K, 3) that is blocked at the points."""
         Ts, T_world_plane = self.Ts_world_body, self.T_world_plane
         return measure_blocked_light(self.casters, Ts, T_world_plane, directions, self.points)
 
     def explain(self, directions: Array) -> float:
-        """Compute the explained share of brightness variance for light from directions (K, 3)."""
+        """Compute the share of the brightness variance that the shadow of light from directions (K, 3) explains."""
         weight = self.seen.astype(np.float64)
         count = np.maximum(weight.sum(0), 1)
-        # Every point has another color, so both are compared without their means over time.
+        # Both are compared without their means over time, because the points have different colors.
         bright, shadow = (
             values - (weight * values).sum(0) / count
             for values in (self.logs.mean(-1), self.block(directions))
@@ -98,12 +97,13 @@ class SurfaceObservations:
 def find_directional_light(
     twin: TwinModel, robot: RobotModel, view: PosedImages, T_world_plane: Array
 ) -> DirectionalLight | None:
-    """Find the directional light of a scene; None when no direction explains the video.
+    """Find the directional light of a scene; None if no direction explains the images.
 
     Args:
         twin: Twin with all surfaces of its robot.
-        view: A fixed camera's images of many joint configurations.
-        T_world_plane: Surface (4, 4) whose brightness is observed.
+        robot: Robot of the twin.
+        view: Images of a fixed camera with many joint configurations.
+        T_world_plane: Pose (4, 4) of the surface whose brightness is observed.
     """
     observed = _observe_surface(twin, robot, view, _raise_plane(T_world_plane, twin, view.camera))
     if observed is None:
@@ -111,7 +111,7 @@ def find_directional_light(
     fitted, unseen = observed.part(slice(0, None, 2)), observed.part(slice(1, None, 2))
     directions = sphere_directions(FIRST_DIRECTIONS)
     directions = directions[directions @ T_world_plane[:3, 2] > MIN_SINE]
-    # A subset of the images suffices to compare the first directions.
+    # A subset of the images is sufficient to compare the initial directions.
     few = fitted.part(slice(0, None, FIRST_EVERY))
     best = _refine_direction(max(directions, key=lambda direction: few.explain(direction[None])), fitted)
     width = max(WIDTHS, key=lambda width: fitted.explain(spread_directions(best, width)))
@@ -125,7 +125,7 @@ def find_directional_light(
 
 
 def _refine_direction(direction: Array, observed: SurfaceObservations) -> Array:
-    """Refine a direction by simplex search over its tangents."""
+    """Refine a direction (3,) by a simplex search in its tangent plane."""
     side = np.cross(direction, np.eye(3)[np.argmin(np.abs(direction))])
     side /= np.linalg.norm(side)
     across = np.stack([side, np.cross(direction, side)])
@@ -144,10 +144,17 @@ def _refine_direction(direction: Array, observed: SurfaceObservations) -> Array:
 
 
 def estimate_share(observed: SurfaceObservations, blocked: Array) -> Array | None:
-    """Estimate the share (3,) of a light in the surface's light; None without lit and shadowed points.
+    """Estimate the share (3,) of a directional light in the light on a surface.
 
-    Only the core of a shadow (T, N) and points far from it are compared: the rendered edge of a shadow often
-    deviates a little from the real one.
+    Only points in the core of the shadow and points far from it are compared, because the edge of the rendered shadow often
+    deviates slightly from the real one.
+
+    Args:
+        observed: Colors of N points in T images.
+        blocked: Blocked share (T, N) of the directional light.
+
+    Returns:
+        The share, linear RGB; None if no point was observed both in light and in shadow.
     """
     shadow = observed.seen & (blocked > CORE * blocked.max())
     light = observed.seen & (blocked < 1 - CORE)
@@ -164,14 +171,11 @@ def estimate_share(observed: SurfaceObservations, blocked: Array) -> Array | Non
 
 
 def _raise_plane(T_world_plane: Array, twin: TwinModel, camera: Camera) -> Array:
-    """Move a surface (4, 4) along its normal to its observed height.
-
-    Centers of trained Gaussians are below the surface that they represent.
-    """
+    """Move a surface (4, 4) along its normal to its observed height, because trained Gaussians are centered below it."""
     scene = render(twin.gaussians.select(twin.bodies == 0), camera, with_ids=True)
     heights = apply(invert(T_world_plane), compute_rendered_points(scene, camera))[..., 2]
-    # Visible points fade out of the surface that far above it; they are searched as far below.
-    # NaN marks invalid points.
+    # Points are searched within the largest height at which they belong to the surface, above and below it. Invalid points are
+    # NaN and fail this test.
     near = np.abs(heights) < HEIGHTS[-1]
     T = np.array(T_world_plane, np.float64)
     T[:3, 3] += T[:3, 2] * (float(np.median(heights[near])) if near.any() else 0.0)
@@ -181,7 +185,7 @@ def _raise_plane(T_world_plane: Array, twin: TwinModel, camera: Camera) -> Array
 def _observe_surface(
     twin: TwinModel, robot: RobotModel, view: PosedImages, T_world_plane: Array
 ) -> SurfaceObservations | None:
-    """Observe points of the surface in some images of a video; None when it is hardly visible."""
+    """Collect the colors of points of the surface in some images of a video; None if no point is visible often enough."""
     count = len(view.states)
     chosen = np.unique(np.linspace(0, count - 1, min(IMAGES, count)).astype(int))
     camera, still = view.camera, twin.bodies == 0
@@ -196,7 +200,7 @@ def _observe_surface(
     usable = usable[np.unique(np.linspace(0, len(usable) - 1, POINTS).astype(int))]
     colors = np.stack([view.images_srgb[i].reshape(-1, 3)[usable] for i in chosen]) / 255.0
     logs = np.log(linear_from_srgb(np.maximum(colors, DARK)))
-    # Exposure changes all points alike; most points are lit most of the time.
+    # The median over all points removes changes of exposure; most points are lit most of the time.
     logs -= np.median(logs - np.median(logs, 0), axis=1, keepdims=True)
     return SurfaceObservations(
         points=points.reshape(-1, 3)[usable],

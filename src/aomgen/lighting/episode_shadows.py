@@ -1,4 +1,4 @@
-"""Shadows that an episode's robot and object cast on the table and on the walls, beyond the scanned ones."""
+"""Shadows of an episode's robot and object on the table and on walls, in addition to the scanned shadows."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -18,11 +18,11 @@ from aomgen.lighting.wall_shadow import cast_wall_shadow
 from aomgen.robots.robot import RobotModel
 from aomgen.twin.twin import OBJECT, PART, TwinModel, body_poses, pose_bodies
 
-# Number of samples of walls and objects at which the object's shadow is computed.
+# Number of sample points on walls and other objects at which the object's shadow is computed.
 WALL_SAMPLES: Final = 2000
-# Cell of the map of the robot's shadow in soft light, and its reach around the robot's base, [m].
+# Cell size of the map of the robot's shadow in soft light, and half side of the map around the robot's base, [m].
 ARM_CELL, ARM_REACH = 0.05, 1.3
-# Number of points on each body of the robot to which spheres are fitted, and the least number for one sphere.
+# Number of points on each body of the robot to which spheres are fitted, and smallest number of points for a sphere.
 POINTS, MIN_POINTS = 500, 20
 
 
@@ -33,7 +33,7 @@ class States(NamedTuple):
     thetas: Array
 
     def part(self, frames: slice) -> "States":
-        """Select some of the frames."""
+        """Select a range of frames."""
         return States(self.Ts_world_body[frames], self.thetas[frames])
 
 
@@ -41,9 +41,9 @@ class TableShadow(NamedTuple):
     """A shadow on a surface.
 
     Attributes:
-        T_world_plane: Pose of the surface.
-        prepare: Function that takes points (N, 3) on it, world frame, and returns a function from states to
-            the share (T, N) of the points' linear light that is blocked.
+        T_world_plane: Pose of the surface (4, 4).
+        prepare: Function that takes points (N, 3) on the surface, world frame, and returns a function from T states to the
+            share (T, N) of the points' linear light that is blocked.
     """
 
     T_world_plane: Array
@@ -59,14 +59,14 @@ def cast_shadows(
     T_world_plane: Array | None,
     threads: int | None,
 ) -> tuple[TwinModel, list[TableShadow]]:
-    """Return the twin with a relit object's shadow on its walls, and the shadows on its table.
+    """Add a relit object's shadow to the walls of a twin, and prepare the shadows on its table.
 
     Args:
         twin, robot: See `render_episode`.
         Ts_world_body: Poses (B, 4, 4) of the twin's bodies in any state.
         eyes_world: Camera centers (K, 3).
-        table: Visibility from the table past a relit object, if there is one.
-        T_world_plane: Pose of the table; None for the directional light's shadow alone.
+        table: Visibility of light on the table past a relit object; None if there is no such object.
+        T_world_plane: Pose of the table (4, 4); None if only the shadow of the directional light is required.
         threads: See `splatting.rasterizer.render`.
     """
     lamp, shadows = twin.directional_light, []
@@ -77,7 +77,7 @@ def cast_shadows(
         return twin, shadows
     light = twin.find_light(OBJECT)
     shadows.append(_cast_soft_shadow(twin, robot, light, Ts_world_body, table, T_world_plane))
-    # One state represents all: walls are behind the object's static part rather than before its moving part.
+    # The shadow on walls is computed for one state, because walls are closer to the object's static part than to its moving part.
     body = pose_bodies(twin.select(np.isin(twin.bodies, [twin.body(OBJECT), twin.body(PART)])), Ts_world_body)
     rows, sh = np.flatnonzero(twin.bodies == 0), np.array(twin.gaussians.sh)
     scene = twin.gaussians.select(rows)
@@ -90,7 +90,7 @@ def cast_shadows(
 def _cast_lamp_shadow(
     lamp: DirectionalLight, casters: tuple[TwinModel, TwinModel], threads: int | None
 ) -> TableShadow:
-    """Make the shadow of moving and new bodies in the directional light."""
+    """Prepare the shadow of moving and new bodies in the directional light."""
     share, T_world_plane = float(lamp.share.mean()), lamp.T_world_plane
 
     def prepare(points: Array) -> Callable[[States], Array]:
@@ -112,7 +112,7 @@ def _cast_soft_shadow(
     table: ObjectShadow,
     T_world_plane: Array,
 ) -> TableShadow:
-    """Make the shadow of a relit object and of the robot in all light except the directional light."""
+    """Prepare the shadow of a relit object and of the robot in all light except the directional light."""
     T_world_object, lamp, share = Ts_world_body[twin.body(OBJECT)], twin.directional_light, 1.0
     if lamp is not None:
         (light, _), share = lamp.split(light), 1 - float(lamp.share.mean())
@@ -138,14 +138,19 @@ def _cast_soft_shadow(
 def _cast_arm_shadow(
     twin: TwinModel, robot: RobotModel, share: float, T_world_plane: Array
 ) -> tuple[PlaneGrid, Callable[[Array], NDArray[np.float32]]]:
-    """Compute the change of the robot's shadow since the scan; light returns where the arm was.
+    """Compute the change of the robot's soft shadow relative to the scan; the shadow of the scanned arm is removed.
 
-    The shadow is one in a share of the light. The robot is represented by a few spheres in uniform light,
-    whose visibility past a sphere has a closed form. Source: Ren et al. 2006, "Real-time soft shadows in
-    dynamic scenes using spherical harmonic exponentiation".
+    The robot is represented by spheres in uniform light; the share of light that a sphere blocks has a closed form.
+
+    Args:
+        twin, robot: Twin and its robot.
+        share: Share of the light in which the shadow is cast.
+        T_world_plane: Pose of the table (4, 4).
 
     Returns:
         Cells, and a function that computes maps (T, rows, columns) of the blocked share for body poses (T, B, 4, 4).
+
+    Source: Ren et al. 2006, "Real-time soft shadows in dynamic scenes using spherical harmonic exponentiation".
     """
     to_plane, spheres = invert(T_world_plane), find_body_spheres(robot)
     cells = round(2 * ARM_REACH / ARM_CELL)
@@ -163,16 +168,17 @@ def _cast_arm_shadow(
 
 
 def find_body_spheres(robot: RobotModel) -> list[tuple[int, Array, float]]:
-    """Fit spheres along each body of a robot, one for every segment that is as long as the body is thick.
+    """Fit spheres along each body of a robot, one for every segment whose length is the body's thickness.
 
-    Each has the body's index in the twin, the center (3,) in the body frame, and the radius, [m].
+    Returns:
+        For each sphere, the body's index in the twin, the center (3,) in the body frame, and the radius, [m].
     """
     rng = np.random.default_rng(0)
     spheres = []
     for body in sorted({mesh.body for mesh in robot.meshes}):
         own = np.concatenate([m.vertices_body[m.faces] for m in robot.meshes if m.body == body])
         points = sample_triangles(own, POINTS, rng)
-        # The axes are in order of decreasing extent.
+        # The principal axes are in the order of decreasing extent.
         along = points @ np.linalg.eigh(np.cov(points.T))[1][:, ::-1]
         length, thickness = np.ptp(along, axis=0)[:2]
         pieces = max(1, round(length / thickness))
@@ -181,22 +187,27 @@ def find_body_spheres(robot: RobotModel) -> list[tuple[int, Array, float]]:
             chosen = points[piece_of == piece]
             if len(chosen) < MIN_POINTS:
                 continue
-            # Averaged over directions, the projection of a convex body has a quarter of its
-            # surface area (Cauchy).
+            # Averaged over all directions, the projected area of a convex body is a quarter of its surface area (Cauchy).
             radius = float(np.sqrt(ConvexHull(chosen, qhull_options="QJ").area / (4 * np.pi)))
-            # The twin's first body is the world.
+            # Body 0 of the twin is the world.
             spheres.append((1 + body, (chosen.min(0) + chosen.max(0)) / 2, radius))
     return spheres
 
 
 def measure_sphere_share(centers: Array, radius: float, grid: PlaneGrid) -> NDArray[np.float32]:
-    """Measure the share (T, rows, columns) of uniform light that a sphere at centers (T, 3) blocks."""
+    """Compute the share (T, rows, columns) of uniform light that a sphere blocks at each cell of a grid.
+
+    Args:
+        centers: Centers of the sphere (T, 3) in the frame of the grid, [m].
+        radius: Radius of the sphere, [m].
+        grid: Cells.
+    """
     x, y, height = centers.T.astype(np.float32)[..., None]
     across, along = (
         (low + grid.cell * (np.arange(count, dtype=np.float32) + np.float32(0.5)) - center) ** 2
         for low, count, center in ((grid.low[0], grid.columns, x), (grid.low[1], grid.rows, y))
     )
     squared = (across + height**2)[:, None] + along[..., None]
-    # The sphere covers pi (r/d)^2 h/d of the projected hemisphere, whose area is pi.
+    # In the projected hemisphere, whose area is pi, the sphere covers the area pi (r/d)^2 h/d.
     share = radius**2 * height[..., None].clip(0) / (squared * np.sqrt(squared))
     return share.clip(0, 1).astype(np.float32)

@@ -1,9 +1,9 @@
-"""Light at the location of a new object: radiance shown by the scan, and radiance inferred from the robot.
+"""Estimate the light at the location of a new object from the scan and from the shading of the robot.
 
-Walls, table and clutter are scanned, and so is the light that they reflect to the object. Light sources
-mostly are not: a scan looks down. The robot is a surface of known shape and color; light on it that the
-visible surroundings do not explain comes from unobserved directions. Where too little of the robot is
-visible, the light is assumed to come from above with the brightness of the scene.
+The scan shows walls, table and clutter, and therefore the light that they reflect to the object. It mostly does not show
+light sources, because its cameras point downward. The robot has a known shape and color; light on it that the visible
+surroundings do not explain arrives from unobserved directions. If too little of the robot is visible, the light is assumed
+to come from above with the mean brightness of the scene.
 """
 
 from collections.abc import Sequence
@@ -29,61 +29,60 @@ from aomgen.lighting.visibility import Occluders, estimate_transfer
 from aomgen.robots.robot import RobotModel
 from aomgen.twin.twin import TwinModel, body_poses, pose_twin
 
-# Fewer Gaussians on the robot do not constrain the light; more than the second number add no information.
+# Smallest number of Gaussians on the robot that determine the light, and largest number that is used.
 MIN_SAMPLES, MAX_SAMPLES = 200, 3000
-# A Gaussian farther than this from the posed meshes is not on their surface, [m].
+# Largest distance of a Gaussian on the robot's surface from the posed meshes, [m].
 MAX_DISTANCE: Final = 0.008
 # Number of points sampled on each body of the robot.
 POINTS_PER_BODY: Final = 3000
-# Least sine of the angle between surface and view, least share of views above it, and least
-# share of open sky above it.
+# Requirements on a sample: smallest sine of the angle between surface and viewing ray, smallest share of views that satisfy
+# this, and smallest share of the sky that is not occluded.
 FACING, MIN_EYES, MIN_OPEN = 0.2, 0.15, 0.25
-# Share of light that paint and plastic reflect in addition to their color:
-# normal incidence, refractive index 1.5.
+# Share of the light that paint and plastic reflect specularly at normal incidence, for a refractive index of 1.5.
 REFLECTED: Final = 0.04
-# Errors of colors beyond this are outliers: highlights, wrong links, sRGB.
+# Color errors above this sRGB value are outliers, for example highlights or Gaussians of another link.
 OUTLIER: Final = 0.05
-# Standard deviations of bands 1 and 2 of unobserved radiance, as shares of its mean, and of the tone curve;
-# the share of all colors that has the weight of one of them.
+# Standard deviations of the priors: of bands 1 and 2 of the unobserved radiance relative to its mean, and of the parameters
+# of the tone curve; and the weight of one prior residual relative to all colors together.
 BAND_SD, TONE_SD, PRIOR_COLORS = (0.6, 0.4), 0.3, 1e-4
-# Relative decrease of the cost that ends the fit; the light then differs by 0.2 grey levels from that at the optimum.
+# Relative decrease of the cost that ends the fit; the light then differs by 0.2 gray levels from the optimum.
 TOLERANCE: Final = 1e-5
-# Upper limits of shoulder and color loss.
+# Upper limits of the tone curve's shoulder and color loss.
 MAX_TONE: Final = (2.0, 0.95)
-# A cell of the table has the weight of this number of colors of the robot: its
-# grain differs from cell to cell.
+# Weight of the residual of a table cell relative to a color of the robot; the grain of the table differs between cells.
 TABLE: Final = 4.0
-# Nearly black surfaces show reflections rather than light; below the second number they show both, linear.
+# Linear albedo limits: darker surfaces than the first value show reflections instead of diffuse light; up to the second
+# value, they show both.
 MIN_ALBEDO, BRIGHT = 0.05, 0.1
-# Mean albedo of a scene, which determines the brightness of light when the robot cannot.
+# Assumed mean albedo of a scene, which determines the brightness of the light if the robot does not.
 MEAN_ALBEDO: Final = 0.4
-# Light is recovered from image values up to this share of the largest value of a tone curve.
+# Largest image value, relative to the maximum of a tone curve, that is inverted to light.
 BRIGHTEST: Final = 0.95
-# Brightness of a white, level surface stays within these limits, linear, 1 = image white.
+# Limits of the brightness of a white, horizontal surface, linear, 1 = image white.
 LIMITS: Final = (0.3, 1.6)
 
 
 class ToneCurve(NamedTuple):
-    """Map from light to image colors, both linear, that leaves dark light unchanged.
+    """Map from light to image colors, both linear, that does not change dark colors.
 
     Attributes:
-        shoulder: Compression of brightness, 0 or more: light of 1 is shown as 1 / (1 + shoulder).
-        color_loss: Share of its distance from gray that a color as bright as white loses, below 1; darker
-            ones lose less in proportion.
+        shoulder: Compression of brightness, >= 0: light of 1 is shown as 1 / (1 + shoulder).
+        color_loss: Reduction of the saturation of a color with the brightness of white, 0..1; the reduction is proportional
+            to the brightness.
     """
 
     shoulder: float = 0.0
     color_loss: float = 0.0
 
     def show(self, light: Array) -> Array:
-        """Compute image colors (..., 3) of light."""
+        """Compute the image colors (..., 3) of light (..., 3)."""
         positive = np.maximum(light, 0)
         bent = positive / (1 + self.shoulder * positive)
         grey = bent.mean(-1, keepdims=True)
         return np.asarray(grey + self._kept(grey) * (bent - grey), np.float64)
 
     def undo(self, shown: Array) -> Array:
-        """Compute the light (..., 3) that images show in given colors."""
+        """Compute the light (..., 3) that images show as given colors (..., 3)."""
         grey = shown.mean(-1, keepdims=True)
         bent = np.maximum(grey + (shown - grey) / self._kept(grey), 0)
         return np.asarray(bent / (1 - np.minimum(self.shoulder * bent, BRIGHTEST)), np.float64)
@@ -93,12 +92,12 @@ class ToneCurve(NamedTuple):
 
 
 class SceneLight(NamedTuple):
-    """Light on a new object, and the tone curve with which the scene's images show it.
+    """Light on a new object, and the tone curve of the scene's images.
 
     Attributes:
         arriving: Light at the object's location.
         tone: Tone curve of the cameras.
-        source: "robot"; "scene" when too little of the robot was visible; "file" or "diffusion" for a map.
+        source: "robot"; "scene" if too little of the robot was visible; "file" or "diffusion" for a map.
     """
 
     arriving: Light
@@ -107,7 +106,7 @@ class SceneLight(NamedTuple):
 
     @property
     def shown(self) -> Light:
-        """The light in the image colors of white surfaces."""
+        """Light under which white surfaces have the colors that the images show, without a tone curve."""
         transfer = open_transfer(sphere_directions(DIRECTIONS)).astype(np.float64)
         white = self.tone.show(transfer @ self.arriving.radiance_sh)
         return light_from_harmonics(np.linalg.lstsq(transfer, white)[0])
@@ -115,7 +114,7 @@ class SceneLight(NamedTuple):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LitSamples:
-    """N surface points: transfer past occluders (see `core.light`), albedo and observed colors, linear."""
+    """N surface points: transfer past occluders (see `core.light`), and linear albedo and observed colors."""
 
     transfer: Annotated[Array, "N 9"]
     albedo: Annotated[Array, "N 3"]
@@ -124,7 +123,7 @@ class LitSamples:
     __post_init__ = freeze_arrays
 
     def select(self, which: NDArray | slice) -> "LitSamples":
-        """Select some of the points."""
+        """Select a subset of the points."""
         return LitSamples(transfer=self.transfer[which], albedo=self.albedo[which], seen=self.seen[which])
 
 
@@ -141,15 +140,15 @@ def estimate_light(
 
     Args:
         twin: Recorded scene.
-        robot: Its robot.
-        around: Static surroundings of the object, also inside its shadow, world frame.
+        robot: Robot in the scene.
+        around: Static surroundings of the object, including those in its shadow, world frame.
         place: Location at which the light is estimated (3,), world frame.
-        table: Samples of the table around the object, on which its shadow falls.
-        views: The scan's cameras.
-        rng: Generator for points on the robot.
+        table: Samples of the table inside and outside the object's shadow.
+        views: Cameras of the scan.
+        rng: Generator that samples points on the robot.
 
-    Not checked: the real robot's paint may differ from its model; a uniform difference
-    changes the light's brightness, which is limited to `LIMITS`.
+    Not checked: whether the paint of the real robot agrees with its model; a uniform difference changes the brightness of the
+    light, which is limited to `LIMITS`.
     """
     world = pose_twin(twin, robot, twin.scan_state)
     of_robot = (twin.labels == ROBOT) & (twin.bodies > 0)
@@ -167,21 +166,21 @@ def estimate_light(
 
 
 def scene_light(world: Gaussians, labels: NDArray[np.uint8]) -> Light:
-    """Make light from above whose brightness explains the scene's mean color with a mean albedo."""
+    """Make light from above whose brightness explains the scene's median color with the assumed mean albedo."""
     solid = (labels == BACKGROUND) & (world.opacities > 0.5)
     if not solid.any():
         return hemisphere_light(np.ones(3), np.full(3, 0.4))
     colors = linear_from_srgb(np.clip(0.5 + SH_C0 * world.sh[solid, 0], 0, 1))
     level = np.clip(np.median(colors, 0).mean() / MEAN_ALBEDO, *LIMITS)
-    # A hemisphere of radiance L lights a level surface with irradiance pi L.
+    # A hemisphere of radiance L causes the irradiance pi L on a horizontal surface.
     return hemisphere_light(np.full(3, level), np.full(3, 0.4 * level))
 
 
 def fit_unseen(samples: LitSamples, around: Probe, table: LitSamples, here: Probe) -> tuple[Array, ToneCurve]:
-    """Fit radiance from unobserved directions, as harmonics (9, 3), and the camera's tone curve.
+    """Fit the radiance from unobserved directions, as harmonics (9, 3), and the tone curve of the cameras.
 
-    Dark and bright parts of the robot together determine the curve. Dark parts are affected by reflections,
-    so bright ones determine the light.
+    The tone curve is determined from dark and bright parts of the robot together. The light is determined from bright parts,
+    because dark parts are affected by reflections.
 
     Args:
         samples: Samples on the robot.
@@ -197,7 +196,7 @@ def fit_unseen(samples: LitSamples, around: Probe, table: LitSamples, here: Prob
 def _explain(
     samples: LitSamples, around: Probe, table: LitSamples, here: Probe, known: ToneCurve | None
 ) -> tuple[Array, ToneCurve]:
-    """Fit the light, and the tone curve unless it is known, to samples and table."""
+    """Fit the unobserved radiance, and the tone curve unless it is known, to samples and table."""
     wanted = srgb_from_linear(np.clip(samples.seen, 0, 1))
     grey = srgb_from_linear(np.clip(table.seen.mean(1, keepdims=True), 0, 1))
     spreads = np.repeat(BAND_SD, [3, 5])[:, None]
@@ -227,37 +226,49 @@ def _explain(
 
 
 def radiance_around(around: Probe, unseen: Array, tone: ToneCurve) -> Array:
-    """Compute harmonics (9, 3) of all light at a probe: visible radiance, tone curve undone, and the rest."""
+    """Compute the harmonics (9, 3) of all light at a probe.
+
+    Args:
+        around: Visible radiance as shown by the images.
+        unseen: Harmonics (9, 3) of the radiance from unobserved directions.
+        tone: Tone curve of the images, which is inverted.
+    """
     rest = np.maximum(sh_basis(around.directions, 2) @ unseen, 0)
     seen = around.seen[:, None]
     return around.project(seen * tone.undo(around.radiance_linear) + (1 - seen) * rest)
 
 
 def limit_light(light: SceneLight) -> SceneLight:
-    """Limit the shown brightness of a level white surface to `LIMITS`."""
+    """Limit the shown brightness of a horizontal white surface to `LIMITS`."""
     shown = np.clip(light.tone.show(np.full(3, _up(light))), *LIMITS)
     return _with_level(light, float(light.tone.undo(shown)[0]))
 
 
 def light_of_map(around: EnvironmentMap, scan: SceneLight, source: str) -> SceneLight:
-    """Make the light of a map, with the level brightness and the tone curve of a scan's light."""
+    """Make the light of an environment map, with the brightness and the tone curve of a scan's light.
+
+    Args:
+        around: Environment map.
+        scan: Light of the scan; both lights have the same brightness on a horizontal white surface.
+        source: Name of the map's origin, see `SceneLight`.
+    """
     return _with_level(SceneLight(around.light(), scan.tone, source), _up(scan))
 
 
 def _with_level(light: SceneLight, level: float) -> SceneLight:
-    """Scale the light so that a level white surface reflects a given radiance, linear."""
+    """Scale the light so that a horizontal white surface reflects a given radiance, linear."""
     return light._replace(arriving=light.arriving.scale_by(level / max(_up(light), 1e-6)))
 
 
 def _up(light: SceneLight) -> float:
-    """Compute the radiance that a level white surface reflects, linear, mean of the channels."""
+    """Compute the linear radiance that a horizontal white surface reflects, as the mean over the channels."""
     return float(light.arriving.irradiance(np.array([[0, 0, 1.0]])).mean())
 
 
 def _robot_samples(
     twin: TwinModel, world: Gaussians, robot: RobotModel, eyes_world: Array, rng: np.random.Generator
 ) -> LitSamples:
-    """Sample the robot's Gaussians that lie on its meshes and were seen from several sides."""
+    """Select the robot's Gaussians that are on the surface of its meshes and were observed by enough views."""
     Ts = body_poses(twin, robot, twin.scan_state)
     points, normals, colors = _surface_points(robot, Ts[1 : 1 + len(robot.body_names)], rng)
     mine = np.flatnonzero((twin.labels == ROBOT) & (world.opacities > 0.3) & (twin.bodies > 0))
@@ -274,7 +285,7 @@ def _robot_samples(
     facing = np.einsum("nki,ni->nk", ways, normals[nearest]) > FACING
     often = facing.mean(1) > MIN_EYES
     mine, nearest = mine[often], nearest[often]
-    # Links shade each other and themselves. Enclosed points are not on the visible surface.
+    # Links occlude light from each other and from themselves; enclosed points are not on the visible surface.
     transfer, open_ = estimate_transfer(points[nearest], normals[nearest], Occluders(points))
     outer = open_ > MIN_OPEN
     mine, nearest = mine[outer], nearest[outer]

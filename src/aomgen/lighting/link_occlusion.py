@@ -1,4 +1,4 @@
-"""Light that the links of an asset block from each other and from themselves, over the joint's range."""
+"""Estimate the light that the links of an asset block from each other and from themselves, over the joint's range."""
 
 from collections.abc import Sequence
 from typing import Final
@@ -13,13 +13,12 @@ from aomgen.core.values import Array
 from aomgen.lighting.visibility import Occluders, estimate_transfer
 from aomgen.splatting.surfels import Surfels
 
-# Joint values, as shares of the range.
+# Joint values at which occlusion is computed, as shares of the upper limit.
 STATES: Final = (0.0, 0.5, 1.0)
-# Occlusion is computed at every THINNED-th disc and averaged over the NEAR closest of these, where a
-# difference of direction counts as this distance, [m].
+# Occlusion is computed at every THINNED-th disc and averaged over the NEAR closest of these discs; a unit difference of the
+# normals counts as the distance ALIKE_M, [m].
 THINNED, NEAR, ALIKE_M = 2, 8, 0.2
-# Surfaces open to less than this share of the sky in every state are hidden:
-# faces of a gap, interior surfaces.
+# Surfaces to which less than this share of the sky is visible in every state are hidden, for example in gaps.
 CLOSED: Final = 0.02
 
 
@@ -31,17 +30,18 @@ def estimate_link_transfer(
     normals: NDArray[np.float32],
     links: NDArray[np.int64],
 ) -> NDArray[np.float32]:
-    """Estimate the transfer (N, 9), see `core.light`, of points on an asset's links, as mean over the range.
+    """Estimate the transfer (N, 9), see `core.light`, of points on an asset's links, as a mean over the joint's range.
 
-    Enclosed surfaces are invisible, so joint values at which a disc is open to the sky have more weight. A
-    point gets the mean of nearby discs with a similar normal: a single disc is as noisy as the cells in which
-    its occlusion was computed.
+    Joint values at which a larger share of the sky is visible have more weight, because enclosed surfaces are invisible. Each
+    point gets the mean of nearby discs with similar normals, because the occlusion of a single disc has the discretization
+    noise of the cells.
 
     Args:
+        asset: Asset with a static and a moving link.
         covers: Discs on the static and on the moving link, link frame.
-        solids: Dense points (M, 3) of each.
-        means, normals: The points (N, 3) and their unit normals, frame of their link.
-        links: Link of each point (N,), 0 or 1.
+        solids: Dense points (M, 3) on each link.
+        means, normals: Points (N, 3) and their unit normals (N, 3), frame of their link.
+        links: Link of each point (N,), 0 for static, 1 for moving.
     """
     motions = [asset.joint.motion(share * asset.joint.upper) for share in STATES]
     result = np.zeros((len(means), 9), np.float32)

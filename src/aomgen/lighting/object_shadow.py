@@ -1,4 +1,4 @@
-"""Visibility of the sky from the surface below an object, as a table that moves with the object."""
+"""Soft shadow of an object on the surface below it, precomputed in the frame of the object."""
 
 from dataclasses import dataclass, replace
 from typing import Annotated, Final
@@ -15,31 +15,30 @@ from aomgen.core.values import Array, Matrix4, freeze_arrays
 from aomgen.lighting.plane_shadow import PlaneGrid, project_shadow
 from aomgen.twin.twin import OBJECT, PART, TwinModel
 
-# Cell of a map of soft light, [m]: it leaves no finer detail in a shadow.
+# Cell size of a map of soft light, [m]; soft shadows have no finer details.
 CELL: Final = 0.015
-# Soft shadow is computed up to this distance from the object, and fades out over the last third, [m].
+# The soft shadow is computed up to this distance from the object and fades out over the last third of it, [m].
 REACH: Final = 0.35
-# Number of directions of soft light on the sphere, half of them above the
-# plane; the map is smoothed afterwards.
+# Number of directions of soft light on the sphere, half of which are above the plane; the map is smoothed afterwards.
 SKY_DIRECTIONS: Final = 160
-# Number of joint values, from limit to limit, for which soft shadow is computed; others are interpolated.
+# Number of joint values, from limit to limit, at which the soft shadow is computed; other values are interpolated.
 STATES: Final = 9
-# Light that surrounding surfaces reflect into a shadow, as a share of the blocked light.
+# Share of the blocked light that surrounding surfaces reflect into the shadow.
 FILL: Final = 0.15
-# Number of pixels rendered for each cell of a soft map, along a side.
+# Number of rendered pixels per cell of a map, along each side.
 FINER: Final = 2
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ObjectShadow:
-    """Visibility of light from D directions past an object, from the surface below it.
+    """Visibility of light from D directions past an object, on the surface below it, at K joint values.
 
     Attributes:
-        T_object_plane: Frame of the surface.
+        T_object_plane: Pose of the surface in the object frame (4, 4).
         grid: Cells of the maps.
-        directions: Unit directions to the light, frame of the surface.
-        thetas: Joint values of the maps.
-        visibility: Shares, 0..1.
+        directions: Unit directions toward the light (D, 3), frame of the surface.
+        thetas: Joint values of the maps (K,), [rad] or [m].
+        visibility: Visible share of the light (D, K, rows, columns), 0..1.
     """
 
     T_object_plane: Matrix4
@@ -51,28 +50,28 @@ class ObjectShadow:
     __post_init__ = freeze_arrays
 
     def block(self, light: Light, T_world_object: ArrayLike) -> NDArray[np.float32]:
-        """Compute the share (K, rows, columns) of irradiance that an object at a pose (4, 4) blocks."""
+        """Compute the share (K, rows, columns) of the irradiance that the object at a pose (4, 4) blocks, for each joint value."""
         R = (np.asarray(T_world_object) @ self.T_object_plane)[:3, :3]
         radiance = (sh_basis(self.directions @ R.T, 2) @ light.radiance_sh).mean(1)
         weights = self.directions[:, 2] * np.maximum(radiance, 0)
-        # einsum, not a product of matrices: a threaded BLAS may round differently from call to call.
+        # einsum is used, because the rounding errors of a matrix product in a threaded BLAS may differ between calls.
         passed = np.einsum("d,dkij->kij", weights.astype(np.float32), self.visibility) / max(
             weights.sum(), 1e-9
         )
         blocked = np.stack([gaussian_filter((1 - FILL) * (1 - share), 1.0) for share in passed])
-        # The fade is the cell's distance from the border, as a share of the last third of the reach.
+        # The factor of the fade is the distance of a cell from the border, relative to a third of the reach, at most 1.
         rows, columns = (np.minimum(np.arange(n), n - 1 - np.arange(n)) for n in passed.shape[1:])
         fade = np.clip(np.minimum(rows[:, None], columns) * CELL / (REACH / 3), 0, 1)
         return (blocked * fade).astype(np.float32)
 
     def interpolate(self, maps: NDArray[np.float32], thetas: Array) -> NDArray[np.float32]:
-        """Interpolate maps (K, rows, columns) of all states at joint values (T,)."""
+        """Interpolate the maps (K, rows, columns) of all joint values linearly at joint values (T,), [rad] or [m]."""
         place = np.interp(thetas, self.thetas, np.arange(len(self.thetas)))
         weights = np.maximum(1 - np.abs(place[:, None] - np.arange(len(self.thetas))), 0)
         return np.einsum("tk,kij->tij", weights.astype(np.float32), maps)
 
     def scale_by(self, factor: float, prismatic: bool) -> "ObjectShadow":
-        """Scale the shadow with its object about the object's origin."""
+        """Scale the shadow with its object about the origin of the object frame."""
         T = np.array(self.T_object_plane)
         T[:3, 3] *= factor
         grid = replace(self.grid, low=self.grid.low * factor, cell=self.grid.cell * factor)
@@ -83,7 +82,13 @@ class ObjectShadow:
 def tabulate_object_shadow(
     twin: TwinModel, T_world_plane: ArrayLike, threads: int | None = None
 ) -> ObjectShadow | None:
-    """Compute the shadow of a twin's relit object on a plane (4, 4) beneath it; None without such an object."""
+    """Compute the shadow of a twin's relit object on a plane below it; None if the twin has no such object.
+
+    Args:
+        twin: Twin with an object.
+        T_world_plane: Pose of the plane (4, 4).
+        threads: See `splatting.rasterizer.render`.
+    """
     lit = np.isin(np.arange(len(twin.bodies)), [] if twin.relit is None else twin.relit.indices)
     static, part = (twin.gaussians.select(lit & (twin.bodies == twin.body(name))) for name in (OBJECT, PART))
     if not len(static):

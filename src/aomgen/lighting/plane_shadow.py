@@ -1,8 +1,9 @@
-"""Shadows on a level surface: the fast path of `visibility` for many directions of light and many frames.
+"""Shadows on a horizontal surface, computed faster than by `visibility`, for many directions of light and many frames.
 
-The engine renders the bodies projected onto the surface along the light, so that an image is a map of the
-shadow. For points above the surface, but below the bodies, the map is read at their projection along the
-light (shadow mapping: Williams 1978, "Casting curved shadows on curved surfaces").
+The rasterizer renders the bodies projected onto the surface along the light, so that an image is a map of the shadow. For
+points between the surface and the bodies, the map is evaluated at their projection along the light.
+
+Source: Williams 1978, "Casting curved shadows on curved surfaces" (shadow mapping).
 """
 
 from dataclasses import dataclass, replace
@@ -20,24 +21,24 @@ from aomgen.robots.robot import RobotModel
 from aomgen.splatting.session import Motion, RenderSession, draw_outputs
 from aomgen.twin.twin import OBJECT, TwinModel, standing_bodies
 
-# Heights over which a visible point fades in and out of the surface, [m]. Depth of trained
-# surfaces is uncertain, mostly downwards, because lower Gaussians are visible through upper ones.
+# Heights between which the share of a visible point that belongs to the surface rises from 0 to 1 and falls to 0, [m]. The
+# depth of trained surfaces is mostly too large, because lower Gaussians are visible through upper ones.
 HEIGHTS: Final = (-0.09, -0.06, 0.012, 0.03)
-# Least side of the cells of a crisp shadow, [m], about a pixel, and of the shadow of a wide light, which is softer.
+# Smallest cell size of the map of a sharp shadow, about a pixel, and of the softer shadow of a wide light, [m].
 CELL, WIDE_CELL = 0.004, 0.012
 # Largest number of cells along a side of a map.
 MAP_SIDE: Final = 512
-# Bodies carried by an arm do not cast a shadow farther from its base than this, [m].
+# Largest distance from the arm's base at which the shadows of moving bodies are computed, [m].
 REACH: Final = 2.5
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PlaneGrid:
-    """Square cells on a level surface.
+    """Grid of square cells on a horizontal surface.
 
     Attributes:
-        low: Corner of cell (0, 0), [m], in the frame of the surface, on which z = 0.
-        cell: Side, [m].
+        low: Lower corner of cell (0, 0) (2,), [m], in the frame of the surface, on which z = 0.
+        cell: Side of a cell, [m].
         columns, rows: Number of cells along x and y.
     """
 
@@ -49,12 +50,12 @@ class PlaneGrid:
     __post_init__ = freeze_arrays
 
     def points(self) -> Array:
-        """Compute the centers of the cells (rows, columns, 3), on the surface."""
+        """Compute the centers of the cells (rows, columns, 3), in the frame of the surface, [m]."""
         centers = self.low + (np.indices((self.columns, self.rows)).T + 0.5) * self.cell
         return np.concatenate([centers, np.zeros_like(centers[..., :1])], -1)
 
     def lookup(self, points: Array) -> csr_array:
-        """Make a matrix (N, rows * columns) that interpolates a map at points (N, 2); 0 outside."""
+        """Make a sparse matrix (N, rows * columns) that interpolates a map at points (N, 2), [m]; maps are 0 outside the grid."""
         places = (points - self.low) / self.cell - 0.5
         corner = np.floor(places).astype(np.int64)
         share = places - corner
@@ -77,20 +78,20 @@ def project_shadow(
     grid: PlaneGrid,
     threads: int | None = None,
 ) -> NDArray[np.float32]:
-    """Compute the share (T, D, rows, columns) of each direction's light that bodies block at each cell.
+    """Compute the share (T, D, rows, columns) of the light from each direction that bodies block at each cell.
 
     Args:
         bodies: N Gaussians in the frames of their parts.
         parts: Part of each Gaussian (N,); None for one rigid body.
-        Ts_plane_part: Poses (T, P, 4, 4) in the frame of the surface.
-        directions_plane: Unit directions to the light (D, 3), z > 0.
+        Ts_plane_part: Poses of the P parts in T frames (T, P, 4, 4), in the frame of the surface.
+        directions_plane: Unit directions toward the light (D, 3) with z > 0, in the frame of the surface.
         grid: Cells of the maps.
         threads: See `splatting.rasterizer.render`.
     """
     camera = Camera(
         fx=1 / grid.cell, fy=1 / grid.cell, cx=0.0, cy=0.0, width=grid.columns, height=grid.rows, T_world_cam=np.eye(4)
     )  # fmt: skip
-    # The bodies are projected along the light onto the surface, which is at depth 1.
+    # The bodies are projected along the light onto the surface, which is placed at depth 1 of the camera.
     Ts_flat = np.tile(np.eye(4), (len(directions_plane), 1, 1))
     Ts_flat[:, :2, 2] = -directions_plane[:, :2] / directions_plane[:, 2:]
     Ts_flat[:, :2, 3] = -grid.low
@@ -109,9 +110,11 @@ def project_shadow(
 def select_casters(
     twin: TwinModel, robot: RobotModel, new_object: bool = False
 ) -> tuple[TwinModel, TwinModel]:
-    """Select the bodies whose shadow is new, and the static bodies whose shadow was scanned.
+    """Select the bodies whose shadow must be computed, and the static bodies whose shadow is part of the scan.
 
-    The static part of a `new_object` was not scanned.
+    Args:
+        twin, robot: Twin and its robot.
+        new_object: The object was not part of the scan, so the shadow of its static part must be computed, too.
     """
     standing = standing_bodies(twin, robot)
     standing[twin.body(OBJECT)] &= not new_object
@@ -127,17 +130,17 @@ def measure_blocked_light(
     points_world: Array,
     threads: int | None = None,
 ) -> Array:
-    """Measure the share (T, N) of light from directions (K, 3) that is newly blocked at points (N, 3).
+    """Compute the share (T, N) of light that is blocked at points in addition to the scanned shadows.
 
-    Where other bodies cast a scanned shadow, no more light is removed. Cells depend on the points alone, so
-    that equal states give equal results.
+    Light is not removed twice where static bodies cast a scanned shadow. Cells depend only on the points, so that equal
+    states give equal results.
 
     Args:
         casters: Result of `select_casters`.
-        Ts_world_body: Poses (T, B, 4, 4).
-        T_world_plane: Pose of a surface near the points, on which the maps are computed.
-        directions: Unit directions to the light, world frame.
-        points_world: Points on, above or below the surface.
+        Ts_world_body: Body poses (T, B, 4, 4).
+        T_world_plane: Pose of a surface near the points (4, 4), on which the maps are computed.
+        directions: Unit directions toward the light (K, 3), world frame.
+        points_world: Points (N, 3) on, above or below the surface.
         threads: See `splatting.rasterizer.render`.
     """
     to_plane = invert(T_world_plane)
@@ -160,7 +163,17 @@ def measure_blocked_light(
 
 
 def intersect_surface(T_world_plane: Array, camera: Camera, depth: Array) -> tuple[Array, Array]:
-    """Intersect pixel rays with a plane (H, W, 3), and measure how much depths (H, W) belong to it, 0..1."""
+    """Intersect the pixel rays of a camera with a plane.
+
+    Args:
+        T_world_plane: Pose of the plane (4, 4).
+        camera: Camera, world frame.
+        depth: Rendered depths (H, W), [m].
+
+    Returns:
+        Intersections (H, W, 3), world frame, and the share (H, W), 0..1, to which the points at the rendered depths belong
+        to the plane.
+    """
     rays = camera.directions()
     to_plane = invert(T_world_plane)
     eye, falls = apply(to_plane, camera.center)[2], rays @ to_plane[2, :3]
@@ -171,6 +184,6 @@ def intersect_surface(T_world_plane: Array, camera: Camera, depth: Array) -> tup
 
 
 def surface_share(T_world_plane: Array, points_world: ArrayLike) -> Array:
-    """Measure how much points (..., 3) belong to a surface, 0..1, by their height above it."""
+    """Compute the share, 0..1, to which points (..., 3) belong to a surface, from their heights above it."""
     heights = apply(invert(T_world_plane), points_world)[..., 2]
     return np.interp(heights, HEIGHTS, (0.0, 1.0, 1.0, 0.0))

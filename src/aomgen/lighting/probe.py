@@ -1,4 +1,4 @@
-"""Radiance that arrives at a point from all directions, rendered from the twin, and the covered share."""
+"""Radiance that arrives at a point from all directions, rendered from the Gaussians of a scene."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -16,11 +16,11 @@ from aomgen.core.values import Array, freeze_arrays
 from aomgen.splatting.rasterizer import render
 from aomgen.splatting.surfaces import compute_rendered_points
 
-# Number of pixels along the side of a face of the cube.
+# Number of pixels along each side of a face of the cube map.
 FACE_PX: Final = 24
 # Directions with less accumulated alpha than this were not scanned.
 MIN_ALPHA: Final = 0.05
-# Camera axes (columns x, y, z) of the faces: along each axis of the world.
+# Camera orientations (columns are the axes x, y, z) of the six faces, which look along the axes of the world.
 FACES: Final = tuple(
     np.stack([np.roll(z, 1), np.cross(z, np.roll(z, 1)), z], 1) for z in (*np.eye(3), *-np.eye(3))
 )
@@ -31,10 +31,10 @@ class Probe:
     """Radiance at a location from D directions.
 
     Attributes:
-        directions: Unit vectors towards the light, world frame.
-        solid_angles: Solid angle of each direction, [sr]; 4 pi together.
-        seen: Share of each direction that the scan shows, 0..1.
-        radiance_linear: Radiance of that share, as images show it.
+        directions: Unit vectors (D, 3) toward the light, world frame.
+        solid_angles: Solid angle of each direction (D,), [sr]; their sum is 4 pi.
+        seen: Share of each direction that the scan covers (D,), 0..1.
+        radiance_linear: Radiance of that share (D, 3), as the images show it.
     """
 
     directions: Annotated[Array, "D 3"]
@@ -45,14 +45,20 @@ class Probe:
     __post_init__ = freeze_arrays
 
     def project(self, radiance: Array) -> Array:
-        """Compute harmonics (9, ...) of radiance (D, ...)."""
+        """Compute the harmonics (9, ...) of radiance (D, ...)."""
         return project_radiance(self.directions, self.solid_angles, radiance)
 
 
 def probe_light(world: Gaussians, place: Array, views: Sequence[Camera]) -> Probe:
-    """Render Gaussians, world frame, outward from a location (3,).
+    """Render the surroundings of a location as a cube map.
 
-    Directions outside all views of the scan count as unknown: distant Gaussians there explain other surfaces.
+    Directions whose rendered points are outside the images of all views count as unknown, because distant Gaussians there do
+    not represent observed surfaces.
+
+    Args:
+        world: Gaussians, world frame.
+        place: Location (3,), world frame.
+        views: Cameras of the scan.
     """
     found = []
     half = FACE_PX / 2
@@ -68,7 +74,7 @@ def probe_light(world: Gaussians, place: Array, views: Sequence[Camera]) -> Prob
         )
         found.append((
             (rays / length[..., None]).reshape(-1, 3),
-            # Solid angle of a pixel of the unit cube, by its distance and viewing angle.
+            # This is the solid angle of a pixel of the cube with half side 1, from its distance and viewing angle.
             ((2 / FACE_PX) ** 2 / length**3).ravel(),
             np.where(known, drawn.alpha.ravel(), 0.0),
             linear_from_srgb(np.clip(shown, 0, 1)).reshape(-1, 3),
@@ -83,7 +89,7 @@ def probe_light(world: Gaussians, place: Array, views: Sequence[Camera]) -> Prob
 
 
 def _in_frame(points: Array, views: Sequence[Camera]) -> NDArray[np.bool_]:
-    """Find points (N, 3) that are in the frame of one of the views; NaN are in none."""
+    """Return the mask (N,) of the points (N, 3) within the image of at least one view; NaN points are in none."""
     inside = np.zeros(len(points), bool)
     for view in views:
         pixels, depth = view.project(points)

@@ -1,4 +1,4 @@
-"""Shadow of a directional light on a twin's surface: rendering it, and removing it from the scan."""
+"""Render the shadow of a directional light on a twin's surface, and remove the scanned shadow."""
 
 from dataclasses import replace
 from typing import Any, Final
@@ -23,18 +23,25 @@ from aomgen.robots.robot import RobotModel
 from aomgen.splatting.rasterizer import Rendering, render
 from aomgen.twin.twin import TwinModel, TwinState, body_poses, pose_bodies
 
-# Uncertainty of shadow edges, a degree or two of the light's direction, [m].
+# Uncertainty of shadow edges, which corresponds to an error of the light's direction of one to two degrees, [m].
 EDGE_M: Final = 0.015
-# Least opacity of Gaussians that count as surface.
+# Smallest opacity of Gaussians that represent a surface.
 SOLID: Final = 0.3
-# Number of lit Gaussians whose median gives the color of the surface: robust to single outliers.
+# Number of lit Gaussians whose median determines the color of the surface, which is robust to outliers.
 NEIGHBORS: Final = 16
 
 
 def render_state(
     twin: TwinModel, robot: RobotModel, state: TwinState, camera: Camera, **options: Any
 ) -> Rendering:
-    """Render a state with its shadows; `options` go to `splatting.rasterizer.render`."""
+    """Render a twin in a state, with shadows.
+
+    Args:
+        twin, robot: Twin and its robot.
+        state: State to be rendered.
+        camera: Camera, world frame.
+        **options: Passed to `splatting.rasterizer.render`.
+    """
     Ts, lamp = body_poses(twin, robot, state), twin.directional_light
     rendered = render(pose_bodies(twin, Ts), camera, **options)
     if lamp is None:
@@ -45,7 +52,7 @@ def render_state(
 
 
 def pose_with_shadow(twin: TwinModel, robot: RobotModel, state: TwinState) -> Gaussians:
-    """All Gaussians in the world frame, in the twin's order; those of the surface are darkened by the state's shadow."""
+    """Transform all Gaussians to the world frame, in the order of the twin, and darken the surface by the shadow."""
     Ts, lamp = body_poses(twin, robot, state), twin.directional_light
     world = pose_bodies(twin, Ts)
     if lamp is None:
@@ -67,13 +74,13 @@ def observe_shadow(
     Ts_world_body: Array,
     camera: Camera,
 ) -> tuple[Array, Array]:
-    """Measure how much of each pixel (H, W) is the light's surface, and its blocked share of the light, 0..1.
+    """Compute the share (H, W) of each pixel that shows the shadowed surface, and the blocked share (H, W) of the light.
 
     Args:
-        twin: A twin.
-        lamp: Its directional light.
+        twin: Twin.
+        lamp: Directional light of the twin.
         casters: Result of `select_casters`.
-        Ts_world_body: Poses (B, 4, 4).
+        Ts_world_body: Body poses (B, 4, 4).
         camera: Camera of the view.
     """
     still = (twin.bodies == 0).astype(np.float32)[:, None]
@@ -86,7 +93,7 @@ def observe_shadow(
 
 
 def remove_baked_shadow(twin: TwinModel, robot: RobotModel, lamp: DirectionalLight) -> TwinModel:
-    """Remove the baked shadow: surface colors become the lit ones, and the twin casts the shadows."""
+    """Remove the scanned shadow of a directional light from the colors of the surface, and add the light to the twin."""
     Ts, T_world_plane = body_poses(twin, robot, twin.scan_state), lamp.T_world_plane
     means = np.array(pose_bodies(twin, Ts).means, np.float64)
     share = surface_share(T_world_plane, means) * (twin.bodies == 0)
@@ -99,7 +106,7 @@ def remove_baked_shadow(twin: TwinModel, robot: RobotModel, lamp: DirectionalLig
         select_casters(twin, robot), Ts[None], T_world_plane, lamp.directions, shifted
     ).reshape(9, -1)
     blocked, most = around[0], around.max(0)
-    # The shadow of a wide light has no sharp edges.
+    # Only sharp shadows have uncertain edges; the shadow of a wide light has no sharp edges.
     unsure = (most - around.min(0) > 1 - CORE) & (len(lamp.directions) == 1)
     lit = remove_shadow(twin.gaussians, blocked, lamp)
     from_color = _find_shadow_by_color(lit, twin.gaussians, unsure, share, lamp)
@@ -108,20 +115,20 @@ def remove_baked_shadow(twin: TwinModel, robot: RobotModel, lamp: DirectionalLig
 
 
 def remove_shadow(gaussians: Gaussians, blocked: Array, lamp: DirectionalLight) -> Gaussians:
-    """Remove the shadow from Gaussians of which a share (N,) of the light was blocked."""
+    """Remove the shadow from N Gaussians, for which a share (N,) of the directional light was blocked."""
     return gaussians.illuminate(1 / (1 - blocked[:, None] * lamp.share))
 
 
 def _find_shadow_by_color(
     lit: Gaussians, seen: Gaussians, unsure: NDArray[np.bool_], share: Array, lamp: DirectionalLight
 ) -> Array:
-    """Estimate how much Gaussians at shadow edges are in shadow (M,), 0..1, from lit neighbors.
+    """Estimate the blocked share of the light (M,), 0..1, of Gaussians at shadow edges from the colors of their neighbors.
 
     Args:
-        lit: All Gaussians without the shadow, correct except at its edges.
-        seen: The same Gaussians with it.
-        unsure: Mask of the Gaussians at edges, M of N.
-        share: Share of each that belongs to the surface (N,).
+        lit: N Gaussians without the shadow, which are correct except at its edges.
+        seen: The same Gaussians with the shadow.
+        unsure: Mask (N,) of the M Gaussians at edges.
+        share: Share of each Gaussian that belongs to the surface (N,).
     """
     sure = np.flatnonzero((share > CORE) & ~unsure & (seen.opacities > SOLID))
     count = min(NEIGHBORS, len(sure))
@@ -133,5 +140,5 @@ def _find_shadow_by_color(
 
 
 def _measure_level(gaussians: Gaussians) -> Array:
-    """Compute the linear brightness (N,)."""
+    """Compute the linear brightness (N,) of Gaussians."""
     return np.asarray(linear_from_srgb(np.maximum(gaussians.colors_srgb, DARK)), np.float64).mean(1)

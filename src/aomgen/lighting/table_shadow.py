@@ -1,7 +1,7 @@
-"""Shadow of the recorded object on its table, explained by light from many directions.
+"""Remove the shadow of the recorded object from its table, by a fit of light from many directions.
 
-The visibility past the object is known for every cell of the table and every direction; the radiance of the
-directions is fitted to the observed brightness. Dividing by the irradiance removes the shadow, soft or crisp.
+For every cell of the table and every direction, the visibility past the object is computed. The radiance of the directions
+is fitted to the observed brightness. Division by the resulting irradiance removes the shadow, whether soft or sharp.
 """
 
 from dataclasses import dataclass
@@ -22,35 +22,34 @@ from aomgen.lighting.light_estimation import LitSamples
 from aomgen.lighting.plane_shadow import PlaneGrid, project_shadow
 from aomgen.lighting.visibility import BODY_CELLS, Occluders, estimate_transfer
 
-# Cells of the top view per cell of the shadow, along a side: a shadow is smoother than the grain of wood.
+# Number of cells of the top view per cell of the shadow, along each side; a shadow is smoother than the grain of wood.
 COARSER: Final = 3
-# Number of directions on the sphere; those with a smaller sine of the
-# elevation than this hardly light a table.
+# Number of directions on the sphere, and smallest sine of the elevation; lower directions hardly illuminate a table.
 DIRECTIONS, MIN_SINE = 240, 0.12
-# Weight of the prior that the light is uniform, as a share of the evidence.
+# Weight of the prior that the light is uniform, relative to the weight of all observations.
 EVEN: Final = 0.02
-# Largest gain: a larger one would not be based on observed colors, linear.
+# Largest gain on linear colors; a larger one would mostly amplify noise.
 MAX_GAIN: Final = 4.0
-# Brightness is smoothed over this number of cells of the shadow, a few widths of a grain.
+# Standard deviation of the filter that smooths the brightness, in cells of the shadow; it spans several lines of grain.
 SMOOTH: Final = 1.5
-# Wood is brighter than its mean by up to this factor in some locations, linear.
+# Largest ratio of the smoothed linear brightness of an unshadowed table to its mean, due to the grain of wood.
 GRAIN: Final = 1.1
-# Only cells of which more than this share is known are used. Fewer cells than the second number do not
-# distinguish a shadow from the grain; more than the third add no information.
+# Smallest known share of a cell that is used; smallest number of such cells, with which a shadow can be distinguished from
+# grain; and largest number of sampled cells.
 SURE, MIN_CELLS, MAX_CELLS = 0.5, 200, 1500
 
 
 @dataclass(frozen=True, kw_only=True)
 class ShadowedTable:
-    """A table seen from above, and the object that stood on it when it was photographed.
+    """Top view of a table, and the object that stood on it during the scan.
 
     Attributes:
         caster: The object, world frame.
-        T_world_plane: Pose of the table, z = 0 on it.
-        low: Corner of the image, plane frame (2,).
+        T_world_plane: Pose of the table (4, 4), on which z = 0.
+        low: Lower corner of the top view (2,), plane frame, [m].
         cell: Side of its cells, [m].
-        picture_srgb: The table from above (H, W, 3).
-        known: Cells (H, W) that show the table.
+        picture_srgb: Top view of the table (H, W, 3).
+        known: Mask (H, W) of the cells that show the table.
     """
 
     caster: Gaussians
@@ -62,7 +61,7 @@ class ShadowedTable:
 
     @cached_property
     def coarse(self) -> tuple[PlaneGrid, Array, Array]:
-        """Cells of the shadow, sums (h, w, 3) of their known linear colors, and their known share (h, w)."""
+        """Cells of the shadow, their linear colors (h, w, 3) times their known share, and the known share (h, w)."""
         rows, columns = (-(-side // COARSER) for side in self.known.shape)
         grid = PlaneGrid(low=self.low, cell=COARSER * self.cell, columns=columns, rows=rows)
         linear = np.asarray(linear_from_srgb(self.picture_srgb), np.float64)
@@ -71,10 +70,9 @@ class ShadowedTable:
 
 
 def shadow_gain(table: ShadowedTable) -> Array:
-    """Compute factors (H, W, 3), 1 or more, on the light of a table that remove the shadow of its object.
+    """Compute factors (H, W, 3), >= 1, on the linear colors of a table that remove the shadow of its object.
 
-    Not checked: that the table has a uniform mean color. A gradual change of its brightness from
-    side to side is preserved.
+    Not checked: whether the table has a uniform mean color. A linear change of its brightness across the table is preserved.
     """
     known, (grid, colors, weight) = table.known, table.coarse
     gain = np.ones((*known.shape, 3))
@@ -83,9 +81,9 @@ def shadow_gain(table: ShadowedTable) -> Array:
         return gain
     directions = sphere_directions(DIRECTIONS)
     directions = directions[directions[:, 2] > MIN_SINE]
-    # A uniform sky lights a table by the sine of the elevation.
+    # Under a uniform sky, the irradiance from a direction is proportional to the sine of its elevation.
     sines = directions[:, 2]
-    # Visibility past the object of each direction.
+    # `passed` is the visibility of each direction past the object.
     T_plane_world = invert(table.T_world_plane)[None, None]
     passed = 1.0 - project_shadow(table.caster, None, T_plane_world, directions, grid)[0].astype(np.float64)
     middle = grid.points()[..., :2] - grid.points()[..., :2][sure].mean(0)
@@ -101,7 +99,7 @@ def shadow_gain(table: ShadowedTable) -> Array:
         light, slope = found[: len(passed)], np.tensordot(found[len(passed) :], slopes, 1)
         arriving = np.tensordot(light, passed, 1) / max(float(light.sum()), 1e-9)
         lift = 1 / np.maximum(gaussian_filter(arriving, 0.5), 1 / MAX_GAIN)
-        # Cells as bright as the lit table have no shadow to remove, whatever the sky.
+        # The gain is limited so that cells that are already as bright as the unshadowed table are not brightened.
         observed = gaussian_filter(colors[..., channel], SMOOTH) / np.maximum(smooth_weight, 1e-3)
         lift = np.minimum(lift, np.maximum(GRAIN * (light.sum() + slope) / np.maximum(observed, 1e-3), 1))
         fine = map_coordinates(lift, places, order=1, mode="nearest")
@@ -110,7 +108,7 @@ def shadow_gain(table: ShadowedTable) -> Array:
 
 
 def select_lit_cells(table: ShadowedTable, rng: np.random.Generator) -> LitSamples:
-    """Select table cells inside and outside the object's shadow; their unknown albedo is set to 1."""
+    """Sample table cells inside and outside the object's shadow; their albedo is unknown and set to 1."""
     grid, colors, weight = table.coarse
     sure = np.argwhere(weight > SURE)
     if not len(sure) >= MIN_CELLS:
@@ -127,7 +125,7 @@ def select_lit_cells(table: ShadowedTable, rng: np.random.Generator) -> LitSampl
 
 
 def _pool(image: Array, rows: int, columns: int) -> Array:
-    """Average an image (H, W, ...) over cells; it counts as 0 beyond its end."""
+    """Average an image (H, W, ...) over the cells of the shadow; the image is padded with zeros."""
     more = [(0, rows * COARSER - image.shape[0]), (0, columns * COARSER - image.shape[1])]
     whole = np.pad(image, more + [(0, 0)] * (image.ndim - 2))
     return whole.reshape(rows, COARSER, columns, COARSER, *image.shape[2:]).mean((1, 3))

@@ -1,6 +1,6 @@
-"""Visibility of light from points, past surfaces of any shape, by rays through a grid of cells.
+"""Visibility of light at points past surfaces of any shape, by tracing rays through a grid of cells.
 
-`plane_shadow` is the fast path for light that falls on a level surface past moving bodies.
+`plane_shadow` is faster for light on a horizontal surface past moving bodies.
 """
 
 from typing import Final
@@ -12,24 +12,24 @@ from scipy.ndimage import distance_transform_cdt
 from aomgen.core.sh import sh_basis, sphere_directions
 from aomgen.core.values import Array
 
-# Number of tested directions on the sphere: about ten for each of the nine coefficients of a transfer.
+# Number of tested directions on the sphere, about ten for each of the nine coefficients of a transfer.
 DIRECTIONS: Final = 96
-# Number of cells along the longest side of a surface that is given by dense samples of its meshes.
+# Number of cells along the longest side of a surface that is represented by dense samples of its meshes.
 CELLS: Final = 64
-# The same for a body that is given by the centers of its Gaussians alone, which are less dense.
+# Number of cells along the longest side of a body that is represented by the less dense centers of its Gaussians.
 BODY_CELLS: Final = 32
-# Rays start this many cells above a surface, or its own cells would block them.
+# Distance above a surface at which rays start, in cells, so that its own cells do not block them.
 OFFSET_CELLS: Final = 1.8
-# Share of the light on the walls of a cavity that they reflect.
+# Share of the light on the walls of a cavity that is reflected.
 BOUNCE: Final = 0.5
 
 
 class Occluders:
-    """Cells that an occluding surface crosses.
+    """Grid of the cells that contain an occluding surface.
 
     Args:
         points: Dense points (M, 3) on the surface.
-        cells: Cells along its longest side.
+        cells: Number of cells along its longest side.
 
     Attributes:
         cell: Side of a cell, [m].
@@ -41,16 +41,15 @@ class Occluders:
         shape = np.ceil(np.ptp(points, axis=0) / self.cell).astype(int) + 3
         empty = np.ones(tuple(shape), bool)
         empty[tuple(((points - self._low) / self.cell).astype(int).T + 1)] = False
-        # Number of cells to the nearest solid one: a ray can advance as many steps of at most a
-        # cell without missing any.
+        # The chessboard distance to the nearest solid cell is the number of cells by which a ray can advance without missing one.
         self._free = np.asarray(distance_transform_cdt(empty, "chessboard"))
 
     def blocks(self, starts: Array, direction: Array) -> NDArray[np.bool_]:
-        """Find which rays from `starts` (N, 3) in a direction (3,) meet a solid cell."""
-        # The array has rows of x, y and z: sums over three columns are slow.
+        """Return the mask (N,) of the rays from `starts` (N, 3) in a direction (3,) that hit a solid cell."""
+        # Coordinates are stored as three rows, because operations on three columns are slow.
         position = np.ascontiguousarray(((starts - self._low) / self.cell + 1).T)
         shape, step = np.array(self._free.shape)[:, None], direction[:, None]
-        # Rays start where they enter the box of all cells.
+        # Rays start at the point at which they enter the grid.
         with np.errstate(divide="ignore", invalid="ignore"):
             ends = np.stack([-position, shape - position]) / step
         enter, leave = np.nanmax(ends.min(0), 0), np.nanmin(ends.max(0), 0)
@@ -71,9 +70,13 @@ class Occluders:
 def find_visibility(
     points: Array, normals: Array, occluders: Occluders, directions: Array
 ) -> NDArray[np.bool_]:
-    """Find whether light from directions (D, 3) reaches points (N, 3) with unit normals (N, 3), as (N, D).
+    """Compute the mask (N, D) of the directions from which light reaches points; light from behind a surface does not.
 
-    Light from behind a surface does not reach it.
+    Args:
+        points: Points (N, 3) on surfaces.
+        normals: Unit normals (N, 3).
+        occluders: Occluding surfaces in the same frame.
+        directions: Unit directions toward the light (D, 3).
     """
     visible = normals @ directions.T > 0
     starts = points + OFFSET_CELLS * occluders.cell * normals
@@ -83,10 +86,15 @@ def find_visibility(
 
 
 def estimate_transfer(points: Array, normals: Array, occluders: Occluders) -> tuple[Array, Array]:
-    """Estimate the transfer (N, 9), see `core.light`, of points past occluders, and the open sky share (N,).
+    """Estimate the transfer (N, 9), see `core.light`, of points past occluders, and the visible share of the sky (N,).
 
-    The share is weighted by cosines. Blocked light is replaced by light of the walls that block it; in a
-    cavity these are dark in proportion to its closure.
+    The share is weighted by the cosines of the angles to the normal. Blocked light is replaced by light that the occluding
+    walls reflect, which is proportional to the visible share of the sky.
+
+    Args:
+        points: Points (N, 3) on surfaces.
+        normals: Unit normals (N, 3).
+        occluders: Occluding surfaces in the same frame.
     """
     directions = sphere_directions(DIRECTIONS)
     visible = find_visibility(points, normals, occluders, directions)
@@ -97,9 +105,17 @@ def estimate_transfer(points: Array, normals: Array, occluders: Occluders) -> tu
 
 
 def turn_outward(points: Array, normals: Array, occluders: Occluders) -> Array:
-    """Flip unit normals (N, 3) whose side is closed in while the other side is open.
+    """Flip normals that point to an enclosed side while the other side is open.
 
-    Meshes may be wound either way. `occluders` are all surfaces in the same frame.
+    This is necessary because the triangles of meshes may have either orientation.
+
+    Args:
+        points: Points (N, 3) on surfaces.
+        normals: Unit normals (N, 3).
+        occluders: All surfaces, in the same frame.
+
+    Returns:
+        Unit normals (N, 3).
     """
     front, back = (estimate_transfer(points, sign * normals, occluders)[1] for sign in (1.0, -1.0))
     return np.where(((front < 0.1) & (back > 0.3))[:, None], -normals, normals)

@@ -1,6 +1,6 @@
-"""Shadow of an object on the walls and objects around it; `plane_shadow` serves the surface below it.
+"""Shadow of an object on the walls and objects around it; `plane_shadow` computes that on the surface below it.
 
-The shadow is computed at some of their Gaussians and interpolated in between.
+The shadow is computed at a subset of the Gaussians and interpolated at the others.
 """
 
 from typing import Final
@@ -17,12 +17,12 @@ from aomgen.lighting.object_shadow import FILL
 from aomgen.lighting.plane_shadow import surface_share
 from aomgen.lighting.visibility import BODY_CELLS, Occluders, estimate_transfer, find_visibility
 
-# At larger distances from the object its shadow is weaker than the noise of images, [m].
+# Largest distance from the object at which its shadow is computed, [m]; beyond it, the shadow is weaker than image noise.
 REACH_M: Final = 0.8
-# Number of neighbors over which normals are averaged: those of single Gaussians are noisy.
+# Number of neighbors over which normals are averaged, because normals of single Gaussians are noisy.
 NEIGHBORS: Final = 16
-# Number of samples from which a point's shadow is interpolated, the standard deviation of their weights, [m],
-# and the weight of no shadow, which dominates where no sample is near.
+# Number of samples from which the shadow at a point is interpolated; standard deviation of their weights, [m]; and the weight
+# of a shadow of 0, which dominates if no sample is near.
 SAMPLES, SOFT_M, AWAY = 8, 0.03, 0.05
 # Number of Gaussians of the object that represent its shape.
 BODY_POINTS: Final = 20_000
@@ -37,16 +37,16 @@ def cast_wall_shadow(
     T_world_plane: Array,
     at_most: int,
 ) -> Array:
-    """Compute the share (N, 1) of light that each Gaussian of a scene receives past a body; 1 on a plane.
+    """Compute the share (N, 1) of light that each Gaussian of a scene receives past an object.
 
     Args:
-        scene: N Gaussians that never move, world frame.
+        scene: N static Gaussians, world frame.
         body: The object, world frame.
         light: All light at the object's location.
-        lamp: The directional light contained in it, if any.
-        eyes_world: Camera centers (K, 3): surfaces face them.
-        T_world_plane: The plane (4, 4).
-        at_most: Number of samples.
+        lamp: The directional light that is part of it, if any.
+        eyes_world: Camera centers (K, 3), toward which the normals of surfaces are oriented.
+        T_world_plane: Pose of the plane below the object (4, 4), on which the share is 1.
+        at_most: Largest number of samples.
     """
     own, means = _thin(body.means.astype(np.float64), BODY_POINTS), scene.means.astype(np.float64)
     low, high = own.min(0), own.max(0)
@@ -72,7 +72,13 @@ def cast_wall_shadow(
 
 
 def _interpolate(samples: Array, values: Array, points: Array) -> Array:
-    """Interpolate values (N,) at points (N, 3): the mean of nearby samples, 0 away from them."""
+    """Interpolate values of samples at points (N, 3) as a weighted mean, which is 0 far from all samples.
+
+    Args:
+        samples: Positions (M, 3), [m].
+        values: Values (M,).
+        points: Points (N, 3), [m].
+    """
     count = min(SAMPLES, len(samples))
     distances, nearest = cKDTree(samples).query(points, count, distance_upper_bound=3 * SOFT_M)
     weights = np.exp(-0.5 * (distances / SOFT_M) ** 2).reshape(-1, count)
@@ -81,12 +87,12 @@ def _interpolate(samples: Array, values: Array, points: Array) -> Array:
 
 
 def _thin(items: NDArray, count: int) -> NDArray:
-    """Select at most `count` of the items, evenly."""
+    """Select at most `count` items at even spacing."""
     return items[:: -(-len(items) // count)]
 
 
 def _estimate_normals(surface: Gaussians, points: Array, eyes_world: Array) -> Array:
-    """Estimate unit normals (N, 3) of a surface at points (N, 3), towards the cameras."""
+    """Estimate the unit normals (N, 3) of a surface at points (N, 3), oriented toward the cameras."""
     _, around = cKDTree(surface.means).query(points, min(NEIGHBORS, len(surface)))
     axes = matrix_from_quat(surface.quats.astype(np.float64))
     normals = axes[np.arange(len(surface)), :, np.argmin(surface.scales, 1)]

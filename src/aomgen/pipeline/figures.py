@@ -1,4 +1,4 @@
-"""Presentation of a stage's metrics: their names, units, digits, and limits of good values."""
+"""Presentation of the metrics of stages: names, units, digits, and limits of good values."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -13,12 +13,12 @@ class Figure:
 
     Attributes:
         name: Name of the metric in words.
-        unit: Behind the number; a number without a unit is a count.
-        digits: After the point.
-        factor, offset: The shown number is the stage's times `factor`, plus `offset`.
-        above, below: It is good above, or below, this shown number; at most one of them is given.
-        of: Name of the figure that this one is a part of; the limit is then a share of that, [%].
-        zero_is_unknown: Some methods do not estimate it and return 0; it is left out then.
+        unit: Unit after the number; a number without a unit is a count.
+        digits: Number of digits after the decimal point.
+        factor, offset: The displayed number is the value times `factor`, plus `offset`.
+        above, below: The metric is good if the displayed number is above, or below, this limit; at most one of them is given.
+        of: Name of the metric of which this one is a part; the limit is then a percentage of it.
+        zero_is_unknown: 0 means that the method does not estimate the metric, which is then not displayed.
     """
 
     name: str
@@ -37,9 +37,12 @@ class Reading:
     """One metric, formatted for display; fields that do not apply are "".
 
     Attributes:
-        number: Without its unit; or words.
-        limit: For example "good below 1".
-        counted: The value stands before the name: "64 of 64 images registered".
+        name: Name of the metric in words.
+        number: Number without unit, or a word.
+        unit: Unit of the number.
+        verdict: Comparison of the number with its limit.
+        limit: Text of the limit, for example "good below 1".
+        counted: The value precedes the name, as in "64 of 64 images registered".
     """
 
     name: str
@@ -51,36 +54,36 @@ class Reading:
 
     @property
     def value(self) -> str:
-        """Return number and unit."""
+        """Number and unit."""
         return f"{self.number} {self.unit}".strip()
 
     @property
     def title(self) -> str:
-        """Return name and unit for the header of a column."""
+        """Name and unit, for the header of a column."""
         return f"{self.name} [{self.unit}]" if self.unit else self.name
 
     @property
     def sentence(self) -> str:
-        """Return value, name and limit as a phrase, which contains "poor" if the value is poor."""
+        """Value, name and limit as a phrase, which contains "poor" if the value is poor."""
         words = f"{self.value} {self.name}" if self.counted else f"{self.name} {self.value}"
         if not self.limit:
             return words
         return f"{words} ({'poor, ' if self.verdict == 'poor' else ''}{self.limit})"
 
 
-# Every finished stage satisfies the limits at which it would refuse, so the limits of "good" are stricter.
-# A limit that docs/results.md states as required is used here as well.
+# The limits of good values are stricter than those at which a stage refuses to finish, which every finished stage satisfies.
+# Limits that docs/results.md states as required are used here as well.
 FIGURES: Final[dict[str, dict[str, Figure]]] = {
     "structure": {
-        # Every image that is left out leaves a gap in the scan; the gate is 0.8.
+        # Every image that is not registered leaves a gap in the scan; the stage refuses results below 80 %.
         "registered": Figure(name="images registered", of="of", above=95.0),
-        # SIFT finds corners to about half a pixel; the gate is 1.5.
+        # SIFT locates corners with an accuracy of about half a pixel; the stage refuses results above 1.5 px.
         "reprojection_error_px": Figure(name="reprojection error", unit="px", digits=2, below=1.0),
         "points": Figure(name="points"),
     },
     "gaussians": {
         "gaussians": Figure(name="Gaussians"),
-        # The bundled capture and five synthetic ones all reach 28.5 dB.
+        # The bundled capture and five synthetic captures all reach 28.5 dB.
         "heldout_psnr": Figure(name="held-out views", unit="dB", digits=1, above=28.0),
     },
     "alignment": {
@@ -97,7 +100,7 @@ FIGURES: Final[dict[str, dict[str, Figure]]] = {
         # The stage warns below 60 %.
         "static_agreement": Figure(name="labels in masks, static", unit="%", factor=100.0, above=60.0),
         "moving_agreement": Figure(name="labels in masks, moving", unit="%", factor=100.0, above=60.0),
-        # The mean of a box's four sides; the stage warns above 5 %.
+        # This is the mean over the four sides of a box; the stage warns above 5 %.
         "box_misfit": Figure(
             name="distance from the prompted boxes", unit="% of a box", digits=1, factor=25.0, below=5.0
         ),
@@ -105,7 +108,7 @@ FIGURES: Final[dict[str, dict[str, Figure]]] = {
     "motion": {
         "direction": Figure(name="direction"),
         "joint": Figure(name="joint"),
-        # Verification in physics requires these of an episode.
+        # Verification requires at least this travel of an episode.
         "moved_deg": Figure(name="moved by", unit="deg", digits=1, above=30.0),
         "moved_mm": Figure(name="moved by", unit="mm", above=100.0),
         "start_s": Figure(name="from", unit="s", digits=2),
@@ -135,14 +138,14 @@ FIGURES: Final[dict[str, dict[str, Figure]]] = {
         "short": Figure(name="missing"),
         "rejected": Figure(name="attempts rejected"),
         "skipped": Figure(name="samples skipped"),
-        # The pass rule: 90 % of the planned way in every setting.
+        # The pass rule requires 90 % of the planned travel in every setting.
         "smallest_margin": Figure(
             name="least travel", unit="% of the plan", digits=1, factor=100.0, offset=90.0, above=90.0
         ),
         "cameras": Figure(name="cameras"),
     },
     "dataset": {"episodes": Figure(name="episodes"), "frames": Figure(name="frames")},
-    # Not of stages: verdicts of episodes over their settings, sides in the coverage, fixed cameras.
+    # The following groups are not stages: verdicts of episodes, planned motions, coverage of the object's sides, fixed cameras.
     "verdict": {
         "target_share": Figure(name="least travel", unit="% of the plan", digits=1, factor=100.0, above=90.0),
         "contact_share": Figure(name="moved in contact", unit="%", digits=1, factor=100.0, above=80.0),
@@ -152,14 +155,14 @@ FIGURES: Final[dict[str, dict[str, Figure]]] = {
         "robot_force_n": Figure(name="force on other bodies", unit="N", below=15.0),
         "peak_force_n": Figure(name="peak grip force", unit="N"),
         "peak_reaction_n": Figure(name="peak force on the object", unit="N"),
-        # Limits of the pass rule; a certified episode keeps them.
+        # A certified episode satisfies these limits of the pass rule.
         "pushed_share": Figure(name="moved by other contacts", unit="%", digits=1, factor=100.0, below=10.0),
         "start_share": Figure(name="moved before contact", unit="%", digits=2, factor=100.0, below=2.0),
         "written_share": Figure(name="travel without a force", unit="%", digits=2, factor=100.0, below=5.0),
         "penetration_mm": Figure(name="penetration of other bodies", unit="mm", digits=2, below=1.0),
         "drift_mm": Figure(name="displacement of the base", unit="mm", digits=1, below=5.0),
     },
-    # Figures of a commanded motion, before it is simulated.
+    # Metrics of a commanded motion before it is simulated.
     "plan": {
         "residual_mm": Figure(name="position error of the end effector", unit="mm", digits=2, below=1.0),
         "residual_deg": Figure(name="orientation error of the end effector", unit="deg", digits=2, below=0.5),
@@ -187,16 +190,20 @@ FIGURES: Final[dict[str, dict[str, Figure]]] = {
 
 
 def read_figure(group: str, name: str, value: float) -> Reading:
-    """Format one metric of the table, selected by group and name."""
+    """Format one metric, selected by group and name.
+
+    Raises:
+        KeyError: `FIGURES` does not contain this metric.
+    """
     return _read(FIGURES[group][name], value, {})
 
 
 def read_figures(stage: str, figures: Mapping[str, Any]) -> list[Reading]:
-    """Format the metrics of a stage that the table lists, in its order.
+    """Format the metrics of a stage that are listed in `FIGURES`, in the order of that table.
 
     Args:
         stage: Name of the stage.
-        figures: Metrics that the stage returned.
+        figures: Metrics that the stage returned, by name.
     """
     known = FIGURES.get(stage, {})
     return [

@@ -1,4 +1,4 @@
-"""Inputs and files of a result, so that it can be verified and kept; and the command that made it."""
+"""Manifests, which state the inputs and files of a stage's result, and the record of the last command of a run."""
 
 import hashlib
 from dataclasses import asdict, dataclass, field
@@ -11,20 +11,20 @@ from aomgen.io.atomic import STAGING_PREFIX, write_json
 
 MANIFEST = "manifest.json"
 RUN_RECORD = "run.json"
-# A stage's version, the digests of its inputs by name, its parameters.
+# Version of a stage, digests of its inputs by name, and its parameters.
 Identity = tuple[int, dict[str, str], dict[str, Any]]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Manifest:
-    """Identity of one stage's result; holds no clock, host or user.
+    """Identity and content of one stage's result, without times, host or user.
 
     Attributes:
         stage: Name of the stage.
         version, inputs, parameters: See `Identity`.
-        files: SHA-256 and size of every file in the folder, by relative path.
-        figures: Numbers worth reading.
-        warnings: Sentences for the user: what the inputs lack, and what follows.
+        files: SHA-256 and size, [bytes], of every file in the folder, by relative path.
+        figures: Metrics of the result, by name.
+        warnings: Sentences for the user about deficiencies of the inputs and their consequences.
         digest: SHA-256 over `files`.
     """
 
@@ -46,7 +46,18 @@ class Manifest:
 def write_manifest(
     folder: Path, stage: str, identity: Identity, figures: dict[str, Any], warnings: tuple[str, ...] = ()
 ) -> Manifest:
-    """Hash every file of a finished folder and write its manifest, whose presence says that it is complete."""
+    """Hash every file of a finished folder and write its manifest, whose presence marks the folder as complete.
+
+    Args:
+        folder: Folder of the result.
+        stage: Name of the stage.
+        identity: Version, inputs and parameters of the result.
+        figures: Metrics of the result.
+        warnings: Sentences for the user.
+
+    Raises:
+        StorageError: Writing to the disk failed.
+    """
     version, inputs, parameters = identity
     files = {
         path.relative_to(folder).as_posix(): (file_digest(path), path.stat().st_size)
@@ -69,10 +80,11 @@ def write_manifest(
 
 
 def read_manifest(folder: Path) -> Manifest | None:
-    """The manifest of a folder, or None when the stage has not finished there.
+    """Read the manifest of a folder; None if the stage has not finished there.
 
     Raises:
-        MalformedFileError: The manifest cannot be parsed.
+        MalformedFileError: The file is not JSON.
+        CorruptArtifactError: The file is not a manifest.
     """
     path = folder / MANIFEST
     if not path.is_file():
@@ -89,7 +101,7 @@ def read_manifest(folder: Path) -> Manifest | None:
 
 
 def files_present(folder: Path, manifest: Manifest) -> bool:
-    """Return whether every file exists with its size."""
+    """Return whether every file of a manifest exists and has the recorded size."""
     return all(
         (folder / name).is_file() and (folder / name).stat().st_size == size
         for name, (_, size) in manifest.files.items()
@@ -97,12 +109,12 @@ def files_present(folder: Path, manifest: Manifest) -> bool:
 
 
 def files_digest(paths: list[Path]) -> str:
-    """SHA-256 over the names and contents of files, in the order given."""
+    """Compute the SHA-256 over the names and contents of files, in the given order."""
     return text_digest("\n".join(f"{path.name} {file_digest(path)}" for path in paths))
 
 
 def text_digest(text: str) -> str:
-    """SHA-256 of a text."""
+    """Compute the SHA-256 of a text."""
     return hashlib.sha256(text.encode()).hexdigest()
 
 
@@ -112,9 +124,9 @@ def _is_staging(path: Path, folder: Path) -> bool:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RunRecord:
-    """The last command that changed a run, as typed, AOMGen's version, and when it finished (ISO 8601, with offset).
+    """The last command that changed a run, the version of AOMGen, and the time at which the command finished.
 
-    Manifests hold no clock, this does.
+    The time is in ISO 8601 with UTC offset; it is stored here, because manifests do not contain times.
     """
 
     command: str
@@ -123,15 +135,19 @@ class RunRecord:
 
 
 def save_record(out: Path, record: RunRecord) -> None:
-    """Write the record into a run's folder."""
+    """Write the record to the folder of a run.
+
+    Raises:
+        StorageError: Writing to the disk failed.
+    """
     write_json(out / RUN_RECORD, asdict(record))
 
 
 def load_record(out: Path) -> RunRecord | None:
-    """The record of a run, None when no command has finished there.
+    """Read the record of a run; None if no command has finished there.
 
     Raises:
-        CorruptArtifactError: The file holds something else.
+        CorruptArtifactError: The file is not a record.
     """
     path = out / RUN_RECORD
     if not path.is_file():

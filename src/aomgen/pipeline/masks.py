@@ -1,4 +1,4 @@
-"""`aomgen masks`: label images of a whole scan from the prompts on a few of its images."""
+"""Compute label images of a whole scan from prompts on a few of its images (`aomgen masks`)."""
 
 from pathlib import Path
 
@@ -14,14 +14,19 @@ FOLDER = "masks"
 
 
 def write_masks(capture_folder: Path, weights: str, progress: Progress) -> Path:
-    """Follow the prompted parts through the scan with SAM 2 and write `masks/<weights>/*.png`; that folder.
+    """Track the prompted parts through a scan with SAM 2, write label images, and return their folder.
 
-    A later run of the capture takes its masks from there. The images have to lie in the order in
-    which they were taken, as their names say.
+    A later run of the capture uses these masks. The alphabetical order of the image names must be the order in which the
+    images were taken.
+
+    Args:
+        capture_folder: Folder of the capture; the label images are written to `masks/<weights>/*.png` in it.
+        weights: Name of the SAM 2 weights.
+        progress: Receives the progress.
 
     Raises:
         InputError: The scan is a video, or no prompt is on one of its images.
-        ConfigError: Masks of these weights are there already.
+        ConfigError: Masks of these weights exist already.
         BackendError: See `sam2.load_tracker`.
     """
     capture = read_capture(capture_folder)

@@ -1,4 +1,4 @@
-"""Everything about a project that can be known before work starts."""
+"""Check a project, its capture and this machine before a run starts."""
 
 from collections.abc import Mapping, Sequence
 from functools import cache
@@ -21,26 +21,27 @@ from aomgen.pipeline.runner import STARTED, Stage, stage_states
 from aomgen.robots.robot import RobotModel
 from aomgen.version import __version__
 
-# File in the folder of the results: digest and warnings of the last check, so that a finished run is checked at once.
+# File in the folder of the results that holds the digest and the warnings of the last check, so that unchanged inputs are not
+# checked again.
 CHECKED_FILE = "checked.json"
 # Default width of the images of episodes, [px].
 IMAGE_WIDTH = 320
-# An image this much wider or narrower than the camera's shows circles as visibly oval.
+# Relative difference between the aspect ratios of episode images and camera above which distortion becomes visible.
 MAX_STRETCH = 0.05
-# Number of images with a box around the robot that the paper's alignment requires.
+# Number of boxes around the robot in scan images that the alignment method "paper" requires.
 PAPER_ROBOT_BOXES = 2
-# File that diffusers writes in the folder of a pipeline.
+# Name of the file that diffusers writes to the folder of a pipeline.
 DIFFUSION_INDEX = "model_index.json"
-# Made to learn how a category opens; one that opens both ways shows it within these.
+# Seeds of the assets that are made to find the joint types of a category; they include all joint types.
 CATEGORY_SEEDS = range(4)
 OPENS = {"revolute": "turns", "prismatic": "slides"}
 
 
 def check_project(project: Project, capture: Recording) -> tuple[str, ...]:
-    """Check a project and its capture, but not the machine; warnings of what is doubtful, and what to do.
+    """Check a project and its capture, but not the machine, and return warnings.
 
     Raises:
-        AomgenError: The first problem that would stop the run, in one sentence.
+        AomgenError: A problem would stop the run; only the first one is reported.
     """
     _check_cameras(project, capture)
     assets = open_assets(project.assets)
@@ -59,14 +60,19 @@ def check_project(project: Project, capture: Recording) -> tuple[str, ...]:
 def preflight(
     project: Project, capture: Recording, inputs: Mapping[str, str], stages: Sequence[Stage]
 ) -> tuple[str, ...]:
-    """`check_project` and `require_environment` before a run; what was checked before is remembered.
+    """Run `check_project` and `require_environment` before a run; unchanged inputs are not checked again.
 
     Args:
-        inputs: Digests of the capture and of the asset files.
-        stages: Those that shall be up to date afterwards.
+        project: Settings of the run.
+        capture: Capture of the project.
+        inputs: Digests of the capture and of the asset files, by name.
+        stages: Stages that the run brings up to date.
 
     Returns:
-        Warnings, those of the first time included.
+        Warnings, including those of the earlier check if the inputs have not changed.
+
+    Raises:
+        AomgenError: A problem would stop the run.
     """
     for stage in stages:
         _require_own(project.out / stage.folder)
@@ -89,7 +95,15 @@ def preflight(
 
 
 def machine_warnings(segmenter: str, capture: Recording, *, diffusion: bool = False) -> tuple[str, ...]:
-    """Warnings on requirements of a run that this machine lacks; another machine may have them, so nothing is refused."""
+    """Return a warning if this machine does not satisfy the requirements of a run.
+
+    This is no error, because the run may be executed on another machine.
+
+    Args:
+        segmenter: Segmenter of the project.
+        capture: Capture of the project.
+        diffusion: The project uses diffusion pipelines.
+    """
     try:
         require_environment(EVERYTHING, segmenter, has_masks=bool(capture.mask_folders), diffusion=diffusion)
     except BackendError as error:
@@ -98,7 +112,7 @@ def machine_warnings(segmenter: str, capture: Recording, *, diffusion: bool = Fa
 
 
 def category_warnings(capture: Recording) -> tuple[str, ...]:
-    """Warning for `aomgen init` on a category that cannot be made."""
+    """Return a warning of `aomgen init` if the capture's category is not parametric."""
     if is_made(capture.category):
         return ()
     return (
@@ -108,12 +122,16 @@ def category_warnings(capture: Recording) -> tuple[str, ...]:
 
 
 def new_project(capture: Recording, out: Path, assets: Sequence[str]) -> Project:
-    """A project for a capture, with images shaped like its first fixed camera's.
+    """Make a project for a capture; episode images have the aspect ratio of the first fixed camera.
 
-    Assets are as a user names them, files from here; two made ones of the capture's category when none.
+    Args:
+        capture: Capture of the project.
+        out: Folder of the results.
+        assets: Assets as named by the user, with file paths relative to the current folder; if there are none, two
+            parametric assets of the capture's category are used.
 
     Raises:
-        ConfigError: No assets are named, and none of the capture's category can be made.
+        ConfigError: No assets are named, and the capture's category is not parametric.
     """
     if not assets and not is_made(capture.category):
         raise ConfigError(
@@ -131,7 +149,11 @@ def new_project(capture: Recording, out: Path, assets: Sequence[str]) -> Project
 
 
 def _require_own(folder: Path) -> None:
-    """Refuse to replace a folder that no run has made, such as somebody's `dataset`."""
+    """Refuse to replace a folder with content that no run has written.
+
+    Raises:
+        StorageError: The folder has such content.
+    """
     made = any((folder / name).is_file() for name in (MANIFEST, STARTED))
     if folder.exists() and not made and not (folder.is_dir() and not any(folder.iterdir())):
         raise StorageError(
@@ -142,7 +164,7 @@ def _require_own(folder: Path) -> None:
 
 
 def _fitting_size(capture: Recording, width: int) -> tuple[int, int]:
-    """Width and even height of an image shaped like the first fixed camera's, [px]."""
+    """Return width and even height, [px], of an image with the aspect ratio of the first fixed camera."""
     info = probe_video(capture.cameras[0].video)
     return width, max(64, 2 * round(width * info.height / info.width / 2))
 
@@ -208,12 +230,12 @@ def _warn_of_distortion(project: Project, capture: Recording) -> tuple[str, ...]
 
 @cache
 def _find_joint_types(category: str) -> frozenset[str]:
-    """Make some assets of a category, which takes most of the time of a check, to find how it opens."""
+    """Make some assets of a category to find its joint types; this takes most of the time of a check."""
     return frozenset(make_asset(category, seed).joint.type for seed in CATEGORY_SEEDS)
 
 
 def _doubtful_joints(category: str, assets: list[ArticulatedAsset]) -> tuple[str, ...]:
-    """Assets that open another way than the recorded object's category always does."""
+    """Return warnings about assets whose joint type the recorded object's category never has."""
     if not is_made(category):
         return ()
     types = _find_joint_types(category)

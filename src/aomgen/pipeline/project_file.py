@@ -1,4 +1,4 @@
-"""Reading and writing of the project file, which states the settings of a run."""
+"""Read and write the project file, which states the settings of a run."""
 
 import tomllib
 from pathlib import Path
@@ -38,11 +38,11 @@ parts_method = {parts_method}    # "closed_form", or "saga" (affinity features; 
 
 
 def read_project(path: Path) -> Project:
-    """Load a project file; relative paths are taken from its folder.
+    """Read a project file; relative paths refer to its folder.
 
     Raises:
-        MissingFileError: No such file.
-        ConfigError: Not TOML, an unknown key, a value outside its range.
+        MissingFileError: The file does not exist.
+        ConfigError: The file is not TOML, or it has an unknown key or a value outside its range.
     """
     if not path.is_file():
         raise MissingFileError(path, "is missing", "write one with `aomgen init CAPTURE`")
@@ -68,7 +68,7 @@ def read_project(path: Path) -> Project:
 
 
 def write_project(path: Path, project: Project) -> None:
-    """Write a project file with every setting and a comment on each.
+    """Write a project file with all settings and a comment on each.
 
     Paths below the folder of the file are written relative to it, so that the folder can be moved.
 

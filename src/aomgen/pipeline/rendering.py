@@ -1,4 +1,4 @@
-"""Render the twin of a finished run; parse cameras and states given as JSON."""
+"""Render the twin of a finished run, and parse cameras and states that are given as JSON."""
 
 from pathlib import Path
 from typing import Any
@@ -19,19 +19,22 @@ from aomgen.robots.robot import RobotModel
 from aomgen.twin.twin import TwinModel, TwinState
 
 TWIN_FOLDER = "06_twin"
-# Pixels with less accumulated alpha show the background.
+# Largest accumulated alpha of a pixel that counts as background.
 LABEL_MIN_ALPHA = 0.5
 CAMERA_KEYS = ("T_world_cam", "fx", "fy", "cx", "cy", "width", "height")
 STATE_KEYS = ("joints", "gripper", "theta", "T_world_object")
-# Larger images and focal lengths are typing errors, [px].
+# Largest accepted image size and focal length, [px]; larger values are probably mistakes.
 MAX_PX = 16_384
 
 
 def open_twin(out: Path) -> tuple[TwinModel, RobotModel]:
-    """The twin of a finished run and its robot.
+    """Load the twin of a run and its robot.
+
+    Args:
+        out: Folder of the run.
 
     Raises:
-        MissingFileError: The run has not come that far.
+        MissingFileError: The run has not finished the twin stage.
     """
     folder = out / TWIN_FOLDER
     if not folder.is_dir():
@@ -46,10 +49,10 @@ def render_twin(
     """Render the twin in a state.
 
     Returns:
-        Image (H, W, 3) uint8 sRGB; depth (H, W) float32 along the optical axis, [m], 0 where nothing is; part labels
-        (H, W) uint8, see `conventions.PART_LABELS`. A pixel's label is the one whose Gaussians contribute most
-        together, background where alpha <= 0.5. Summing by label keeps a thin veil in front of a surface of many
-        layers from deciding the label.
+        Image (H, W, 3) uint8 sRGB; depth (H, W) float32 along the optical axis, [m], 0 for the background; part labels
+        (H, W) uint8, see `conventions.PART_LABELS`. The label of a pixel is the one with the largest sum of Gaussian
+        contributions, or background for alpha <= 0.5. Because contributions are summed by label, a thin layer in front
+        of a surface that consists of many layers does not determine the label.
     """
     kinds = np.array(sorted(PART_LABELS.values()))
     shares = (twin.labels[:, None] == kinds).astype(np.float32)
@@ -62,9 +65,9 @@ def render_twin(
 
 
 def list_cameras(results: Results) -> dict[str, Camera]:
-    """Return the cameras of a run by name, world frame: of the demonstration, of the episodes, of scan images.
+    """Return the cameras of a run by name, world frame: cameras of the demonstration, the episodes and the scan images.
 
-    A name that demonstration and episodes share means the demonstration's camera, at the video's size.
+    If demonstration and episodes have a camera of the same name, that of the demonstration, with the video's size, is used.
     """
     cameras = {name: item.camera for name, item in results.alignment.cameras.items()}
     made = results.episode_scene.cameras if results.folders["replacement"].is_dir() else {}
@@ -77,7 +80,7 @@ def find_camera(results: Results, name: str) -> Camera:
     """Return a camera of a run, see `list_cameras`.
 
     Raises:
-        UnknownNameError: The run has no such camera; its sentence lists the known ones.
+        UnknownNameError: The run has no camera of that name; the message suggests known ones.
     """
     known = list_cameras(results)
     if name not in known:
@@ -86,10 +89,14 @@ def find_camera(results: Results, name: str) -> Camera:
 
 
 def parse_camera(data: Any, where: Path) -> Camera:
-    """A camera from the JSON of `aomgen render`.
+    """Parse a camera from the JSON data of `aomgen render`.
+
+    Args:
+        data: Object with the keys `CAMERA_KEYS`.
+        where: File, for messages.
 
     Raises:
-        ConfigError: A key is missing, or its value is no camera's.
+        ConfigError: A key is missing, or its value is not valid.
     """
     wanted = f"expected {', '.join(CAMERA_KEYS)}"
     _require_object(data, where, wanted)
@@ -105,10 +112,15 @@ def parse_camera(data: Any, where: Path) -> Camera:
 
 
 def parse_state(data: Any, twin: TwinModel, robot: RobotModel, where: Path) -> TwinState:
-    """A state from the JSON of `aomgen render`; what is left out is as in the scan.
+    """Parse a state from the JSON data of `aomgen render`; omitted values are those of the scan.
+
+    Args:
+        data: Object with any of the keys `STATE_KEYS`.
+        twin, robot: Twin and its robot.
+        where: File, for messages.
 
     Raises:
-        ConfigError: An unknown key, an unknown joint or a wrong shape.
+        ConfigError: A key or joint is unknown, or a value is not valid.
     """
     rest = twin.scan_state
     known = f"known: {', '.join(STATE_KEYS)}"
@@ -146,7 +158,7 @@ def _number(data: dict[str, Any], name: str, where: Path) -> float:
 
 
 def _pose(data: dict[str, Any], name: str, where: Path) -> Array:
-    """A rigid pose (4, 4); JSON that `read_json` gives holds no NaN."""
+    """Parse a rigid pose (4, 4); JSON data read by `read_json` contain no NaN."""
     remedy = "expected four rows of four numbers: rotation, translation [m], and 0, 0, 0, 1 below"
     try:
         T = np.array(data[name], np.float64)

@@ -1,4 +1,4 @@
-"""Check whether this machine has what the stages require."""
+"""Check whether this machine satisfies the requirements of the stages."""
 
 import importlib.util
 import os
@@ -15,7 +15,7 @@ from aomgen.segmentation.sam2_weights import find_sam2
 from aomgen.segmentation.weights import find_weights
 from aomgen.splatting.native import library
 
-# Modules that a stage imports, and the command that installs them.
+# Optional modules that a stage imports, and the command that installs them.
 MODULES = {
     "structure": (("pycolmap",), "pip install 'aomgen[reconstruct]'"),
     "gaussians": (("torch",), "pip install 'aomgen[reconstruct]'"),
@@ -23,24 +23,30 @@ MODULES = {
 MOBILE_SAM = (("onnxruntime",), "pip install 'aomgen[reconstruct]'")
 SAM2 = (("torch", "transformers", "safetensors"), "pip install 'aomgen[sam2]'")
 DIFFUSION = (("torch", "diffusers", "transformers", "safetensors"), DIFFUSION_REMEDY)
-# Stages that draw the robot's outlines with OpenGL.
+# Stages that render the robot with OpenGL.
 DRAWS_ROBOT = ("alignment", "parts", "motion", "twin")
 EVERYTHING = (*MODULES, *DRAWS_ROBOT, "replacement")
-# A context can abort the whole process when the driver is broken, so it is tried in a child.
+# A broken driver can abort the process that creates a context, so this is tested in a child process.
 GL_PROBE = "from aomgen.robots.silhouette import offscreen_context; offscreen_context(8, 8).free()"
-# A driver takes about a second; one that hangs never ends, [s].
+# Time after which the test is stopped, [s]; a working driver takes about a second.
 GL_TIMEOUT_S = 60.0
-# The bundled recording's run takes 180 MB; nothing of a run is small enough for less, [bytes].
+# Smallest free space for the results, [bytes]; a run with the bundled recording takes 180 MB.
 MIN_FREE = 250 << 20
 
 
 def require_environment(
     stages: Collection[str], segmenter: str, *, has_masks: bool, diffusion: bool = False
 ) -> None:
-    """Refuse to start what this machine cannot finish: the stages that are still to be made.
+    """Check that this machine can execute stages.
+
+    Args:
+        stages: Names of the stages to be executed.
+        segmenter: Segmenter of the project.
+        has_masks: The capture contains masks.
+        diffusion: The project uses diffusion pipelines.
 
     Raises:
-        BackendError: A module, weights, the engine or an OpenGL driver is missing.
+        BackendError: A module, weight file, the native library or an OpenGL driver is missing.
     """
     for stage, (modules, remedy) in MODULES.items():
         if stage in stages:
@@ -62,10 +68,10 @@ def require_environment(
 
 
 def require_room(out: Path) -> None:
-    """Refuse a folder of results that cannot be written.
+    """Check that a folder of results can be written.
 
     Raises:
-        StorageError: A file stands there, it is not writable, or its disk is nearly full.
+        StorageError: The path is a file or not writable, or its disk is nearly full.
     """
     there = next(folder for folder in (out, *out.parents) if folder.exists())
     if not there.is_dir():
@@ -79,7 +85,7 @@ def require_room(out: Path) -> None:
 
 
 def gl_problem() -> str:
-    """Why no OpenGL context can be had on this machine; empty when one can."""
+    """Describe why no OpenGL context can be created on this machine; empty if one can."""
     try:
         done = subprocess.run(
             [sys.executable, "-c", GL_PROBE], capture_output=True, text=True, timeout=GL_TIMEOUT_S
@@ -98,7 +104,7 @@ def _require_modules(modules: tuple[str, ...], remedy: str) -> None:
 
 
 def diagnose() -> list[tuple[str, str, str]]:
-    """Rows of (part, problem or "", what it is for)."""
+    """List the components that runs use, each with its problem on this machine (or "") and its purpose."""
     rows = []
     for module, extra, purpose in (
         ("mujoco", "", "physics"),

@@ -1,4 +1,4 @@
-"""Stages and their execution: results that are up to date are kept, others are recomputed."""
+"""Execute the stages of a run: results that are up to date are kept, others are recomputed."""
 
 import fcntl
 import os
@@ -30,7 +30,7 @@ from aomgen.version import __version__
 TIMINGS = "timings.json"
 STARTED = "started.json"
 LOCK_FILE = ".lock"
-# Name of the figures that are warnings for the user about this input.
+# Key of a stage's metrics that holds warnings for the user about the input.
 WARNINGS = "warnings"
 
 # Function that runs a stage in the given folder and returns its metrics.
@@ -45,8 +45,8 @@ class Stage:
         name: For example "structure".
         folder: Folder below the run's folder, for example "01_structure".
         title: Title that is shown while the stage runs.
-        needs: Names of the stages whose results it reads; "capture" if it reads the capture, "assets" if it reads the
-            asset files of the project, and "review" if it leaves out rejected episodes.
+        needs: Names of the stages whose results it reads; also "capture" if it reads the capture, "assets" if it reads the
+            asset files of the project, and "review" if it excludes rejected episodes.
         settings: Names of the project settings that change its result.
         version: Version, which is increased when the same inputs may give other bytes.
         weight: Run time with the bundled recording on two cores, [s], for the display of the remaining time.
@@ -71,17 +71,31 @@ class Stage:
 class Display(Protocol):
     """Receiver of the progress of a run, for example a terminal."""
 
-    def begin(self, stage: Stage, *, fresh: bool) -> None: ...
+    def begin(self, stage: Stage, *, fresh: bool) -> None:
+        """Show the start of a stage; `fresh` means that its result is up to date and kept."""
+        ...
 
-    def progress(self, share: float, text: str) -> None: ...
+    def progress(self, share: float, text: str) -> None:
+        """Show the completed share (0..1) of the current stage, with a short text."""
+        ...
 
-    def end(self, stage: Stage, seconds: float, figures: dict[str, Any]) -> None: ...
+    def end(self, stage: Stage, seconds: float, figures: dict[str, Any]) -> None:
+        """Show the end of a stage with its run time, [s], and its metrics."""
+        ...
 
-    def warn(self, stage: Stage, sentence: str) -> None: ...
+    def warn(self, stage: Stage, sentence: str) -> None:
+        """Show a warning for the user."""
+        ...
 
 
 def results_of(project: Project, stages: Sequence[Stage], **machine: Any) -> Results:
-    """Return the results of a project, whose folder may not exist yet; `machine` as in `Results`: `workers`, `ray`."""
+    """Return the results of a project, whose folder may not exist yet.
+
+    Args:
+        project: Settings of the run.
+        stages: Stages of the pipeline.
+        **machine: Fields `workers` and `ray` of `Results`.
+    """
     folders = {stage.name: project.out / stage.folder for stage in stages}
     return Results(project=project, out=project.out, folders=folders, **machine)
 
@@ -103,7 +117,7 @@ def run_stages(
         display: Receives the progress.
         inputs: Digests of the inputs that no stage creates, by the names in `Stage.needs`.
         until: Last stage to run; all stages are run if it is empty.
-        machine: See `results_of`.
+        **machine: See `results_of`.
 
     Returns:
         Names of the stages that were recomputed.
@@ -134,9 +148,11 @@ def run_stages(
 
 
 def share_stages(folders: Iterable[Path], out: Path) -> None:
-    """Link finished stages of a run into the folder of another run, which must not change them.
+    """Link the files of finished stages into the folder of another run, which must not change them.
 
-    Stages that exist in that folder are kept.
+    Args:
+        folders: Folders of the stages; those that do not exist are skipped.
+        out: Folder of the other run; stages that exist there are kept.
     """
     for folder in folders:
         if folder.is_dir() and not (out / folder.name).exists():
@@ -166,7 +182,7 @@ def stage_states(project: Project, stages: tuple[Stage, ...]) -> list[tuple[Stag
 
 def _identify(results: Results, stage: Stage, digests: dict[str, str]) -> Identity:
     inputs = {name: digests[name] for name in stage.needs}
-    # In JSON form, so that they are equal after a round trip.
+    # Parameters are converted to JSON values, so that they are equal after a round trip through the manifest.
     parameters = results.project.model_dump(mode="json", include=set(stage.settings))
     changed = results.project.params.get(stage.name)
     return stage.version, inputs, parameters | ({"params": changed} if changed else {})

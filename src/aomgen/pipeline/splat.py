@@ -1,4 +1,4 @@
-"""Gaussians from photos alone: the stages structure and gaussians without a capture."""
+"""Reconstruct Gaussians from photos alone, by the stages structure and gaussians without a capture."""
 
 import tempfile
 from collections.abc import Iterator
@@ -32,23 +32,24 @@ from aomgen.structure.reconstruct import Photographs, StructureParams, reconstru
 from aomgen.structure.stage import IMAGES_FOLDER, list_pose_warnings, write_undistorted
 
 IMAGES: Final = "images"
-# Long side of the images by default, [px]: the Gaussians of a whole scene do not resolve more.
+# Default length of the longer side of the images, [px]; the Gaussians of a whole scene do not resolve finer details.
 LONG_SIDE: Final = 960
-# SIFT features kept an image: matching takes time with their square, and images of that size hold few more.
+# Largest number of SIFT features per image; the time of matching grows with its square, and images of the default size have
+# few more features.
 MAX_FEATURES: Final = 4096
-# The turntable lasts 5 s, at this rate.
+# Frame rate and number of frames of the turntable video, which lasts 5 s.
 VIDEO_FPS, VIDEO_FRAMES = 24, 120
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SplatResult:
-    """Gaussians made from photos.
+    """Metrics of Gaussians that were reconstructed from photos.
 
     Attributes:
         images: Number of images.
-        registered: Number of those that have a camera.
-        psnr_db, ssim: Mean over the held-out images; None with too few images to hold some out.
-        gaussians: Their number.
+        registered: Number of registered images.
+        psnr_db, ssim: Mean PSNR, [dB], and SSIM over the held-out images; None if there are too few images to hold some out.
+        gaussians: Number of Gaussians.
     """
 
     images: int
@@ -63,18 +64,20 @@ def make_splat(
 ) -> SplatResult:
     """Reconstruct Gaussians from photos, a video or the scan of another program.
 
-    Finished steps are kept in a folder next to the target (`scene.run` for `scene.ply`); the same call continues there.
+    Finished stages are kept in a folder next to the target (`scene.run` for `scene.ply`), where the same call continues.
 
     Args:
         source: See `read_scan_source`.
-        target: PLY, SPLAT or USD file to write; its frame is that of structure from motion, or of poses of the source.
-        long_side: Larger images are reduced to this, [px].
-        video: MP4 file for a turntable.
+        target: PLY, SPLAT or USD file to be written; its frame is that of structure from motion, or of the source's poses.
+        display: Receives the progress.
+        long_side: Length of the longer side to which larger images are reduced, [px].
+        video: MP4 file for a turntable video; None for no video.
 
     Raises:
-        InputError: The source is not usable.
-        ReconstructionError: The images do not give a scene.
-        BackendError, StorageError, LockedError: Library or disk refuse.
+        InputError: The source cannot be used.
+        ReconstructionError: The scene cannot be reconstructed from the images.
+        BackendError: A library is missing.
+        StorageError: The results cannot be written, or another process uses the folder.
     """
     work = target.with_name(f"{target.stem}.run")
     if not source.exists():
@@ -100,7 +103,7 @@ def make_splat(
 
 
 def _digest_source(source: Path, work: Path) -> str:
-    """Digest of the files that a source may be read from."""
+    """Compute the digest of the files from which a source may be read."""
     if source.is_file() and source.suffix.lower() != ".json":
         return files_digest([source])
     folder = source if source.is_dir() else source.parent
@@ -109,7 +112,7 @@ def _digest_source(source: Path, work: Path) -> str:
 
 
 def _write_images(results: Results, folder: Path, progress: Progress) -> dict[str, Any]:
-    """Stage "scan": the images of the source, reduced."""
+    """Run the stage "scan", which writes the images of the source at reduced size."""
     source = results.project.capture
     with tempfile.TemporaryDirectory() as scratch:
         found = read_scan_source(source, Path(scratch), part(progress, 0.0, 0.4))
@@ -121,7 +124,7 @@ def _write_images(results: Results, folder: Path, progress: Progress) -> dict[st
 
 
 def _reconstruct(results: Results, folder: Path, progress: Progress) -> dict[str, Any]:
-    """Stage "structure": cameras and sparse points."""
+    """Run the stage "structure", which reconstructs cameras and sparse points."""
     scan = load_artifact(results.folders["scan"], "scan", WrittenScan)
     images = _list_images(results, scan)
     photographs = Photographs(
@@ -143,7 +146,11 @@ def _reconstruct(results: Results, folder: Path, progress: Progress) -> dict[str
 
 
 def reconstruct_scan(photographs: Photographs, scan: WrittenScan, progress: Progress) -> Structure:
-    """Reconstruct large images without doubling them first, and with it where that does not suffice."""
+    """Reconstruct a scan; for large images, features are first extracted without upsampling, and with it if this fails.
+
+    Raises:
+        ReconstructionError: The scene cannot be reconstructed from the images.
+    """
     params = StructureParams(max_features=MAX_FEATURES)
     if max(scan.width, scan.height) >= LONG_SIDE:
         try:
@@ -154,7 +161,7 @@ def reconstruct_scan(photographs: Photographs, scan: WrittenScan, progress: Prog
 
 
 def _train(results: Results, folder: Path, progress: Progress) -> dict[str, Any]:
-    """Stage "gaussians": the scene."""
+    """Run the stage "gaussians", which trains the scene."""
     scan = load_artifact(results.folders["scan"], "scan", WrittenScan)
     images = _list_images(results, scan)
     if results.structure.scan_lens is not None:
@@ -173,7 +180,7 @@ def _list_images(results: Results, scan: WrittenScan) -> dict[str, Path]:
 def _render_turntable(results: Results) -> Iterator[NDArray[np.uint8]]:
     gaussians = read_gaussians(results.folders["gaussians"] / GAUSSIANS_FILE)
     cameras = list(results.structure.cameras_recon.values())
-    # Videos halve the resolution of colors, so their sides are even.
+    # Sides of images are even, because videos store colors at half the resolution.
     width, height = (side // 2 * 2 for side in (cameras[0].width, cameras[0].height))
     for camera in plan_turntable(cameras, VIDEO_FRAMES):
         drawn = render(gaussians, camera.resize(width, height))

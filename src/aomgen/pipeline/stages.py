@@ -1,4 +1,4 @@
-"""The one list of stages, and how it is run."""
+"""The list of all stages, and the functions that run them."""
 
 import importlib
 from collections.abc import Mapping, Sequence
@@ -25,7 +25,7 @@ from aomgen.results import Results
 
 PROJECT_FILE = "project.toml"
 REPORT_FILE = "report.html"
-# Parameters of the stages that have some, by stage: module below `aomgen`, and class.
+# Module below `aomgen` and class of the parameters, for each stage that has parameters.
 PARAMETERS = {
     "structure": ("structure.reconstruct", "StructureParams"),
     "gaussians": ("gaussians.train", "GaussiansParams"),
@@ -38,7 +38,7 @@ PARAMETERS = {
 
 
 def _lazily(module: str, name: str = "run") -> StageFunction:
-    """A function of a module below `aomgen`, imported when it runs: a finished run is looked through in a second."""
+    """Make a stage function that imports its module below `aomgen` when it runs, so that finished runs open quickly."""
 
     def function(results: Results, folder: Path, progress: Progress) -> dict[str, Any]:
         return getattr(importlib.import_module(f"aomgen.{module}"), name)(results, folder, progress)
@@ -47,7 +47,7 @@ def _lazily(module: str, name: str = "run") -> StageFunction:
 
 
 def _by_method(setting: str, functions: Mapping[str, StageFunction]) -> StageFunction:
-    """The function of the method that the project's `setting` names."""
+    """Make a stage function that runs the method that a setting of the project selects."""
 
     def function(results: Results, folder: Path, progress: Progress) -> dict[str, Any]:
         return functions[getattr(results.project, setting)](results, folder, progress)
@@ -56,7 +56,7 @@ def _by_method(setting: str, functions: Mapping[str, StageFunction]) -> StageFun
 
 
 def _parts(results: Results, folder: Path, progress: Progress) -> dict[str, Any]:
-    """Parts, with the motion as evidence for which of them move."""
+    """Run the stage "parts", with the motion as evidence for the moving part."""
     from aomgen.motion.stage import motion_evidence
 
     project = results.project
@@ -170,10 +170,10 @@ STAGES: tuple[Stage, ...] = (
 
 
 def check_params(project: Project) -> None:
-    """Refuse parameters that no stage has.
+    """Check the parameters of stages in a project.
 
     Raises:
-        ConfigError: No such stage or parameter, or a value of another type.
+        ConfigError: A stage or parameter is unknown, or a value has the wrong type.
     """
     for stage, changes in project.params.items():
         if stage not in PARAMETERS:
@@ -184,14 +184,18 @@ def check_params(project: Project) -> None:
 
 
 def run_pipeline(project: Project, display: Display, *, until: str = "", **machine: Any) -> list[str]:
-    """Check everything that can be known, then bring every stage up to date; return the names of the recomputed ones.
+    """Check the project, then bring every stage up to date; return the names of the recomputed stages.
 
-    `machine` states where episodes are made, see `Results`: `workers`, `ray`.
+    Args:
+        project: Settings of the run.
+        display: Receives the progress.
+        until: Last stage to run; all stages are run if it is empty.
+        **machine: Fields `workers` and `ray` of `Results`, which state where episodes are generated.
 
     Raises:
-        ConfigError: `until` names no stage.
-        AomgenError: Recording, project or machine cannot be used, and nothing was started; or whatever
-            a stage refuses.
+        ConfigError: `until` is not the name of a stage.
+        AomgenError: The recording, the project or the machine cannot be used, in which case no stage was started; or a stage
+            failed.
     """
     names = [stage.name for stage in STAGES]
     if until and until not in names:
@@ -202,23 +206,23 @@ def run_pipeline(project: Project, display: Display, *, until: str = "", **machi
         require_cluster(machine["ray"])
     capture = read_capture(project.capture)
     inputs = {"capture": capture_digest(capture), "assets": assets_digest(project.assets, project.light)}
-    # A damaged file is reported before the work begins; decisions do not change what preflight checks.
+    # The review file is read here, so that damage to it is reported before the run begins; preflight does not depend on it.
     review = {"review": rejections_digest(project.out)}
     for sentence in preflight(project, capture, inputs, wanted):
-        # Warnings about the input appear where it is read first.
+        # Warnings about the input are shown at the first stage, which reads it.
         display.warn(STAGES[0], sentence)
-    # The choices are stored with the results, so that reports can be made again.
+    # The project is stored with the results, so that reports can be made again.
     with lock(project.out):
         write_project(project.out / PROJECT_FILE, project)
     return run_stages(project, STAGES, display, inputs=inputs | review, until=until, **machine)
 
 
 def require_stage(results: Results, name: str) -> None:
-    """Refuse a run whose stage has not finished, or was made by another version.
+    """Check that a stage of a run has finished with the current version of the stage.
 
     Raises:
         MissingFileError: The stage has not finished.
-        OutdatedRunError: Another version made it; the sentence says which command brings it up to date.
+        OutdatedRunError: The result is of another version; the message states the command that brings it up to date.
     """
     stage = next(stage for stage in STAGES if stage.name == name)
     manifest = read_manifest(results.folders[name])
@@ -231,7 +235,7 @@ def require_stage(results: Results, name: str) -> None:
 
 
 def find_project(path: Path) -> Project:
-    """Read the project that a path means: a project file, or the folder of a run, wherever that has been moved.
+    """Read a project from a project file, or from the folder of a run, which may have been moved.
 
     Raises:
         MissingFileError: The path does not exist, or is a folder without a run.
@@ -251,7 +255,7 @@ def find_project(path: Path) -> Project:
 
 
 def capture_digest(capture: Recording) -> str:
-    """Digest of everything that a capture's capture.toml refers to."""
+    """Compute the digest of a capture's capture.toml and all files to which it refers."""
     files: list[Path] = [capture.folder / "capture.toml", *capture.scan_images]
     if capture.scan_video is not None:
         files.append(capture.scan_video)
@@ -269,14 +273,14 @@ def capture_digest(capture: Recording) -> str:
 
 
 def assets_digest(specs: Sequence[str], light: str) -> str:
-    """Digest of the USD files among the assets of a project, not of what they refer to, and of its light's file."""
+    """Compute the digest of a project's USD files, without the files to which they refer, and of the file of its light."""
     found = [named[0] for named in map(asset_file, specs) if named is not None]
     found.append(Path(split_light(light)[1]))
     return files_digest([file for file in found if file.is_file()])
 
 
 def rejections_digest(out: Path) -> str:
-    """Digest of the episodes that a person has rejected; when it changes, the dataset of a run is written again.
+    """Compute the digest of the episodes that a person has rejected; if it changes, the dataset is written again.
 
     Raises:
         MalformedFileError: The review file is damaged.

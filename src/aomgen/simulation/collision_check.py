@@ -1,4 +1,4 @@
-"""Tier A: check before any simulation that a commanded trajectory avoids collisions and reaches the handle."""
+"""Tier A of verification: check without dynamics that a trajectory avoids collisions and grasps the handle."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -16,27 +16,28 @@ from aomgen.core.values import Array
 from aomgen.robots.robot import RobotModel
 from aomgen.simulation.scene import Scene
 
-# Largest motion of any point between two configurations that are checked, [m].
+# Largest motion of any point between two consecutive checked configurations, [m].
 SWEEP_M = 0.005
-# Configurations of a path search keep this margin to the limits, [mm]: the path is smoothed afterwards.
+# Margin to the limits that configurations of a path search keep, [mm], because the path is smoothed afterwards.
 SEARCH_RESERVE_MM = 0.5
-# Factor by which the path of a point may be longer than the chord between its samples.
+# Assumed largest ratio between the length of a point's path and the chord between its samples.
 SWEEP_RESERVE = 1.25
-# Bisections of the gripper's stroke to find where it stalls on the handle: to half a millimetre.
+# Number of bisections of the gripper's stroke that locate the opening at which it stalls on the handle, to 0.5 mm.
 STALL_STEPS = 8
-# Kinds of overlaps: ignored, robot and scene, two parts of the robot, gripper and handle.
+# Kinds of overlaps: ignored, between robot (or moving part) and scene, between robot links, between gripper and handle.
 NOTHING, SCENE, SELF, HANDLE = range(4)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class KinematicLimits:
-    """Largest overlaps and gap that tier A accepts.
+    """Largest overlaps and largest gap that tier A accepts.
 
     Attributes:
         max_penetration_mm: Overlap of robot and scene.
-        max_handle_penetration_mm: Overlap of fingers and handle while they hold it.
-        max_gap_mm: Distance between the handle and the farther pad while they hold it.
-        max_self_penetration_mm: Overlap of two parts of the robot, beyond `self_overlap_mm` where the real arm has been.
+        max_handle_penetration_mm: Overlap of gripper and handle during the grasp.
+        max_gap_mm: Distance between the handle and the farther finger's pads during the grasp.
+        max_self_penetration_mm: Overlap of two robot links; `self_overlap_mm` of the recorded configurations is allowed in
+            addition.
     """
 
     max_penetration_mm: float = 1.0
@@ -46,7 +47,7 @@ class KinematicLimits:
 
     @property
     def by_figure(self) -> dict[str, float]:
-        """Largest values of the figures of `check_kinematics`, except self penetration."""
+        """Limits by the names of the metrics of `check_kinematics`, except for self-penetration."""
         return {
             "penetration_mm": self.max_penetration_mm,
             "handle_penetration_mm": self.max_handle_penetration_mm,
@@ -62,19 +63,22 @@ def check_kinematics(
     holding: NDArray[np.bool_],
     limits: KinematicLimits,
 ) -> dict[str, float] | Rejection:
-    """Move robot and object along a trajectory of T samples and measure overlaps and the grip.
+    """Move robot and object along a trajectory of T samples, and measure overlaps and the grasp.
 
-    Between two samples everything moves linearly in the joints, as the simulator commands it, and is looked at
-    so often that no point of robot or part goes farther than `SWEEP_M` in between.
+    Between two samples, all joints are interpolated linearly, as the simulator commands them. The configurations are close
+    enough that no point of the robot or of the moving part travels farther than `SWEEP_M` between two of them.
 
     Args:
-        scene: With the object at its pose; nearer to it than `scene.clearance` counts as an overlap.
-        gripper: Finger opening, 0 open .. 1 closed, as it will settle on the handle.
-        holding: Frames in which fingers and handle are meant to touch.
+        scene: Scene with the object at its pose; a distance of the arm to it below `scene.clearance` counts as overlap.
+        joints: Arm joints (T, J), [rad] or [m].
+        gripper: Gripper (T,), 0 open .. 1 closed, at the opening at which it stalls on the handle.
+        thetas: Object joint (T,), [rad] or [m].
+        holding: Mask (T,) of the samples in which the fingers are meant to touch the handle.
+        limits: Largest accepted overlaps and gap.
 
     Returns:
-        Figures `penetration_mm`, `handle_penetration_mm`, `self_penetration_mm`, `grip_gap_mm`; or a
-        Rejection "collision", "self_collision", "grip_collision" or "no_grip" with the `sample` at which it is worst.
+        Metrics `penetration_mm`, `handle_penetration_mm`, `self_penetration_mm` and `grip_gap_mm`; or a Rejection
+        "collision", "self_collision", "grip_collision" or "no_grip" whose metric `sample` is the worst sample.
     """
     result = _measure_motion(scene, joints, gripper, thetas, holding, limits)
     if not isinstance(result, Rejection):
@@ -98,7 +102,7 @@ def _measure_motion(
     worst = {"scene": _Overlap(*_object_overlap(scene, data)), "self": _Overlap(), "handle": _Overlap()}
     rows = np.arange(len(joints), dtype=np.float64)
     qpos = scene.qpos(joints, gripper, thetas)
-    # Samples first: most of what collides does so there already.
+    # The samples are checked first, because most collisions are already detected there.
     found, places = _sweep(scene, data, kinds, qpos, rows, holding)
     worst = {kind: max(worst[kind], found[kind]) for kind in worst}
     result = _judge(worst, _Overlap(), limits)
@@ -119,14 +123,14 @@ def _measure_motion(
 
 
 def self_overlap_mm(scene: Scene, joints: Array, gripper: float) -> float:
-    """Overlap of parts of the robot at joints (J,), [mm]: of a real arm's configuration, the error of its collision shapes."""
+    """Compute the largest overlap of robot links at joints (J,), [mm]; for the real arm, an error of the collision shapes."""
     qpos, still = scene.qpos(joints[None], gripper, 0.0), np.zeros(1)
     found, _ = _sweep(scene, mujoco.MjData(scene.model), _pair_kinds(scene), qpos, still, still > 0)
     return found["self"].mm
 
 
 class _Overlap(NamedTuple):
-    """Overlap of two bodies, [mm], its sample, and the names of the bodies."""
+    """An overlap of two bodies, [mm], its fractional sample, and the names of the bodies."""
 
     mm: float = 0.0
     sample: float = 0.0
@@ -136,7 +140,7 @@ class _Overlap(NamedTuple):
 def _judge(
     worst: dict[str, _Overlap], gap: _Overlap, limits: KinematicLimits
 ) -> dict[str, float] | Rejection:
-    """The figures, or the first limit that they break."""
+    """Return the metrics, or a rejection for the first one that exceeds its limit."""
     tests = [
         ("collision", "penetration_mm", worst["scene"], limits.max_penetration_mm),
         ("self_collision", "self_penetration_mm", worst["self"], limits.max_self_penetration_mm),
@@ -165,9 +169,9 @@ def _sweep(
     rows: Array,
     holding: NDArray[np.bool_],
 ) -> tuple[dict[str, _Overlap], Array]:
-    """Deepest overlaps of each kind at states (N, nq) of the trajectory's fractional samples `rows` (N,).
+    """Compute the deepest overlap of each kind over states (N, nq) at the trajectory's fractional samples `rows` (N,).
 
-    Also poses (N, B, 12) of all bodies: rotation, then position.
+    The second result holds the poses (N, B, 12) of all bodies: rotation, then position.
     """
     model = scene.model
     places = np.empty((len(qpos), model.nbody, 12))
@@ -184,7 +188,7 @@ def _sweep(
         return worst, places
     touching, at = np.concatenate(pairs), np.repeat(rows, counts)
     mm = _depths_mm(scene, touching, np.concatenate(depths))
-    # Fingers that close or open about the handle between two samples are meant to touch it.
+    # Contact with the handle is also allowed between two samples of which only one is part of the grasp.
     held = holding[np.floor(at).astype(int)] | holding[np.ceil(at).astype(int)]
     kind = kinds[touching[:, 0], touching[:, 1]]
     kind = np.where((kind == HANDLE) & ~held, SCENE, kind)
@@ -192,7 +196,7 @@ def _sweep(
         mine = np.where(kind == number, mm, 0.0)
         deepest = int(mine.argmax())
         if mine[deepest] > 0:
-            # The robot's geom first.
+            # The robot's geom is the first of the pair.
             a, b = sorted(touching[deepest], key=lambda geom: not scene.roles.robot[geom])
             body_a, body_b = (model.body(model.geom_bodyid[geom]).name for geom in (a, b))
             bodies = (body_a, model.geom(int(b)).name or body_b)
@@ -203,9 +207,13 @@ def _sweep(
 def make_collision_test(
     scene: Scene, gripper: float, theta: float, limits: KinematicLimits, *, holding: bool = False
 ) -> Callable[[Array], bool]:
-    """Return a test of arm configurations (J,): whether they overlap with nothing; with the handle only if `holding`.
+    """Make a function that returns whether an arm configuration (J,) is free of collisions.
 
-    Overlaps count from `SEARCH_RESERVE_MM` before the limits on.
+    Args:
+        scene: Scene with the object at its pose.
+        gripper, theta: Fixed values of the gripper, 0 open .. 1 closed, and of the object's joint, [rad] or [m].
+        limits: Largest accepted overlaps; they are reduced by `SEARCH_RESERVE_MM`.
+        holding: Ignore overlaps of gripper and handle.
     """
     data, kinds = mujoco.MjData(scene.model), _pair_kinds(scene)
     qpos = scene.qpos(np.zeros((1, len(scene.robot.joint_names))), gripper, theta)[0]
@@ -228,19 +236,22 @@ def make_collision_test(
 
 
 def _depths_mm(scene: Scene, pairs: NDArray[np.int32], distances: Array) -> Array:
-    """Depths (N,) of contacts between geoms (N, 2); for the arm, not for its gripper, the object counts as grown."""
+    """Convert distances (N,), [m], of geom pairs (N, 2) to depths (N,), [mm].
+
+    Between object and arm, but not between object and gripper, the scene's clearance is added.
+    """
     arm = scene.roles.robot & ~scene.roles.gripper
     grown = scene.roles.object[pairs].any(1) & arm[pairs].any(1)
     return -1000.0 * distances + 1000.0 * scene.clearance * grown
 
 
 def _held(scene: Scene) -> NDArray[np.bool_]:
-    """Geoms (G,) that fingers hold: the handle; the whole part where it has none, for example a lid by its rim."""
+    """Return the mask (G,) of the geoms that fingers hold: the handle, or the whole moving part if it has no handle."""
     return scene.roles.handle if scene.roles.handle.any() else scene.roles.moving
 
 
 def _pair_kinds(scene: Scene) -> NDArray[np.int8]:
-    """Kind of overlap (G, G) of every two geoms."""
+    """Return the kind of overlap (G, G) of every pair of geoms."""
     roles = scene.roles
     robot, hand = roles.robot, roles.gripper
     kinds = np.zeros((len(robot), len(robot)), np.int8)
@@ -253,7 +264,7 @@ def _pair_kinds(scene: Scene) -> NDArray[np.int8]:
 
 
 def _object_overlap(scene: Scene, data: mujoco.MjData) -> tuple[float, float, tuple[str, ...]]:
-    """Overlap of the object's base with obstacles, [mm]: MuJoCo does not pair two static bodies."""
+    """Compute the overlap of the object's static link with obstacles, [mm]; MuJoCo does not test pairs of static bodies."""
     static, obstacles = np.flatnonzero(scene.roles.static), np.flatnonzero(scene.roles.obstacle)
     if not len(obstacles):
         return 0.0, 0.0, ()
@@ -268,11 +279,11 @@ def _object_overlap(scene: Scene, data: mujoco.MjData) -> tuple[float, float, tu
 
 
 def _moves(scene: Scene, places: Array) -> Array:
-    """Largest motion of any point of robot or part between consecutive states (N - 1,), [m], for body poses (N, B, 12)."""
+    """Compute the largest motion of any point of robot or moving part (N - 1,), [m], between body poses (N, B, 12)."""
     model = scene.model
     solid = np.flatnonzero(scene.roles.robot | scene.roles.moving)
     signs = np.array(list(product((-1.0, 1.0), repeat=3)))
-    # A rigid motion moves no point of a box farther than one of its corners.
+    # Under a rigid motion, the largest displacement of a box occurs at one of its corners.
     corners = model.geom_aabb[solid, None, :3] + signs * model.geom_aabb[solid, None, 3:]
     turns = matrix_from_quat(model.geom_quat[solid])
     corners = np.einsum("gij,gkj->gki", turns, corners) + model.geom_pos[solid, None]
@@ -283,18 +294,20 @@ def _moves(scene: Scene, places: Array) -> Array:
 
 
 def holding_gripper(robot: RobotModel, width_m: float, fallback: float) -> float:
-    """Gripper value 0..1 at which the distance of the pads is `width_m`; `fallback` for a robot without pads."""
+    """Compute the gripper value 0..1 at which the distance of the pads is `width_m`; `fallback` for a robot without pads."""
     values = np.linspace(0.0, 1.0, 65)
     widths = robot.pad_distances(values)
     return float(np.interp(-width_m, -widths, values)) if len(widths) else fallback
 
 
 def stalling_gripper(scene: Scene, joints: Array, theta: float, fallback: float) -> float:
-    """Gripper value 0..1 at which the pads, on average, touch the handle; `fallback` for a robot without pads.
+    """Compute the gripper value 0..1 at which the mean distance of the two fingers' pads to the handle is 0.
 
     Args:
+        scene: Scene with the object at its pose.
         joints: Arm joints (J,) with the gripper at the handle.
-        theta: Value of the object's joint.
+        theta: Value of the object's joint, [rad] or [m].
+        fallback: Result for a robot without pads.
     """
     if not scene.robot.pads:
         return fallback
@@ -308,6 +321,7 @@ def stalling_gripper(scene: Scene, joints: Array, theta: float, fallback: float)
 
 
 def place_scene(scene: Scene, data: mujoco.MjData, qpos: Array) -> None:
+    """Set the state qpos (nq,) in `data`, and compute kinematics and contacts."""
     data.qpos[:] = qpos
     mujoco.mj_kinematics(scene.model, data)
     mujoco.mj_comPos(scene.model, data)
@@ -315,12 +329,12 @@ def place_scene(scene: Scene, data: mujoco.MjData, qpos: Array) -> None:
 
 
 def _grip_gap_mm(scene: Scene, data: mujoco.MjData, qpos: Array) -> float:
-    """Distance between the handle and the farther finger's pads, [mm]; 0 for a robot without pads."""
+    """Compute the distance between the handle and the farther finger's pads, [mm]; 0 for a robot without pads."""
     return 1000.0 * max(0.0, *_finger_gaps_m(scene, data, qpos))
 
 
 def _finger_gaps_m(scene: Scene, data: mujoco.MjData, qpos: Array) -> list[float]:
-    """Distance between the handle and each finger's pads, below 0 where they overlap, [m]; 0 without pads."""
+    """Compute the distance between the handle and each finger's pads, negative for overlaps, [m]; 0 without pads."""
     data.qpos[:] = qpos
     mujoco.mj_kinematics(scene.model, data)
     held = np.flatnonzero(_held(scene))

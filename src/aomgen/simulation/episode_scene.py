@@ -1,4 +1,4 @@
-"""The scene in which episodes of an asset are planned and verified."""
+"""Build the scene in which episodes of an asset are planned and verified."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -14,7 +14,7 @@ from aomgen.robots.robot import RobotModel
 from aomgen.simulation.collision_check import place_scene
 from aomgen.simulation.scene import Scene, build_scene
 
-# Kept between the recorded arm and a table that it would have hit, [m].
+# Distance between the recorded arm and the surface of a table that is lowered below it, [m].
 TABLE_CLEARANCE_M = 0.005
 
 
@@ -27,9 +27,21 @@ def episode_scene(
     *,
     bolted: bool = True,
 ) -> Scene:
-    """Build robot, table, obstacles and asset; a table that the recorded arm would have hit is lowered below it.
+    """Build robot, table, obstacles and asset.
 
-    An object that is not bolted needs its table where it is.
+    If the recorded arm overlaps with the table, the table is lowered below the arm; for an object that is not bolted, it
+    keeps its height, because it supports the object.
+
+    Args:
+        robot: Robot with position actuators.
+        fitted: Asset at the recorded object's pose.
+        demo: Recorded motion of the arm.
+        support: Estimated table.
+        obstacles: Static obstacles, world frame.
+        bolted: Fix the object to the world; otherwise it is held by friction only.
+
+    Raises:
+        ConfigError: The robot has no position actuators or no fingers.
     """
     build = partial(
         build_scene, robot, fitted.asset, fitted.T_world_asset, bolted=bolted, obstacles=obstacles
@@ -43,9 +55,9 @@ def episode_scene(
 
 
 def table_overlap_m(scene: Scene, joints: Array) -> float:
-    """Return how deep a path that a real arm has taken (T, J) dips into the assumed table, [m].
+    """Compute the largest depth of a recorded arm path (T, J) below the surface of the assumed table, [m].
 
-    A positive depth means that the real table ends before the arm, or that its plane is estimated too high.
+    A positive depth means that the real table does not extend to the arm, or that its plane is estimated too high.
     """
     data = mujoco.MjData(scene.model)
     deepest = 0.0

@@ -15,27 +15,30 @@ from aomgen.simulation.scene import Scene
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PassRule:
-    """Limits of an accepted run. Runs of five categories without errors use a third to two thirds of most limits.
+    """Limits of an accepted run; correct runs of five categories use a third to two thirds of most limits.
 
     Attributes:
-        target_share: Travel of the joint over the planned one, at least.
-        contact_share: Share of the progress made while a pad at the handle carries force, at least.
-        contact_force_n: Least force that counts as contact, [N].
-        min_revolute_rad, min_prismatic_m: Smallest planned travel.
-        written_share: Part of the travel, over the planned one, that the joint's velocity does not account for.
-        start_share: Distance from the planned first joint value before the robot touches the part, over the planned
-            travel, at most.
-        pushed_share: Share of the progress made by anything else of the robot than pads at the handle, at most.
-        robot_force_n: Normal forces of the robot on all but handle and pads, [N]: a grazing touch; arms that work
-            beside people stop at 100 N.
-        torque_share: Torque of a drive over its largest, as mean over `torque_s`, at most; drives may be at their
-            limit for a moment, where the command's velocity changes.
-        torque_s: Length of a frame at usual rates, [s].
-        tracking_mm: Distance between commanded and reached end effector, [mm]: 100 N on a usual arm's servos.
-        handle_penetration_mm: Penetration of gripper and handle, [mm]; pads are rubber of about 3 mm.
-        penetration_mm: Penetration of the robot and other bodies, [mm].
-        base_friction: Coefficient between the object and its support.
-        drift_mm: Distance that the base of an object that is not bolted may slide, [mm].
+        target_share: Smallest ratio of the joint's travel to the planned travel.
+        contact_share: Smallest share of the joint's progress during which a pad exerts force on the handle.
+        contact_force_n: Smallest force that counts as contact, [N].
+        min_revolute_rad, min_prismatic_m: Smallest planned travel, [rad] and [m].
+        written_share: Largest part of the travel, relative to the planned travel, that is not the integral of the joint's
+            velocity.
+        start_share: Largest deviation from the planned first joint value before the robot touches the part, relative to
+            the planned travel.
+        pushed_share: Largest share of the joint's progress during which the robot pushes the part other than by pads on
+            the handle.
+        robot_force_n: Largest normal force of contacts of the robot other than the grasp, [N]: a grazing contact;
+            collaborative arms stop at about 100 N.
+        torque_share: Largest ratio of a drive's torque, averaged over `torque_s`, to its limit; a drive may reach its
+            limit briefly when the commanded velocity changes.
+        torque_s: Averaging time of the torque, [s]: the length of a frame at usual rates.
+        tracking_mm: Largest distance between commanded and reached end effector, [mm]; corresponds to about 100 N at the
+            stiffness of a usual arm.
+        handle_penetration_mm: Largest penetration of gripper and handle, [mm]; pads are about 3 mm of rubber.
+        penetration_mm: Largest penetration of the robot and other bodies, [mm].
+        base_friction: Friction coefficient between the object and its support.
+        drift_mm: Largest displacement of the base of an object that is not bolted, [mm].
     """
 
     target_share: float = 0.9
@@ -56,7 +59,7 @@ class PassRule:
     drift_mm: float = 5.0
 
     def least_travel(self, joint_type: JointType) -> float:
-        """Smallest planned travel of a joint, [rad] or [m]."""
+        """Return the smallest planned travel of a joint type, [rad] or [m]."""
         return self.min_revolute_rad if joint_type == "revolute" else self.min_prismatic_m
 
 
@@ -65,21 +68,28 @@ def judge(
 ) -> SettingOutcome | Rejection:
     """Compare one run with the pass rule and with the planned motion of the object.
 
+    Args:
+        run: Simulated run.
+        fitted: Object and its planned joint values.
+        scene: Simulated scene.
+        setting: Setting of the run.
+        rule: Limits.
+
     Returns:
-        The figures; or a Rejection with the reason of the first check that fails. Causes come before what
-        follows from them: "imposed", "moved_early", "door_pushed", "robot_contact", "torque", "tracking", "target",
-        "contact", "penetration", "slides".
+        The outcome with all metrics; or a Rejection with the reason of the first check that fails. Causes are checked
+        before their consequences: "imposed", "moved_early", "door_pushed", "robot_contact", "torque", "tracking",
+        "target", "contact", "penetration", "slides".
     """
     travel = fitted.travel
     forces = _forces(run, scene, float(np.sign(travel)))
     touched = np.flatnonzero(forces.part)
     first = int(touched[0]) if len(touched) else len(run.thetas)
-    # Share of the planned travel made at each tick.
+    # Share of the planned travel that is completed at each tick.
     shares = (run.thetas - fitted.start_theta) / travel
     steps = np.maximum(np.diff(shares), 0.0)
 
     def progress(ticks: NDArray[np.bool_]) -> float:
-        """Share made in steps that have one of these ticks at their beginning or end."""
+        """Compute the share of the progress in steps that begin or end at one of these ticks."""
         return float(steps[ticks[:-1] | ticks[1:]].sum() / max(steps.sum(), 1e-9))
 
     holding = forces.pads >= rule.contact_force_n
@@ -132,16 +142,16 @@ def judge(
 
 @dataclass(frozen=True, slots=True)
 class _Forces:
-    """Forces of the robot at every tick (N,), [N], and the deepest overlaps, [mm].
+    """Sums of the robot's contact forces at every tick (N,), [N], and the deepest overlaps, [mm].
 
     Attributes:
-        pads: Normal forces of pads on the handle, or on the part where it has none.
+        pads: Normal forces of pads on the handle, or on the moving part if it has no handle.
         part: Normal forces on the moving part.
-        pushing: Normal forces on it of all but these pads, where they move it in the planned direction.
-        strange: Normal forces of all contacts other than of these pads, the gripper at the handle, and pads on the part.
+        pushing: Normal forces on the moving part in the planned direction, without those in `pads`.
+        strange: Normal forces of all contacts other than gripper on handle and pads on the moving part.
         reactions: Horizontal force on the object.
         handle_depth_mm: Overlap of gripper and handle.
-        depth_mm: Overlap of the robot and anything else.
+        depth_mm: Overlap of the robot and other bodies.
     """
 
     pads: Array
@@ -154,7 +164,7 @@ class _Forces:
 
 
 def _forces(run: SimulatedRun, scene: Scene, direction: float) -> _Forces:
-    """Sum up the contacts of a run that shall move the joint in a direction, 1 or -1."""
+    """Sum the contact forces of a run that is planned to move the joint in a direction, 1 or -1."""
     touches, roles, joint = run.touches, scene.roles, scene.joint_world
     part = roles.moving[touches.other_geoms]
     handle = roles.handle[touches.other_geoms] if roles.handle.any() else part
@@ -183,14 +193,14 @@ def _forces(run: SimulatedRun, scene: Scene, direction: float) -> _Forces:
 
 
 def _torque_share(run: SimulatedRun, scene: Scene, seconds: float) -> float:
-    """Largest mean of a drive's torque over its limit, in any time of a length."""
+    """Compute the largest ratio of a drive's torque to its limit, as a moving average over a time, [s]."""
     count = max(round(seconds / run.tick_s), 1)
     total = np.cumsum(np.abs(run.torques) / scene.arm.torques, axis=0)
     return float((total[count:] - total[:-count]).max(initial=0.0) / count)
 
 
 def _tracking_mm(run: SimulatedRun, scene: Scene) -> float:
-    """Distance between commanded and reached end effector at its worst joint errors, [mm]."""
+    """Compute the distance between commanded and reached end effector at the five ticks with the largest joint error, [mm]."""
     worst = np.unique(np.argsort(np.abs(run.commands - run.joints).max(1))[-5:])
     commanded = scene.robot.ee_poses(run.commands[worst])[:, :3, 3]
     return float(1000 * np.linalg.norm(commanded - run.Ts_world_ee[worst, :3, 3], axis=1).max())

@@ -1,4 +1,4 @@
-"""The simulator: an arm tracks commands in MuJoCo; the object's joint is passive and moves by contact alone."""
+"""Simulate an arm that tracks commands in MuJoCo; the object's joint is passive and moves only by contact."""
 
 import copy
 from collections.abc import Iterator
@@ -36,27 +36,27 @@ DIVERGENCE: Final = [
         mujoco.mjtWarning.mjWARN_INERTIA,
     )
 ]
-# All that later steps depend on.
+# The part of MuJoCo's state on which later steps depend.
 STATE: Final = mujoco.mjtState.mjSTATE_INTEGRATION
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SimulatedRun:
-    """Recorded motion of a simulation at every control tick (N).
+    """Recorded motion of a simulation at N control ticks.
 
     Attributes:
         frame_ticks: Tick of each commanded sample (T,).
-        tick_s: From one tick to the next, [s].
-        joints: Reached arm joints (N, J), [rad].
-        gripper: Reached gripper (N,), 0..1.
-        thetas: Object joint (N,), [rad] or [m].
-        rates: Its velocity (N,), [rad/s] or [m/s].
-        torques: Torques of the arm's drives (N, J), gravity compensation included, [N m] or [N].
-        Ts_world_ee: Reached end effector (N, 4, 4).
+        tick_s: Time between two ticks, [s].
+        joints: Reached arm joints (N, J), [rad] or [m].
+        gripper: Reached gripper (N,), 0 open .. 1 closed.
+        thetas: Value of the object's joint (N,), [rad] or [m].
+        rates: Velocity of the object's joint (N,), [rad/s] or [m/s].
+        torques: Torques of the arm's drives (N, J), including gravity compensation, [N m] or [N].
+        Ts_world_ee: Reached end-effector poses (N, 4, 4).
         bases_world: Position of the object's static link (N, 3), [m].
-        commands: Commanded arm joints (N, J), [rad].
-        touches: Contacts of the robot with anything else.
-        untouched: Tick and full state at the last sample, the final one excluded, before the robot touched the object.
+        commands: Commanded arm joints (N, J), [rad] or [m].
+        touches: Contacts of the robot with other bodies.
+        untouched: Tick and full state of the last sample before the first contact with the object; never the final sample.
     """
 
     frame_ticks: NDArray[np.int64]
@@ -74,12 +74,12 @@ class SimulatedRun:
 
 
 class Simulation:
-    """An arm that tracks one target after the other, without looking ahead; a builder of a `SimulatedRun`.
+    """Simulation of an arm that tracks one target after the other without knowledge of later ones; builds a `SimulatedRun`.
 
-    Autoreset is off (see `build_scene`), so that what diverges is seen.
+    MuJoCo's autoreset is off (see `build_scene`), so that divergence can be detected.
 
     Attributes:
-        data: State now.
+        data: Current state.
         untouched: See `SimulatedRun`.
     """
 
@@ -92,7 +92,16 @@ class Simulation:
         initial_theta: float = 0.0,
         resumed: tuple[int, Array] | None = None,
     ) -> None:
-        """Let the arm rest at a target (J + 1,), joints and gripper; or resume from an `untouched` state."""
+        """Let the arm settle at the first target, or resume from a state.
+
+        Args:
+            scene: Simulated scene.
+            fps: Frames per second.
+            target: First target (J + 1,), joints and gripper.
+            setting: Resistance of the object; None keeps that of the scene.
+            initial_theta: Value of the object's joint at the start, [rad] or [m].
+            resumed: Tick and state from which the simulation continues, see `SimulatedRun.untouched`.
+        """
         self._fps, self._scene, self._setting = fps, scene, setting
         self._model = model = copy.copy(scene.model)
         self._ticks, self._steps, model.opt.timestep = divide_frame(fps, model.opt.timestep)
@@ -113,7 +122,7 @@ class Simulation:
             mujoco.mj_setState(model, self.data, resumed[1], STATE)
 
     def follow(self, target: Array) -> None:
-        """Command a linear motion from the last target to this one (J + 1,), which is reached a frame later."""
+        """Command a linear motion over one frame from the last target to this one (J + 1,), joints and gripper."""
         commands = ramp(self._target, target, self._fps, self._ticks)
         first = self._tick
         for _ in track(self._scene, self._model, self.data, commands, self._steps):
@@ -128,7 +137,7 @@ class Simulation:
         self._target = target
 
     def check_divergence(self) -> Rejection | None:
-        """A Rejection "diverged" when MuJoCo has warned of it."""
+        """Return a Rejection "diverged" if MuJoCo has issued a warning about divergence, else None."""
         if not self.data.warning.number[DIVERGENCE].any():
             return None
         time_s = self._tick / (self._fps * self._ticks)
@@ -146,7 +155,7 @@ class Simulation:
         )
 
     def run(self) -> SimulatedRun:
-        """Return the recorded run, the current state included; of a resumed simulation, the part since then."""
+        """Return the recorded run, including the current state; a resumed simulation returns the part after resumption."""
         frames, ticks = len(self._commands) + 1, self._ticks
         contacts = [*self._contacts, *self._read()]
         return SimulatedRun(
@@ -159,7 +168,7 @@ class Simulation:
         )
 
     def _read(self) -> list[RawContacts]:
-        """Contacts of this tick, if any; a latch catches where the joint is now."""
+        """Read the contacts of this tick, and update the friction of a latch for the current joint value."""
         if self._setting is not None and self._setting.latch:
             theta = self.data.qpos[self._scene.object_qpos]
             self._model.dof_frictionloss[self._scene.object_dof] = self._setting.friction_at(theta)
@@ -176,17 +185,23 @@ def simulate(
     approach: SimulatedRun | None = None,
     initial_theta: float = 0.0,
 ) -> SimulatedRun | Rejection:
-    """Track joints (T, J) and gripper (T,), T >= 2, with the arm's position controllers, without looking ahead.
+    """Simulate the arm's position controllers while they track a trajectory of T >= 2 samples.
 
-    From sample t on, the command moves straight from sample t to sample t + 1 at constant velocity:
-    the exported action at t, which names the target at t + 1, and the one before it are all that is used.
-    A warning of divergence ends the run with a Rejection "diverged".
+    Between samples t and t + 1, the command moves linearly from one to the other. It thus depends only on the exported
+    action at t, which is the target at t + 1, and on the previous action.
 
     Args:
-        setting: Resistance of the object; None keeps the scene's.
-        approach: A run of the same commands with another setting; until the robot touches the object the
-            two are the same, so this one starts from the `untouched` state of that one.
-        initial_theta: The object's joint at reset, [rad] or [m].
+        scene: Scene with the object at its pose.
+        joints: Commanded arm joints (T, J), [rad] or [m].
+        gripper: Commanded gripper (T,), 0 open .. 1 closed.
+        fps: Samples per second.
+        setting: Resistance of the object; None keeps that of the scene.
+        approach: A run of the same commands with another setting. Both runs are equal until the robot touches the object,
+            so this run starts from its `untouched` state.
+        initial_theta: Value of the object's joint at the start, [rad] or [m].
+
+    Returns:
+        The run; or a Rejection "diverged" if the simulation diverges.
     """
     samples = np.column_stack([joints, gripper])
     first, resumed = 0, None
@@ -205,7 +220,15 @@ def simulate(
 def stand(
     scene: Scene, model: mujoco.MjModel, start: Array, commands: Commands, settle_s: float
 ) -> mujoco.MjData:
-    """The state after the arm has stood at the first command, from positions (nq,), until servos and contacts rest."""
+    """Return the state after the arm has held the first command, until servos and contacts are at rest.
+
+    Args:
+        scene: Addresses in the model.
+        model: Model of the scene, possibly with another time step.
+        start: Initial positions (nq,).
+        commands: Commands, of which the first is held.
+        settle_s: Simulated time, [s].
+    """
     data = mujoco.MjData(model)
     data.qpos[:] = start
     still = Commands(commands.joints[:1], np.zeros_like(commands.joints[:1]), commands.gripper[:1])
@@ -221,17 +244,17 @@ def track(
     commands: Commands,
     steps_a_tick: int = 1,
 ) -> Iterator[mujoco.MjData]:
-    """Drive arm and gripper by position control; gives the state at every tick, before its command is applied.
+    """Drive arm and gripper by position control, and yield the state at every tick before its command is applied.
 
-    Velocity feed-forward, `ctrl = q + kv / kp * dq`, takes the lag out of a position actuator. Nothing is written
-    into the state.
+    Velocity feed-forward, `ctrl = q + kv / kp * dq`, compensates for the lag of a position actuator. Positions and
+    velocities are never set directly.
 
     Args:
         scene: Addresses in the model.
-        model: The scene's, maybe with another time step.
-        data: State at the first tick; it is advanced.
-        commands: At every tick.
-        steps_a_tick: Steps of the model from one tick to the next.
+        model: Model of the scene, possibly with another time step.
+        data: State at the first tick, changed in place.
+        commands: Commands at every tick.
+        steps_a_tick: Simulation steps per tick.
     """
     for control in servo_controls(scene, commands):
         yield data
@@ -246,7 +269,7 @@ def _state_of(model: mujoco.MjModel, data: mujoco.MjData, tick: int) -> tuple[in
 
 
 def _read_row(scene: Scene, data: mujoco.MjData) -> tuple[Array, ...]:
-    """Copy what `_stack` needs of a tick: qpos, qvel, torques, position and rotation of the end effector, base."""
+    """Copy the values of a tick for `_stack`: qpos, qvel, torques, end-effector position and rotation, object position."""
     return (
         data.qpos.copy(),
         data.qvel.copy(),
@@ -258,7 +281,7 @@ def _read_row(scene: Scene, data: mujoco.MjData) -> tuple[Array, ...]:
 
 
 def _stack(scene: Scene, rows: list[tuple[Array, ...]]) -> dict[str, Array]:
-    """Combine the rows of all ticks into fields of a run."""
+    """Convert the rows of all ticks to fields of a `SimulatedRun`."""
     qpos, qvel, torques, points, turns, bases = (np.array(column) for column in zip(*rows, strict=True))
     opened, closed = scene.gripper.driver_range
     return {
@@ -273,10 +296,10 @@ def _stack(scene: Scene, rows: list[tuple[Array, ...]]) -> dict[str, Array]:
 
 
 def _join(approach: SimulatedRun, rest: SimulatedRun) -> SimulatedRun:
-    """The ticks of an approach up to where it was untouched, and those of a run that began there."""
+    """Concatenate the ticks of an approach up to its `untouched` state and those of a run that was resumed from it."""
     last = approach.untouched[0]
     early = approach.touches.ticks <= last
-    # A state that was restored has no forces before its first step: that tick is the approach's.
+    # A restored state has no forces before its first step, so that tick is taken from the approach.
     names = ("joints", "gripper", "thetas", "rates", "torques", "Ts_world_ee", "bases_world")
     values = {
         name: np.concatenate([getattr(approach, name)[: last + 1], getattr(rest, name)[1:]]) for name in names

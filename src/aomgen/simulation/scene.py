@@ -1,4 +1,4 @@
-"""One MuJoCo model of robot, table and articulated object, and the addresses of their parts in it."""
+"""Compile robot, table and articulated object into one MuJoCo model, and find the addresses of their parts."""
 
 import copy
 from collections.abc import Sequence
@@ -20,9 +20,9 @@ from aomgen.errors import ConfigError
 from aomgen.robots.robot import RobotModel
 from aomgen.simulation.scene_spec import OBSTACLES, TABLE, scene_spec
 
-# A drive may exceed its largest torque by this factor for a moment, while the pass rule judges its mean. Where a force is cut
-# off, its dependence on the speed is lost to the implicit integrator: a nearly straight arm, whose joints move against
-# each other with little inertia, would chatter at every step of the commanded speed.
+# A drive may exceed its torque limit by this factor briefly; the pass rule limits its moving average. At a hard limit, the
+# derivative of the force with respect to the velocity is 0 for the implicit integrator, so that a nearly straight arm, whose
+# joints can move against each other with little inertia, would oscillate at every step of the commanded velocity.
 PEAK = 1.5
 
 Indices = NDArray[np.int64]
@@ -31,10 +31,10 @@ Mask = NDArray[np.bool_]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ArmDrive:
-    """Addresses of the arm and its actuators in the model, and their properties (J,).
+    """Addresses of the arm's joints and actuators in the model, and their properties (J,).
 
-    `kp` is stiffness [N m/rad], `kv` damping [N m s/rad], `torques` the largest torque [N m], infinite where the
-    model states none; in [N] and [m] where a joint slides.
+    `kp` is the stiffness, [N m/rad], `kv` the damping, [N m s/rad], and `torques` the largest torque, [N m], infinite if the
+    model states none. For prismatic joints, the units are [N/m], [N s/m] and [N].
     """
 
     qpos: Indices
@@ -51,10 +51,10 @@ class GripperDrive:
 
     Attributes:
         qpos: Finger joints in the order of the robot's gripper table (F,).
-        driver: Measured finger joint.
-        driver_range: Its values at gripper 0 and 1 (2,), [rad] or [m].
-        actuator: Closes the gripper.
-        control_range: Its control at gripper 0 and 1 (2,).
+        driver: Address of the finger joint that measures the opening.
+        driver_range: Values of this joint at gripper 0 and 1 (2,), [rad] or [m].
+        actuator: Actuator that closes the gripper.
+        control_range: Controls of this actuator at gripper 0 and 1 (2,).
     """
 
     qpos: Indices
@@ -69,8 +69,8 @@ class GeomRoles:
     """Masks and finger indices of the geoms (G,) of the model.
 
     Attributes:
-        robot, gripper, table, obstacle, static, moving, handle: Masks; gripper is part of robot, handle of moving.
-        finger: Index of the finger whose pad it is (0 left, 1 right), else -1.
+        robot, gripper, table, obstacle, static, moving, handle: Masks; gripper is a subset of robot, handle of moving.
+        finger: Index of the finger to which a pad belongs (0 left, 1 right); -1 for other geoms.
     """
 
     robot: Mask
@@ -84,26 +84,26 @@ class GeomRoles:
 
     @property
     def object(self) -> Mask:
-        """Both links of the object."""
+        """Mask of both links of the object."""
         return self.static | self.moving
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Scene:
-    """A compiled scene. The model is treated as a value: `placed` returns another one.
+    """A compiled scene. The model is not changed after construction: `place_at` returns another scene.
 
     Attributes:
-        model: Robot, table, object with a passive joint.
-        robot: The robot in it.
-        asset: The object in it.
-        names: The object's names in the model.
+        model: Model of the robot, the table and an object with a passive joint.
+        robot: The robot.
+        asset: The object.
+        names: Names of the object's elements in the model.
         arm, gripper: Drives.
         roles: Masks of the geoms.
         object_qpos, object_dof: Addresses of the object's joint.
-        object_body: Id of its static link.
-        ee_site: Id of the end effector.
-        bolted: The object's base cannot move.
-        clearance: Distance to the object at which contacts are reported, without a force, [m].
+        object_body: Id of the object's static link.
+        ee_site: Id of the end-effector site.
+        bolted: The object's base is fixed to the world.
+        clearance: Distance to the object below which contacts are reported, without a force, [m].
     """
 
     model: mujoco.MjModel
@@ -128,7 +128,7 @@ class Scene:
         return self.asset.joint.move(transform(R, self.model.body_pos[body]))
 
     def place_at(self, T_world_object: ArrayLike, clearance: float = 0.0) -> "Scene":
-        """The same scene with the object at a pose (4, 4), and another `clearance`."""
+        """Return the scene with the object at a pose (4, 4), and with another `clearance`, [m]."""
         model = copy.copy(self.model)
         T = np.asarray(T_world_object, np.float64)
         body = self.object_body
@@ -141,7 +141,7 @@ class Scene:
         return replace(self, model=model, clearance=clearance)
 
     def qpos(self, joints: ArrayLike, gripper: ArrayLike, thetas: ArrayLike) -> Array:
-        """Generalised positions (T, nq) of arm joints (T, J), gripper (T,) and object joint (T,)."""
+        """Compute generalized positions (T, nq) from arm joints (T, J), gripper (T,) and object joint (T,)."""
         joints = np.atleast_2d(np.asarray(joints, np.float64))
         result = np.repeat(self.model.qpos0[None], len(joints), 0)
         result[:, self.arm.qpos] = joints
@@ -165,18 +165,21 @@ def build_scene(
 ) -> Scene:
     """Compile robot, table and object into one model.
 
-    Every robot body is gravity compensated, as an arm's own controller does. The table is a slab
-    under the support plane, as large as it is known to be, else 1.4 m about the object; the
-    arm's foot does not collide with it. `damping` and `frictionloss` are as in `add_asset`.
+    Gravity is compensated on all robot bodies, as the controllers of arms do. The table is a slab below the support plane; a
+    side with unknown extent is 0.7 m from the object. The table does not collide with the base of the arm.
 
     Args:
-        robot: With position actuators on all arm joints.
-        bolted: Weld the object to the world; otherwise only friction holds it.
+        robot: Robot with position actuators on all arm joints.
+        asset: Object.
+        T_world_object: Pose of the object (4, 4).
+        support: Plane and extent of the table.
+        damping, frictionloss: Resistance of the object's joint, see `add_asset`.
+        bolted: Fix the object to the world; otherwise it is held by friction only.
         visual: Also add the visual meshes, for rendering.
-        obstacles: Static obstacles.
+        obstacles: Static obstacles, world frame.
 
     Raises:
-        ConfigError: The robot has no position actuators.
+        ConfigError: The robot has no position actuators, or no fingers.
     """
     arguments = {"damping": damping, "frictionloss": frictionloss, "bolted": bolted, "visual": visual}
     spec, names = scene_spec(robot, asset, T_world_object, support, obstacles=obstacles, **arguments)
@@ -191,7 +194,13 @@ def describe_scene(
     *,
     bolted: bool = True,
 ) -> Scene:
-    """Find the addresses of robot and object in a model that holds both, and a geom `TABLE`.
+    """Find the addresses of robot and object in a model that also contains a geom named `TABLE`.
+
+    Args:
+        model: Compiled model; the force limits of the arm's actuators in it are multiplied by `PEAK`.
+        robot, asset: Robot and object in the model.
+        names: Names of the object's elements in the model.
+        bolted: The object is fixed to the world.
 
     Raises:
         ConfigError: The robot has no position actuators, or no fingers.

@@ -1,4 +1,4 @@
-"""Images of a compiled scene of robot and object: colors, part labels, depths."""
+"""Render a compiled scene of robot and object: colors, part labels, depths."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,7 +12,7 @@ from aomgen.simulation.scene import Scene
 
 
 class SceneRenderer(ModelRenderer):
-    """Renders one compiled scene: images, part labels and depths."""
+    """Renderer of one compiled scene: images, part labels and depths."""
 
     def __init__(self, scene: Scene, size: tuple[int, int]) -> None:
         """Create a context for images up to `size` (width, height), [px].
@@ -29,13 +29,13 @@ class SceneRenderer(ModelRenderer):
         self._geom_labels = label_of_body[model.geom_bodyid]
 
     def draw(self, camera: Camera, qpos: Array) -> NDArray[np.uint8]:
-        """Image (H, W, 3) of a state qpos (nq,), with light and shadows."""
+        """Render an image (H, W, 3) of a state qpos (nq,), with light and shadows."""
         return self._render(camera, qpos, ids=False)[0]
 
     def labels(self, camera: Camera, qpos: Array) -> NDArray[np.uint8]:
-        """Part labels (H, W): 0 background, 1 robot, 2 static, 3 moving; no anti-aliasing."""
+        """Render part labels (H, W) without anti-aliasing: 0 background, 1 robot, 2 static, 3 moving."""
         return self.draw_values(camera, qpos, self._geom_labels, nothing=BACKGROUND)[0]
 
     def depths(self, camera: Camera, qpos: Array) -> NDArray[np.float64]:
-        """Depth along the optical axis (H, W), [m]; FAR_M where nothing is."""
+        """Render depths along the optical axis (H, W), [m]; the background has the depth FAR_M."""
         return self.draw_values(camera, qpos, self._geom_labels, nothing=BACKGROUND)[1]

@@ -1,4 +1,4 @@
-"""Editable MuJoCo description of robot, table, obstacles and articulated object."""
+"""Describe robot, table, obstacles and articulated object as an editable MuJoCo specification."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -16,11 +16,12 @@ from aomgen.core.values import Array
 from aomgen.robots.robot import RobotModel
 
 TABLE, OBSTACLES = "table", "obstacles"
-# Thick enough that nothing passes through in one step of the simulation, [m].
+# Thickness of the table, [m]; no body can pass through it in one simulation step.
 TABLE_THICKNESS_M = 0.04
-# Half size of the table where its outline is unknown, about the object, [m].
+# Distance from the object to a side of the table with unknown extent, [m].
 TABLE_REACH_M = 0.7
-# The arm's base may be next to the table or reach through its plane; bodies that fewer joints move ignore it.
+# Bodies that are moved by fewer joints than this do not collide with the table, because the arm's base may be next to the
+# table or intersect its plane.
 FOOT_JOINTS = 3
 
 
@@ -33,10 +34,14 @@ def scene_spec(
     obstacles: Sequence[OrientedBox],
     **of_asset: Any,
 ) -> tuple[mujoco.MjSpec, AssetNames]:
-    """Describe the model that `build_scene` compiles, which explains the arguments; `of_asset` as in `add_asset`.
+    """Describe the model that `build_scene` compiles.
+
+    Args:
+        robot, asset, T_world_object, support, obstacles: See `build_scene`.
+        **of_asset: Keyword arguments of `add_asset`.
 
     Returns:
-        The description, and the names of the object in it.
+        The specification, and the names of the object's elements.
     """
     spec = robot.spec(visual=of_asset["visual"])
     spec.option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
@@ -66,7 +71,7 @@ def _add_table(spec: mujoco.MjSpec, robot: RobotModel, support: SupportPlane, ce
 
 
 def _add_obstacles(spec: mujoco.MjSpec, obstacles: Sequence[OrientedBox]) -> None:
-    # A separate body, because the arm's base ignores contacts with the world body.
+    # The obstacles have a separate body, because contacts of the arm's base with the world body are excluded.
     body = spec.worldbody.add_body(name=OBSTACLES)
     for number, box in enumerate(obstacles):
         body.add_geom(
@@ -80,7 +85,7 @@ def _add_obstacles(spec: mujoco.MjSpec, obstacles: Sequence[OrientedBox]) -> Non
 
 
 def _foot_bodies(spec: mujoco.MjSpec, robot: RobotModel) -> list[str]:
-    """Bodies that less than `FOOT_JOINTS` of the robot's joints move."""
+    """List the bodies that are moved by fewer than `FOOT_JOINTS` joints."""
 
     def joints_above(body: mujoco.MjsBody) -> int:
         return 0 if body.name == "world" else len(body.joints) + joints_above(body.parent)

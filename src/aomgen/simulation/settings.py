@@ -1,7 +1,8 @@
-"""Settings of a simulated run: variations of the object's resistance, drawn from an episode's seed and index.
+"""Sample the settings of simulated runs, which vary the object's resistance, from an episode's seed and index.
 
-Four properties have two levels each, which makes sixteen corners. An episode is tried in two opposite ones, so that
-it meets both levels of every property, and in the nominal setting; eight episodes in a row meet all sixteen.
+Four properties have two levels each, which gives sixteen corner settings. Each episode is simulated in two opposite
+corners, so that both levels of every property are covered, and in the nominal setting; eight consecutive episodes cover
+all sixteen corners.
 """
 
 from dataclasses import replace
@@ -15,19 +16,24 @@ from aomgen.core.asset import ArticulatedAsset
 from aomgen.core.verdict import Setting
 from aomgen.simulation.scene import Scene
 
-# Factors on the moving part's mass: an empty drawer or thin door, and shelves full of jars.
+# Factors on the moving part's mass, for example for an empty drawer or thin door, and for a loaded drawer or door.
 LIGHT, HEAVY = 0.5, 2.0
-# Factors on the friction of gripper and part, 0.6 to 0.8: clean rubber on paint, and greasy metal.
+# Factors on the sliding friction of gripper and part, for clean rubber on paint and for greasy metal.
 ROUGH, SLIPPERY = 1.25, 0.6
-# Magnet and roller catches let go at 5 to 15 N at the handle, [N], within a few millimetres of its way, [m].
+# Force of a latch at the handle, [N], and path of the handle over which it acts, [m]: magnetic and roller catches release
+# at 5 to 15 N within a few millimeters.
 LATCH_N, LATCH_WAY_M = 15.0, 0.004
 
 
 def draw_settings(asset: ArticulatedAsset, seed: int, index: int) -> tuple[Setting, ...]:
-    """The settings of an episode, the hardest first and the nominal one last.
+    """Sample the settings of an episode: a corner with high joint resistance, the opposite corner, and the nominal setting.
 
-    A block of eight indices meets all pairs in a random order: with a fixed one, places of the object, which come
-    from a sequence with periods of their own, would always meet the same corners.
+    A block of eight indices covers all pairs of corners in random order. With a fixed order, the corners would correlate
+    with the poses of the object, which are sampled from a low-discrepancy sequence.
+
+    Args:
+        asset: Simulated object.
+        seed, index: Seed and index of the episode's variation.
     """
     pairs = list(product((False, True), repeat=3))
     order = np.random.default_rng([seed, index // len(pairs)]).permutation(len(pairs))
@@ -41,7 +47,15 @@ def draw_settings(asset: ArticulatedAsset, seed: int, index: int) -> tuple[Setti
 def corner_setting(
     asset: ArticulatedAsset, stiff: bool, heavy: bool, slippery: bool, latched: bool
 ) -> Setting:
-    """One corner. A part that its hinge's friction holds, as a laptop's lid, has no latch."""
+    """Build one corner setting.
+
+    Args:
+        asset: Simulated object.
+        stiff: High instead of low joint resistance.
+        heavy: High instead of low mass of the moving part.
+        slippery: Low instead of high friction of gripper and part.
+        latched: Add a latch, unless the friction of the joint holds the part, as for a laptop's lid.
+    """
     _, easy, hard = RESISTANCES[asset.joint.type]
     latched = latched and not holding_friction(asset)
     words = ["stiff" if stiff else "easy", "heavy" if heavy else "light", "slippery" if slippery else "rough"]
@@ -59,7 +73,14 @@ def corner_setting(
 
 
 def apply_setting(scene: Scene, model: mujoco.MjModel, setting: Setting, theta: float) -> None:
-    """Apply a setting to a model, a copy of the scene's, whose object joint has the value `theta`."""
+    """Apply a setting to a model.
+
+    Args:
+        scene: Scene of the model.
+        model: Copy of the scene's model, changed in place.
+        setting: Setting to be applied.
+        theta: Current value of the object's joint, [rad] or [m].
+    """
     model.dof_damping[scene.object_dof] = setting.damping
     model.dof_frictionloss[scene.object_dof] = setting.friction_at(theta)
     if setting.latch:
@@ -69,14 +90,14 @@ def apply_setting(scene: Scene, model: mujoco.MjModel, setting: Setting, theta: 
     if factor != 1.0:
         model.body_mass[body] *= factor
         model.body_inertia[body] *= factor
-        # Inverse weights, which contacts are scaled by, follow from the masses.
+        # This updates the inverse weights, which depend on the masses and scale the contacts.
         mujoco.mj_setConst(model, mujoco.MjData(model))
 
 
 def _setting(
     name: str, asset: ArticulatedAsset, resistance: tuple[float, float], mass_factor: float = 1.0
 ) -> Setting:
-    """A setting without a latch, of damping and dry friction; the holding friction of a lid grows with its weight."""
+    """Build a setting without a latch from damping and dry friction; the holding friction is scaled with the mass."""
     damping, friction = resistance
     return Setting(
         name=name,

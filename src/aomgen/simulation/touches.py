@@ -1,4 +1,4 @@
-"""Contacts of the robot with anything else: copied at every tick, sorted once a run."""
+"""Record the contacts of the robot with other bodies: they are copied at every tick and selected once per run."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -14,16 +14,16 @@ from aomgen.simulation.scene import Scene
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Touches:
-    """Contacts of the robot with anything else (C), ordered by tick.
+    """C contacts of the robot with other bodies, ordered by tick.
 
     Attributes:
-        ticks: Tick of each contact.
-        robot_geoms, other_geoms: Geoms in contact.
-        distances: Between them, negative where they overlap, [m].
-        points_world: (C, 3), [m].
-        normals_world: (C, 3) unit, into the robot.
-        forces: Normal force, [N].
-        forces_world: Whole force on the robot (C, 3), [N].
+        ticks: Tick of each contact (C,).
+        robot_geoms, other_geoms: Geoms in contact (C,).
+        distances: Distances between the geoms (C,), negative for overlaps, [m].
+        points_world: Contact points (C, 3), [m].
+        normals_world: Unit normals (C, 3), toward the robot.
+        forces: Normal forces (C,), [N].
+        forces_world: Total forces on the robot (C, 3), [N].
     """
 
     ticks: Annotated[NDArray[np.int64], "C"]
@@ -39,7 +39,7 @@ class Touches:
 
 
 class RawContacts(NamedTuple):
-    """All contacts at one tick as MuJoCo has them: geoms (C, 2), frames (C, 9), wrenches in them (C, 6)."""
+    """All C contacts at one tick in MuJoCo's form: geoms (C, 2), contact frames (C, 9), wrenches in these frames (C, 6)."""
 
     tick: int
     geoms: NDArray[np.int32]
@@ -50,7 +50,7 @@ class RawContacts(NamedTuple):
 
 
 def read_contacts(model: mujoco.MjModel, data: mujoco.MjData, tick: int) -> RawContacts:
-    """Copy the contacts, which the next step overwrites, for `find_touches`."""
+    """Copy the current contacts for `find_touches`, because the next step overwrites them."""
     contact = data.contact
     wrenches = np.empty((data.ncon, 6))
     for index in range(data.ncon):
@@ -66,7 +66,7 @@ def read_contacts(model: mujoco.MjModel, data: mujoco.MjData, tick: int) -> RawC
 
 
 def find_touches(scene: Scene, contacts: list[RawContacts]) -> Touches:
-    """Select the contacts of the robot with anything else."""
+    """Select the contacts of the robot with other bodies."""
     ticks = np.repeat([item.tick for item in contacts], [len(item.geoms) for item in contacts])
     geoms = np.concatenate([np.zeros((0, 2), np.int32), *(item.geoms for item in contacts)])
     robot = scene.roles.robot[geoms]
@@ -75,7 +75,8 @@ def find_touches(scene: Scene, contacts: list[RawContacts]) -> Touches:
     def column(values: Iterable[Array], width: int) -> Array:
         return np.concatenate([np.zeros((0, width)), *values])[kept]
 
-    # The robot's geom first. MuJoCo's normal points from the first geom to the second; ours into the robot.
+    # The robot's geom becomes the first of each pair. MuJoCo's normal points from the first geom to the second; here it points
+    # toward the robot.
     ours = robot[kept, :1]
     pairs = np.where(ours, geoms[kept], geoms[kept, ::-1])
     frames = column((item.frames for item in contacts), 9) * np.where(ours, -1.0, 1.0)

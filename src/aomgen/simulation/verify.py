@@ -1,4 +1,4 @@
-"""Tier B: accept an episode only when contact moves the object in every simulated setting; write its certificate."""
+"""Tier B of verification: accept an episode only if contact moves the object in every simulated setting."""
 
 import hashlib
 from collections.abc import Mapping
@@ -38,22 +38,24 @@ def verify_plan(
     limits: Mapping[str, float] | None = None,
     digests: Mapping[str, str] | None = None,
 ) -> VerifiedEpisode | Rejection:
-    """Simulate a plan in the settings drawn for it and keep what the nominal one, the last, reached.
+    """Simulate a plan in the settings that are sampled for it, and record the states of the last one, the nominal setting.
 
-    The plan's first and final joint values are fixed before any simulation; the scene's asset is moved to its pose.
-    Until the robot touches the object all settings are one: only the first is simulated from the start. (A lid, which
-    its hinge's friction holds, rests within 1e-4 rad of where it would in the others.)
+    The planned first and final joint values are fixed before any simulation. All settings are equal until the robot touches
+    the object, so only the first one is simulated from the start if the object is bolted. (The rest position of a lid that
+    its hinge's friction holds differs by at most 1e-4 rad between the settings.)
 
     Args:
-        commanded: Joints (T, J) that replace the plan's as commands.
-        limits: Tier A's largest values by name of the plan's metrics; those of `KinematicLimits` if None.
+        plan: Plan that passed tier A.
+        scene: Scene with the plan's asset, which is moved to the planned pose.
+        commanded: Arm joints (T, J) that are commanded instead of those of the plan.
+        limits: Limits of tier A by the names of the plan's metrics; by default those of `KinematicLimits`.
         digests: SHA-256 of the plan's inputs, by name, for the certificate.
 
     Returns:
-        The episode with its verdict; or a Rejection "target_too_small", "not_finite", "imposed", "diverged", or one of `judge`, of
-        the first setting that failed.
+        The episode with its verdict; or a Rejection "target_too_small", "not_finite", "imposed" or "diverged", or the
+        rejection of `judge` for the first setting that failed.
 
-    Not checked: whether the real object's resistance lies within the settings; contacts of the robot with itself.
+    Not checked: whether the real object's resistance is within the range of the settings; self-contacts of the robot.
     """
     rule, fitted, asset = PassRule(), plan.fitted, plan.fitted.asset
     minimum, travel = rule.least_travel(asset.joint.type), abs(fitted.travel)
@@ -73,7 +75,7 @@ def verify_plan(
     outcomes: list[SettingOutcome] = []
     runs: list[SimulatedRun] = []
     for setting in draw_settings(asset, variation.seed, variation.index):
-        # An object that stands by friction has come to rest by its own mass.
+        # An object that is not bolted settles differently in each setting, because its mass differs.
         approach = runs[0] if runs and scene.bolted else None
         run = simulate(
             placed,
@@ -106,7 +108,7 @@ def verify_plan(
 
 
 def find_drive(scene: Scene) -> str:
-    """Name the model element, other than contact, that could move the object's joint; empty when it is passive."""
+    """Describe a model element, other than contact, that could move the object's joint; empty if the joint is passive."""
     model, names = scene.model, scene.names
     joint = model.joint(names.joint).id
     bodies = [model.body(name).id for name in (names.static_body, names.moving_body)]
@@ -125,7 +127,7 @@ def find_drive(scene: Scene) -> str:
 
 
 def _kinematic_checks(metrics: Mapping[str, float], limits: Mapping[str, float] | None) -> tuple[Check, ...]:
-    """Tier A's figures that have a limit; its own reasons are those of planning."""
+    """Convert tier A's metrics that have a limit to checks, which have no reason of rejection because they have passed."""
     limits = KinematicLimits().by_figure if limits is None else limits
     return tuple(
         Check(reason="", figure=name, value=value, limit=limits[name])
@@ -135,7 +137,7 @@ def _kinematic_checks(metrics: Mapping[str, float], limits: Mapping[str, float] 
 
 
 def _digest_actions(plan: EpisodePlan) -> str:
-    """SHA-256 of the commanded joints and gripper, row by row as little-endian float64."""
+    """Compute the SHA-256 of the planned joints and gripper, row by row as little-endian float64."""
     actions = np.column_stack([plan.joints, plan.gripper]).astype("<f8")
     return hashlib.sha256(actions.tobytes()).hexdigest()
 
@@ -169,13 +171,13 @@ def _episode(plan: EpisodePlan, run: SimulatedRun, scene: Scene, verdict: Verdic
 def assumptions(
     asset: ArticulatedAsset, settings: tuple[Setting, ...], joint_zeros_rad: Array, *, bolted: bool
 ) -> dict[str, Any]:
-    """List the assumptions of verification for other simulators: `simulation` in `episode.json`, SI units.
+    """List the assumptions of verification for other simulators, in SI units: `simulation` in `episode.json`.
 
     Args:
-        asset: The simulated asset, after scaling.
-        settings: The simulated settings; the last one gave the episode's states.
-        joint_zeros_rad: All joints of the episode minus what the real arm reads there (J,).
-        bolted: Its base was held by the world.
+        asset: Simulated asset, after scaling.
+        settings: Simulated settings; the states of the episode are those of the last one.
+        joint_zeros_rad: Joint values of the episode minus the readings of the real arm in the same pose (J,).
+        bolted: The object's base was fixed to the world.
     """
     holding = holding_friction(asset)
     return {

@@ -1,4 +1,4 @@
-"""Build twins: fix scanned Gaussians to bodies, put another object in the recorded one's place."""
+"""Build twins: attach scanned Gaussians to bodies, and replace the recorded object by an asset."""
 
 from dataclasses import replace
 
@@ -25,13 +25,19 @@ def bind(
     joint_world: Joint,
     scan_state: TwinState,
 ) -> TwinModel:
-    """Fix the Gaussians (N) of an aligned scan to the bodies they belong to.
+    """Attach the Gaussians of an aligned scan to the bodies of robot and object.
 
     Args:
-        labels: (N,) part labels, see `conventions.PART_LABELS`.
-        robot_bodies: (N,) index into `robot.body_names`, -1 where a Gaussian is not of the robot. What is labelled
-            robot without a link stays with the world.
+        gaussians_world: N Gaussians, world frame.
+        labels: Part labels (N,), see `conventions.PART_LABELS`.
+        robot_bodies: Index into `robot.body_names` (N,), -1 for Gaussians without a robot link. Gaussians that are labeled
+            robot, but have no link, are attached to the world.
+        robot: Robot in the scene.
+        joint_world: Joint of the object, world frame.
         scan_state: State during the scan; its `T_world_object` becomes the object's pose.
+
+    Returns:
+        Twin whose Gaussians are in the frames of their bodies.
     """
     names = body_list(robot)
     bodies = np.zeros(len(gaussians_world), np.int32)
@@ -54,23 +60,28 @@ def bind(
 
 
 def object_frame(static_points_world: ArrayLike, joint_world: Joint, moving_points_world: ArrayLike) -> Array:
-    """Pose T_world_object (4, 4) of a recorded object from its points.
+    """Compute the pose T_world_object (4, 4) of a recorded object from its points.
 
-    Origin: middle of the static part's footprint, at its lowest level. Yaw: -y points out of the
-    front, which is where the moving part lies as seen from the static part's middle; for a
-    sliding part, along its axis.
+    The origin is the center of the static part's footprint at its lowest level, and the z axis is vertical. The -y axis
+    points out of the front: for a prismatic joint, it is the horizontal direction of the axis; for a door, the outward normal
+    of the moving part; for a lid, the direction away from the hinge.
+
+    Args:
+        static_points_world: Points of the static part (N, 3), [m].
+        joint_world: Joint, world frame.
+        moving_points_world: Points of the moving part (M, 3), [m].
     """
     static, moving = np.asarray(static_points_world, np.float64), np.asarray(moving_points_world, np.float64)
     low, high = np.quantile(static, 0.02, axis=0), np.quantile(static, 0.98, axis=0)
     if joint_world.type == "prismatic":
         front = np.array(joint_world.axis)
     else:
-        # The part is a plate: its thinnest direction is the front's normal, signed outward.
+        # The part is a plate: the direction of its smallest extent is the normal of the front, oriented outward.
         centred = moving - np.median(moving, 0)
         front = np.linalg.svd(centred[:: max(len(centred) // 4000, 1)], full_matrices=False)[2][2]
         front = front * np.sign(front @ (np.median(moving, 0) - (low + high) / 2) or 1.0)
     front[2] = 0
-    if np.linalg.norm(front) < 1e-6:  # a lid: its front is away from the hinge
+    if np.linalg.norm(front) < 1e-6:  # The part is a lid, whose front is opposite the hinge.
         front = np.median(moving, 0) - joint_world.origin
         front = front - (front @ joint_world.axis) * joint_world.axis
         front[2] = 0
@@ -89,13 +100,14 @@ def with_object(
     light: Light,
     T_world_object: ArrayLike,
 ) -> TwinModel:
-    """A twin in which an asset stands on the cleared scene, at a pose (4, 4).
+    """Add an asset at a pose to a scene from which the recorded object was removed.
 
     Args:
-        background: Twin whose recorded object was removed.
-        static, moving: The asset's links, asset frame at joint value 0.
-        joint: The asset's joint, asset frame.
+        background: Twin without the recorded object.
+        static, moving: Surfels of the asset's links, asset frame at joint value 0.
+        joint: Joint of the asset, asset frame.
         light: Light on the asset.
+        T_world_object: Pose of the asset (4, 4).
     """
     cleared = background.select(~np.isin(background.labels, (STATIC, MOVING)))
     counts = [len(static.gaussians), len(moving.gaussians)]

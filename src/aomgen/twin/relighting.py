@@ -1,4 +1,4 @@
-"""Relighting of surfaces as they rotate, with residual colors of observed orientations."""
+"""Relighting of rotating surfaces, with residual colors that were observed in some orientations."""
 
 from dataclasses import dataclass, replace
 from functools import cache
@@ -11,29 +11,29 @@ from aomgen.conventions import srgb_from_linear
 from aomgen.core.light import Light, rotate_radiance
 from aomgen.core.values import Array, freeze_arrays, require_indices
 
-# Weights below this are neglected.
+# Weights below this are set to 0.
 NEGLIGIBLE: Final = 1e-3
-# Number of colors in a block (some surfaces in all states); a block fits into the cache of the processor.
+# Number of colors in a block of surfaces in all states; a block fits into the processor's cache.
 BLOCK: Final = 8192
-# Quantization steps of linear light; the darkest step is a tenth of a gray level.
+# Number of quantization steps of linear light; the darkest step is a tenth of a gray level.
 LEVELS: Final = 1 << 14
-# The residual fades out if the views' weights add up to less than this.
+# The residual fades out if the sum of the views' weights is less than this.
 FULL_WEIGHT: Final = 0.6
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ResidualAppearance:
-    """Residual colors of a body's surfaces in observed orientations, relative to diffuse light.
+    """Residual colors of a body's R surfaces in K observed orientations, relative to diffuse shading.
 
-    They contain specular light and shadows between links. They are applied when the body has an observed orientation
-    again, and fade out with the distance from it.
+    They represent specular light and shadows between links. They are applied if the orientation of the body is close to an
+    observed one, and fade out with the angle between the two.
 
     Attributes:
         body: Index into the twin's `body_names`.
-        rows: Relit surfaces of that body, as rows of `Relit`.
-        Rs_world_body: Observed orientations.
-        difference_srgb: Observed minus relit colors.
-        reach_rad: Rotation over which a residual fades out (standard deviation of its weight).
+        rows: Relit surfaces of that body, as rows of `Relit` (R,).
+        Rs_world_body: Observed orientations (K, 3, 3).
+        difference_srgb: Observed minus relit colors (K, R, 3), sRGB.
+        reach_rad: Angle over which a residual fades out, [rad]: standard deviation of its weight.
     """
 
     body: int
@@ -45,20 +45,20 @@ class ResidualAppearance:
     __post_init__ = freeze_arrays
 
     def weights(self, Rs_world_body: Array) -> Array:
-        """Compute weights (T, K) of the observed orientations at others (T, 3, 3); near one, their sum is 1."""
+        """Compute the weights (T, K) of the observed orientations at orientations (T, 3, 3); close to one, their sum is 1."""
         return orientation_weights(self.Rs_world_body, Rs_world_body, self.reach_rad)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Relit:
-    """Surfaces whose colors depend on their orientation in the light.
+    """M surfaces whose colors depend on their orientation in the light.
 
     Attributes:
-        indices: Indices of the Gaussians of the twin.
-        albedo_linear: Albedo, linear, >= 0.
-        transfer: Transfer harmonics in the frame of the body; see `core.light`.
-        light_of: Index into `lights`.
-        lights: Lights, world frame. Materials that are not purely diffuse, like metal, have separate ones.
+        indices: Indices of the surfaces among the Gaussians of the twin (M,).
+        albedo_linear: Linear albedo (M, 3), >= 0.
+        transfer: Transfer harmonics (M, 9) in the frame of the body; see `core.light`.
+        light_of: Index into `lights` (M,).
+        lights: Lights, world frame. Materials that are not purely diffuse, for example metal, have separate lights.
         residuals: Residual colors, at most one entry for each body.
     """
 
@@ -76,7 +76,7 @@ class Relit:
             require_indices(residual.rows, len(self.indices))
 
     def select(self, which: NDArray[np.bool_]) -> "Relit":
-        """Select the residuals of a part of the twin's N Gaussians, boolean mask (N,)."""
+        """Select the surfaces and residuals of those of the twin's N Gaussians that a mask (N,) selects."""
         kept = which[self.indices]
         row = np.cumsum(kept) - 1
         residuals = []
@@ -94,7 +94,12 @@ class Relit:
         )
 
     def colors_srgb(self, owners: NDArray[np.int32], Ts_world_body: Array) -> NDArray[np.float32]:
-        """Compute colors (T, M, 3) in T states; arguments as for `Relighting`."""
+        """Compute the colors (T, M, 3), sRGB 0..1, in T states.
+
+        Args:
+            owners: Body of every surface (M,).
+            Ts_world_body: Body poses (T, B, 4, 4).
+        """
         lit = Relighting(self, owners)
         colors = np.empty((len(Ts_world_body), len(owners), 3), np.float32)
         colors[:, lit.order] = lit.colors_srgb(Ts_world_body)
@@ -102,7 +107,7 @@ class Relit:
 
 
 class Relighting:
-    """Surfaces prepared for relighting in many states, with an error of at most a tenth of a gray level.
+    """Relighting of surfaces in many states, with an error of at most a tenth of a gray level.
 
     Args:
         relit: M surfaces.
@@ -121,14 +126,14 @@ class Relighting:
         )
         found, starts = np.unique(groups[self.order], return_index=True)
         ends = [*starts[1:].tolist(), self._count]
-        # Body, light, first surface, and transfer times albedo by channel (3, R, 9).
+        # Each group holds a body, a light, the index of its first surface, and transfer times albedo by channel (3, R, 9).
         self._groups = [
             (*divmod(group, len(relit.lights)), start, _compute_color_transfer(relit, self.order[start:end]))
             for group, start, end in zip(found.tolist(), starts.tolist(), ends, strict=True)
         ]
         place = np.empty(self._count, np.int64)
         place[self.order] = np.arange(self._count)
-        # Residual, its surfaces in the order of the colors, and their observed differences (K, 3 R).
+        # Each entry holds a residual, its surfaces in the order of the colors, and their observed differences (K, 3 R).
         self._residuals = []
         for residual in relit.residuals:
             rows = place[residual.rows]
@@ -137,10 +142,10 @@ class Relighting:
             self._residuals.append((residual, rows[sorting], difference.reshape(len(difference), -1)))
 
     def colors_srgb(self, Ts_world_body: Array) -> NDArray[np.float32]:
-        """Compute colors (T, M, 3), sRGB 0..1, for body poses (T, B, 4, 4); surfaces as in `order`."""
+        """Compute the colors (T, M, 3), sRGB 0..1, for body poses (T, B, 4, 4); the surfaces are in the order of `order`."""
         Rs, size = Ts_world_body[..., :3, :3], max(BLOCK // len(Ts_world_body), 1)
         colors = np.empty((len(Rs), self._count, 3), np.float32)
-        # Equal consecutive orientations are computed once, for all lights together.
+        # Equal consecutive orientations are evaluated once, for all lights together.
         new = np.concatenate([np.ones((1, Rs.shape[1]), bool), (Rs[1:] != Rs[:-1]).any((2, 3))])
         turns = [Rs[new[:, body], body] for body in self._bodies]
         firsts = dict(zip(self._bodies, np.cumsum([0, *map(len, turns)]).tolist(), strict=False))
@@ -165,14 +170,18 @@ class Relighting:
 
 
 def _compute_color_transfer(relit: Relit, rows: NDArray[np.int64]) -> NDArray[np.float32]:
-    """Compute transfer times albedo (3, R, 9) of some surfaces."""
+    """Compute the product of transfer and albedo (3, R, 9) of some surfaces."""
     return relit.transfer[rows] * relit.albedo_linear[rows].T[..., None]
 
 
 def _compute_block_colors(transfer: NDArray[np.float32], lights: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Compute sRGB colors (T, R, 3) of diffuse surfaces (3, R, 9) in lights (3, T, 9) of their frame, by `LEVELS`.
+    """Compute the sRGB colors (T, R, 3) of diffuse surfaces, quantized to `LEVELS`.
 
-    Matrix products of this size are not divided among threads, so they always round in the same way.
+    Matrix products of this size are not divided among threads, so that they always have the same rounding errors.
+
+    Args:
+        transfer: Transfer times albedo (3, R, 9).
+        lights: Harmonics of the light in the frame of the surfaces (3, T, 9), times `LEVELS`.
     """
     levels = lights @ transfer.swapaxes(1, 2)
     levels += np.float32(0.5)
@@ -185,13 +194,13 @@ def _srgb_table() -> NDArray[np.float32]:
 
 
 def _as_slice(rows: NDArray[np.int64]) -> NDArray[np.int64] | slice:
-    """Convert rows to a slice if they are contiguous, which is several times faster."""
+    """Convert row indices to a slice if they are contiguous, because slicing is several times faster."""
     first, last = int(rows[0]), int(rows[-1])
     return slice(first, last + 1) if (np.diff(rows) == 1).all() else rows
 
 
 def join_relit(first: Relit | None, second: Relit) -> Relit:
-    """Join the surfaces of both; their indices have to refer to the same twin."""
+    """Concatenate two sets of surfaces, whose indices must refer to the same twin."""
     if first is None:
         return second
     moved = (replace(item, rows=item.rows + len(first.indices)) for item in second.residuals)
@@ -206,7 +215,13 @@ def join_relit(first: Relit | None, second: Relit) -> Relit:
 
 
 def orientation_weights(Rs_seen: Array, Rs: Array, reach_rad: float) -> Array:
-    """Compute weights (T, K) of K observed orientations (K, 3, 3) at T orientations (T, 3, 3)."""
+    """Compute the weights (T, K) of K observed orientations (K, 3, 3) at T orientations (T, 3, 3).
+
+    Args:
+        Rs_seen: Observed orientations (K, 3, 3).
+        Rs: Orientations (T, 3, 3).
+        reach_rad: Standard deviation of the weights, [rad].
+    """
     cosines = (np.einsum("tij,kij->tk", Rs, Rs_seen) - 1) / 2
     turns = np.arccos(np.clip(cosines, -1, 1))
     weights = np.exp(-0.5 * (turns / reach_rad) ** 2)

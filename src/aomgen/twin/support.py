@@ -1,4 +1,4 @@
-"""The plane that the recorded object stands on."""
+"""The plane on which the recorded object stands."""
 
 from dataclasses import dataclass
 from typing import Annotated, Final
@@ -11,24 +11,25 @@ from aomgen.core.transforms import apply, invert, transform
 from aomgen.core.values import Array, Matrix4, freeze_arrays
 from aomgen.errors import ReconstructionError
 
-# Height above the plane up to which a Gaussian belongs to its surface, [m].
+# Largest height above the plane at which a Gaussian belongs to its surface, [m].
 SURFACE: Final = 0.012
-# Trained surfaces have a tail of Gaussians below, down to here, which show through the upper ones, [m].
+# Largest depth below the plane at which a Gaussian belongs to its surface, [m]: trained surfaces include lower Gaussians,
+# which are visible through the upper ones.
 TAIL: Final = 0.035
-# Fewer Gaussians do not separate a plane from its outliers.
+# Smallest number of Gaussians from which the plane can be distinguished from outliers.
 MIN_SUPPORT: Final = 40
-# This share of the object's height stands on the surface, without handles that reach out.
+# Lower share of the object's height that determines its footprint, without protruding handles.
 LOWER_SHARE: Final = 0.2
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Support:
-    """A nearly level plane with coordinates; z = 0 is the surface, z points up.
+    """A nearly horizontal plane with a frame; z = 0 is the surface, and z points up.
 
     Attributes:
-        T_world_plane: Origin under the object, axes along its sides.
-        low, high: Rectangle that the object's lower part covers, plane frame, [m].
-        reach_low, reach_high: Rectangle that the whole object covers from above.
+        T_world_plane: Pose of the plane (4, 4); the origin is under the object, and the axes are along its sides.
+        low, high: Corners (2,) of the rectangle that the object's lower part covers, plane frame, [m].
+        reach_low, reach_high: Corners (2,) of the rectangle that the whole object covers as seen from above, [m].
         top: Height of the object above the plane, [m].
     """
 
@@ -42,20 +43,20 @@ class Support:
     __post_init__ = freeze_arrays
 
     def coordinates(self, points_world: ArrayLike) -> Array:
-        """Points (N, 3) in the plane's frame."""
+        """Transform points (N, 3) to the plane's frame, [m]."""
         return apply(invert(self.T_world_plane), points_world)
 
     def outside(self, xy: Array) -> Array:
-        """Distance (...,) of plane points (..., 2) from the lower part's rectangle, 0 inside, [m]."""
+        """Compute the distances (...,) of points (..., 2) on the plane from the lower part's rectangle, 0 inside, [m]."""
         return _distance(xy, self.low, self.high)
 
     def beyond_reach(self, xy: Array) -> Array:
-        """Distance (...,) of plane points (..., 2) from the whole object's rectangle, 0 inside, [m]."""
+        """Compute the distances (...,) of points (..., 2) on the plane from the whole object's rectangle, 0 inside, [m]."""
         return _distance(xy, self.reach_low, self.reach_high)
 
 
 def _distance(xy: Array, low: Array, high: Array) -> Array:
-    """Distance of points (..., 2) from a rectangle, 0 inside."""
+    """Compute the distances (...,) of points (..., 2) from a rectangle, 0 inside."""
     return np.linalg.norm(np.maximum(np.maximum(low - xy, xy - high), 0), axis=-1)
 
 
@@ -65,13 +66,13 @@ def find_support(
     """Fit the plane under an object.
 
     Args:
-        object_points: Centres of the object's Gaussians (N, 3), world frame.
-        object_opacities: (N,).
+        object_points: Centers of the object's Gaussians (N, 3), world frame.
+        object_opacities: Opacities of these Gaussians (N,).
         surroundings: Gaussians that belong neither to the object nor to the robot, world frame.
-        T_world_object: Gives the directions of the sides.
+        T_world_object: Pose of the object (4, 4), which determines the directions of the sides.
 
-    Raises:
-        ReconstructionError: Nothing flat was scanned around the object's base.
+        Raises:
+            ReconstructionError: There is no flat surface around the object's base in the scan.
     """
     solid = np.asarray(object_points, np.float64)[np.asarray(object_opacities) > 0.2]
     local = apply(invert(T_world_object), solid)
@@ -83,8 +84,8 @@ def find_support(
     )
     points = means[near]
     if len(points) >= MIN_SUPPORT:
-        # The surface is where most Gaussians lie and most area: a book's printed cover has as many small ones, the
-        # tail below the surface few large ones. Around it a plane is fitted, outliers dropped.
+        # The surface is at the height with the largest product of number and area of the Gaussians: a printed book cover has many
+        # small Gaussians, and the layer below the surface has few large ones. The plane is fitted to Gaussians near this height.
         areas = np.sort(surroundings.scales[near], axis=1)[:, 1:].prod(1)
         bins = np.arange(-0.08, 0.0801, 0.004) + low[2]
         counts, edges = np.histogram(points[:, 2], bins=bins)
@@ -101,7 +102,7 @@ def find_support(
         A = np.column_stack([points[:, :2], np.ones(len(points))])
         plane = np.linalg.lstsq(A, points[:, 2], rcond=None)[0]
         points = points[np.abs(points[:, 2] - A @ plane) < reach]
-    # The surface is where most Gaussians lie, a little above the mean of body and tail.
+    # The surface is at the most frequent height, which is slightly above the mean of all inliers.
     heights = means[near][:, 2] - np.column_stack([means[near][:, :2], np.ones(near.sum())]) @ plane
     counts, edges = np.histogram(heights, bins=np.arange(-0.012, 0.0121, 0.003))
     plane[2] += edges[counts.argmax()] + 0.0015
@@ -125,6 +126,6 @@ def find_support(
 
 
 def on_surface(gaussians: Gaussians, support: Support) -> NDArray[np.bool_]:
-    """Select the Gaussians (N,) on the plane."""
+    """Return the mask (N,) of the Gaussians on the plane."""
     heights = support.coordinates(gaussians.means)[:, 2]
     return (heights > -TAIL) & (heights < SURFACE)

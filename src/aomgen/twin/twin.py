@@ -1,6 +1,6 @@
-"""The twin: a robot and an articulated object whose bodies carry Gaussians.
+"""The twin: a robot and an articulated object with Gaussians attached to their bodies.
 
-A state determines body poses, Gaussians move with their bodies, and images are rendered from the Gaussians. For many
+A state determines the body poses, Gaussians move with their bodies, and images are rendered from the Gaussians. For many
 images from a fixed camera, static Gaussians are rendered once, and moving ones remain in the frames of their bodies.
 """
 
@@ -24,20 +24,20 @@ from aomgen.twin.relighting import Relighting, Relit
 WORLD: Final = "world"
 OBJECT: Final = "object"
 PART: Final = "part"
-# Margin around moving bodies in comparisons of the scene behind them, [px]; contours of rendering and image differ by
-# about this much.
+# Margin around moving bodies when the scene behind them is compared with an image, [px]; the contours in rendering and image
+# differ by about this distance.
 CONTOUR_PX: Final = 3
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TwinState:
-    """One configuration.
+    """Configuration of robot and object.
 
     Attributes:
-        joints: Arm joints (J,), [rad].
-        gripper: 0 open .. 1 closed.
+        joints: Arm joints (J,), [rad] or [m].
+        gripper: Gripper, 0 open .. 1 closed.
         theta: Joint value of the object, [rad] or [m].
-        T_world_object: Object pose.
+        T_world_object: Pose of the object (4, 4).
     """
 
     joints: Annotated[Array, "_"]
@@ -49,7 +49,7 @@ class TwinState:
 
 
 def interpolate_state(trajectory: SceneTrajectory, time_s: float) -> TwinState:
-    """Interpolate the state at a time, [s]; before and after the trajectory it is the first and the last one."""
+    """Interpolate the state at a time, [s]; it is constant before the first and after the last sample."""
     now = trajectory.at([time_s])
     return TwinState(
         joints=now.joints[0],
@@ -61,11 +61,11 @@ def interpolate_state(trajectory: SceneTrajectory, time_s: float) -> TwinState:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PosedImages:
-    """Images from one camera pose with one exposure.
+    """Images from one camera pose with the same exposure.
 
     Attributes:
         camera: Camera of all of them, world frame.
-        images_srgb: (H, W, 3) uint8 each.
+        images_srgb: Images (H, W, 3), uint8.
         states: State of the twin in each image.
     """
 
@@ -76,20 +76,20 @@ class PosedImages:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TwinModel:
-    """A scene that can be posed; N Gaussians, B bodies.
+    """A scene with N Gaussians on B bodies that can be moved.
 
     Attributes:
         robot: Name of the robot's model.
         gaussians: Gaussians, each in the frame of its body.
-        bodies: Index (N,) into `body_names`.
+        bodies: Index into `body_names` (N,).
         labels: Part labels (N,), see `conventions.PART_LABELS`.
         body_names: "world", the robot's bodies, "object" (static part), "part" (moving part).
         joint: The object's joint, object frame; "part" coincides with "object" at value 0.
-        T_world_object: Object pose in the scan.
-        scan_state: The state that was scanned.
+        T_world_object: Pose of the object in the scan (4, 4).
+        scan_state: State during the scan.
         relit: Surfaces that are relit in every frame; None if all colors are those of the scan.
-        directional_light: Light that casts the shadow of moving bodies on the table, whose colors are then those
-            without shadow; None if shadows remain as scanned.
+        directional_light: Light that casts the shadows of moving bodies on the table; the colors of the table are then
+            without these shadows. None if shadows remain as scanned.
     """
 
     robot: str
@@ -119,7 +119,11 @@ class TwinModel:
         return self.bodies[self.relit.indices] if self.relit is not None else np.zeros(0, np.int32)
 
     def find_light(self, name: str) -> Light:
-        """Return the light of a body that is relit."""
+        """Return the light of a relit body.
+
+        Raises:
+            ValueError: The body is not relit; a programming error.
+        """
         rows = np.flatnonzero(self.relit_bodies == self.body(name))
         if self.relit is None or not len(rows):
             raise ValueError(f"the twin's body {name} is not relit")
@@ -133,7 +137,14 @@ class TwinModel:
     def extend(
         self, gaussians: Gaussians, bodies: ArrayLike, labels: ArrayLike, **changes: Any
     ) -> "TwinModel":
-        """Append Gaussians (N) in body frames to the twin; bodies and labels are arrays (N,), or one value for all."""
+        """Append Gaussians to the twin.
+
+        Args:
+            gaussians: N Gaussians in the frames of their bodies.
+            bodies: Body of each Gaussian (N,), or one for all.
+            labels: Part label of each Gaussian (N,), or one for all.
+            **changes: Other fields of the twin that are replaced.
+        """
         count = len(gaussians)
         return replace(
             self,
@@ -145,7 +156,7 @@ class TwinModel:
 
     @property
     def of_scene(self) -> NDArray[np.bool_]:
-        """Mask (N,) of the Gaussians that belong neither to the robot nor to the object and never move."""
+        """Mask (N,) of the static Gaussians that belong neither to the robot nor to the object."""
         return (self.labels == BACKGROUND) & (self.bodies == 0)
 
     @property
@@ -154,7 +165,7 @@ class TwinModel:
         return self.gaussians.select(self.of_scene)
 
     def select(self, which: NDArray[np.bool_]) -> "TwinModel":
-        """Return the twin with some of its Gaussians, selected by a boolean mask (N,)."""
+        """Return the twin with those Gaussians that a boolean mask (N,) selects."""
         return replace(
             self,
             gaussians=self.gaussians.select(which),
@@ -172,7 +183,16 @@ def trajectory_body_poses(
     thetas: ArrayLike,
     T_world_object: ArrayLike,
 ) -> Array:
-    """Compute body poses (T, B, 4, 4) for joints (T, J), gripper (T,) and values (T,) of an object at a pose (4, 4)."""
+    """Compute the body poses (T, B, 4, 4) of a trajectory of T samples.
+
+    Args:
+        twin: Twin with B bodies.
+        robot: Robot of the twin.
+        joints: Arm joints (T, J), [rad] or [m].
+        gripper: Gripper (T,), 0 open .. 1 closed.
+        thetas: Joint values of the object (T,), [rad] or [m].
+        T_world_object: Pose of the object (4, 4).
+    """
     joints, thetas = np.asarray(joints, np.float64), np.asarray(thetas, np.float64)
     Ts = np.tile(np.eye(4), (len(joints), len(twin.body_names), 1, 1))
     Ts[:, 1 : 1 + len(robot.body_names)] = robot.link_poses(joints, np.asarray(gripper, np.float64))
@@ -182,7 +202,7 @@ def trajectory_body_poses(
 
 
 def body_poses(twin: TwinModel, robot: RobotModel, state: TwinState) -> Array:
-    """Compute body poses (B, 4, 4) in one state."""
+    """Compute the body poses (B, 4, 4) in one state."""
     return trajectory_body_poses(
         twin, robot, state.joints[None], [state.gripper], [state.theta], state.T_world_object
     )[0]
@@ -194,7 +214,7 @@ def pose_twin(twin: TwinModel, robot: RobotModel, state: TwinState) -> Gaussians
 
 
 def pose_bodies(twin: TwinModel, Ts_world_body: Array) -> Gaussians:
-    """Transform all Gaussians to the world frame for body poses (B, 4, 4), with new colors of relit ones."""
+    """Transform all Gaussians to the world frame for body poses (B, 4, 4), and update the colors of relit ones."""
     world = move_bodies(twin.gaussians, twin.bodies, Ts_world_body)
     if twin.relit is None:
         return world
@@ -205,7 +225,7 @@ def pose_bodies(twin: TwinModel, Ts_world_body: Array) -> Gaussians:
 
 
 def move_bodies(gaussians: Gaussians, bodies: NDArray[np.int32], Ts: Array) -> Gaussians:
-    """Move Gaussians (N) by the transforms (B, 4, 4) of their bodies (N,), in the same order; body 0 is the world."""
+    """Transform N Gaussians by the transforms (B, 4, 4) of their bodies (N,), and keep their order; body 0 is the world."""
     order = np.argsort(bodies, kind="stable")
     pieces = []
     for body in np.unique(bodies):
@@ -215,7 +235,7 @@ def move_bodies(gaussians: Gaussians, bodies: NDArray[np.int32], Ts: Array) -> G
 
 
 def standing_bodies(twin: TwinModel, robot: RobotModel) -> NDArray[np.bool_]:
-    """Return a mask (B,) of bodies that no joint moves: the world, the robot's base and the object's static part."""
+    """Return the mask (B,) of the bodies that no joint moves: the world, the robot's base and the object's static part."""
     rest = twin.scan_state
     turned = replace(rest, joints=rest.joints + 1.0)
     near = np.isclose(body_poses(twin, robot, rest), body_poses(twin, robot, turned))
@@ -233,7 +253,7 @@ class StaticLayer:
 
     Attributes:
         session: Session that renders moving Gaussians into the view.
-        depth: (H, W) median depth, infinite for empty pixels, [m].
+        depth: Median depth (H, W), [m], infinite for empty pixels.
     """
 
     session: RenderSession
@@ -241,12 +261,18 @@ class StaticLayer:
 
     @property
     def camera(self) -> Camera:
-        """The camera."""
+        """Camera of the view."""
         return self.session.camera
 
 
 def static_layer(twin: TwinModel, camera: Camera, threads: int | None = None) -> StaticLayer:
-    """Prepare the view of a camera without moving bodies; `threads` as in `RenderSession`."""
+    """Render the view of a camera without moving bodies.
+
+    Args:
+        twin: Twin with static and moving bodies.
+        camera: Camera, world frame.
+        threads: See `RenderSession`.
+    """
     session = RenderSession(twin.gaussians.select(~twin.moves), camera, threads=threads)
     drawn = session.draw(twin.gaussians.select(np.zeros(0, np.int64)), with_ids=True)
     median = np.asarray(drawn.median_depth)
@@ -256,13 +282,13 @@ def static_layer(twin: TwinModel, camera: Camera, threads: int | None = None) ->
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MovingLayer:
-    """The Gaussians of a twin that move, prepared for many frames.
+    """Moving Gaussians of a twin, prepared for many frames.
 
     Attributes:
-        gaussians: Gaussians in body frames; the M relit ones are last, in the order of `relighting`.
-        bodies: Body of each Gaussian.
-        labels: Part label of each Gaussian.
-        relighting: Relighting of the relit Gaussians; None without such Gaussians.
+        gaussians: N Gaussians in body frames; the M relit ones are last, in the order of `relighting`.
+        bodies: Body of each Gaussian (N,).
+        labels: Part label of each Gaussian (N,).
+        relighting: Relighting of the relit Gaussians; None if there are none.
     """
 
     gaussians: Gaussians
@@ -271,14 +297,14 @@ class MovingLayer:
     relighting: Relighting | None
 
     def motion(self, Ts_world_body: ArrayLike) -> Motion:
-        """Return the frames for body poses (T, B, 4, 4); Gaussians rotate with their bodies, and surfaces are relit."""
+        """Return the motion and the colors of the Gaussians for body poses (T, B, 4, 4)."""
         Ts = np.asarray(Ts_world_body, np.float64)
         colors = None if self.relighting is None else self.relighting.colors_srgb(Ts)
         return Motion(parts=self.bodies, Ts_world_part=Ts, colors=colors)
 
 
 def moving_layer(moving: TwinModel) -> MovingLayer:
-    """Prepare a twin all of whose Gaussians move."""
+    """Prepare a twin that contains only moving Gaussians."""
     lit, relighting = np.zeros(0, np.int64), None
     if moving.relit is not None and len(moving.relit.indices):
         relighting = Relighting(moving.relit, moving.relit_bodies)

@@ -1,4 +1,4 @@
-"""A twin in another light, with another material on its object, or with an object of another size."""
+"""Change the light of a twin, or the material or size of its object."""
 
 from dataclasses import replace
 from typing import Final
@@ -13,15 +13,23 @@ from aomgen.core.values import Array
 from aomgen.twin.relighting import Relit, ResidualAppearance
 from aomgen.twin.twin import OBJECT, PART, TwinModel
 
-# Linear sRGB of XYZ. Source: IEC 61966-2-1.
+# Matrix from XYZ to linear sRGB. Source: IEC 61966-2-1.
 RGB_OF_XYZ: Final = ((3.2406, -1.5372, -0.4986), (-0.9689, 1.8758, 0.0415), (0.0557, -0.2040, 1.0570))
 
 
 def change_appearance(twin: TwinModel, light: LightChange, material: MaterialChange) -> TwinModel:
-    """The twin in another light and with another material on its object; the same twin where nothing changes.
+    """Change the light of a twin and the material of its object.
 
-    Intensity and temperature change every color, as a camera with fixed exposure and white balance would see it. A turn
-    of the light changes surfaces that are lit anew and the shadow of what moves; what was scanned keeps its shading.
+    Intensity and temperature change all colors, as in a camera with fixed exposure and white balance. A rotation of the light
+    changes the relit surfaces and the shadows of moving bodies; other scanned surfaces keep their shading.
+
+    Args:
+        twin: Twin to be changed.
+        light: Difference from the recorded light.
+        material: Difference from the colors of the object.
+
+    Returns:
+        The changed twin, or the same one if nothing changes.
     """
     gains = light_gains(light)
     if material != MaterialChange():
@@ -32,7 +40,7 @@ def change_appearance(twin: TwinModel, light: LightChange, material: MaterialCha
 
 
 def scale_object(twin: TwinModel, factor: float) -> TwinModel:
-    """The twin with its object scaled about the object frame's origin, joint included."""
+    """Scale the object of a twin, including its joint, about the origin of the object frame."""
     if factor == 1:
         return twin
     S = np.diag([factor, factor, factor, 1.0])
@@ -50,7 +58,7 @@ def scale_object(twin: TwinModel, factor: float) -> TwinModel:
 
 
 def light_gains(light: LightChange) -> Array:
-    """Factors (3,) on linear colors; the temperature alone leaves the luminance of white as it is."""
+    """Compute the factors (3,) on linear colors; a change of the temperature alone keeps the luminance of white."""
     if light.temperature_k == LightChange().temperature_k:
         return np.full(3, light.intensity)
     tint = _blackbody_rgb(light.temperature_k) / _blackbody_rgb(LightChange().temperature_k)
@@ -59,14 +67,18 @@ def light_gains(light: LightChange) -> Array:
 
 
 def material_matrix(material: MaterialChange) -> Array:
-    """Linear map (3, 3) of linear colors: about the grey axis by the hue, away from it by the saturation, times brightness."""
+    """Compute the matrix (3, 3) that changes the hue, saturation and brightness of linear colors.
+
+    Colors are rotated about the gray axis by the hue, [rad], their distance from this axis is multiplied by the saturation,
+    and the result is multiplied by the brightness.
+    """
     grey = np.full((3, 3), 1 / 3)
     turn = matrix_from_rotvec(material.hue * np.ones(3) / np.sqrt(3))
     return material.brightness * (grey + material.saturation * turn @ (np.eye(3) - grey))
 
 
 def _blackbody_rgb(temperature_k: float) -> Array:
-    """Linear sRGB (3,) of a black body, Y = 1; 1667 to 25 000 K.
+    """Compute the linear sRGB color (3,) of a black body at 1667 to 25 000 K, with luminance Y = 1.
 
     Source: Kim et al. 2002, "Design of advanced color temperature control system for HDTV applications".
     """
@@ -100,7 +112,7 @@ def _with_gains(twin: TwinModel, gains: Array) -> TwinModel:
 
 
 def _scale_residual(relit: Relit, item: ResidualAppearance, gains: Array) -> ResidualAppearance:
-    """The residual of sRGB colors where seen and lit colors change by factors (3,) on their light."""
+    """Compute the residual colors after observed and relit colors are multiplied by factors (3,), linear."""
     rows, lit = item.rows, np.empty(item.difference_srgb.shape)
     radiance = np.stack([light.view_from(item.Rs_world_body) for light in relit.lights])
     for number, seen_light in enumerate(radiance):
@@ -112,7 +124,7 @@ def _scale_residual(relit: Relit, item: ResidualAppearance, gains: Array) -> Res
 
 
 def _with_turned_light(twin: TwinModel, R: Array) -> TwinModel:
-    """All light turned by R (3, 3); a body that turns along looks as before."""
+    """Rotate all light by R (3, 3), including the observed orientations of residual colors."""
     relit, lamp = twin.relit, twin.directional_light
     if relit is not None:
         relit = replace(

@@ -1,7 +1,7 @@
-"""Common parts of all procedural designs: sizes sampled from a table, links built row by row, feet, joints.
+"""Common parts of all parametric designs: sampling of sizes, construction of links, bases and joints.
 
-A design is a table of sizes in `designs.toml`, which every style changes in some rows, and one function that lists
-boxes, prints and rods in the asset frame: front towards -y, centred in x, on z = 0.
+A design consists of a table of sizes in `designs.toml`, some rows of which are replaced by each style, and a function
+that lists boxes, prints and rods in the asset frame: front toward -y, centered in x, standing on z = 0.
 """
 
 import tomllib
@@ -35,16 +35,16 @@ Span = tuple[float, float]
 Color = tuple[float, float, float]
 Item = TypeVar("Item")
 LEVEL, _, UPRIGHT = np.eye(3)
-# Free depth between body and closed part, [m]: the seal that keeps colliders apart.
+# Gap between the body and the closed part, which separates their colliders, [m].
 SEAL: Final = 0.002
-# Directions to the right and up on each face of an object, seen from outside.
+# Directions to the right and up on each face of an object, as seen from outside.
 FACES: Final = {
     "front": ((1, 0, 0), (0, 0, 1)),
     "top": ((1, 0, 0), (0, 1, 0)),
     "left": ((0, -1, 0), (0, 0, 1)),
     "right": ((0, 1, 0), (0, 0, 1)),
 }
-# Key of a category's table that holds its styles; all others are sizes.
+# Key of a category's table that holds its styles; all other keys are sizes.
 STYLES: Final = "styles"
 # Protrusion of corner posts, and recess of a plinth, [m].
 POST_OUT, PLINTH_INSET = 0.006, 0.025
@@ -52,21 +52,26 @@ POST_OUT, PLINTH_INSET = 0.006, 0.025
 
 @cache
 def design(name: str) -> Mapping[str, Any]:
-    """A table of `designs.toml`."""
+    """Read a table of `designs.toml`.
+
+    Raises:
+        KeyError: There is no such table.
+    """
     return tomllib.loads((Path(__file__).parent / "designs.toml").read_text("utf-8"))[name]
 
 
 def style_table(category: str, style: str) -> dict[str, Any]:
-    """The rows of a category as a style changes them, in the order of the category's own."""
+    """Return the rows of a category with the replacements of a style, in the order of the category's table."""
     table = dict(design(category))
     changes = table.pop(STYLES)[style]
     return table | changes
 
 
 def draw_sizes(rng: np.random.Generator, table: Mapping[str, Any]) -> SimpleNamespace:
-    """One number within the range of each row, in the order of the table.
+    """Sample one number uniformly from the range of each row, in the order of the table.
 
-    A number or a word stands as it is; of a row with several tables one is picked, and its rows are drawn.
+    A row with a number or a string is copied. If a row is a table of tables, one of these is chosen at random, and its rows
+    are sampled and added to the result.
     """
     sizes: dict[str, Any] = {}
     for name, row in table.items():
@@ -78,32 +83,44 @@ def draw_sizes(rng: np.random.Generator, table: Mapping[str, Any]) -> SimpleName
 
 
 def pick(rng: np.random.Generator, options: Sequence[Item]) -> Item:
-    """One of several, each as likely."""
+    """Choose one of several options with equal probability."""
     return options[int(rng.integers(len(options)))]
 
 
 def pick_color(rng: np.random.Generator, kind: str) -> Color:
-    """One of the usual colors of something, sRGB 0..1."""
+    """Choose one of the colors of a kind in `designs.toml`, sRGB 0..1."""
     return pick(rng, design("colors")[kind])
 
 
 class LinkBuilder:
-    """A link under construction; what is added first comes first."""
+    """Builder of a link; meshes and colliders are in the order in which they are added."""
 
     def __init__(self, name: str, *, mirrored: bool = False) -> None:
-        """With `mirrored`, boxes are given for one side and built for the other (x -> -x)."""
+        """Start an empty link.
+
+        Args:
+            name: Name of the link.
+            mirrored: Mirror all boxes that are not symmetric at the plane x = 0.
+        """
         self._name, self.mirrored = name, mirrored
         self.meshes: list[Mesh] = []
         self.colliders: list[BoxCollider] = []
 
     def across(self, x: float) -> float:
-        """The x of a point that is given for one side, [m]."""
+        """Return the x coordinate of a point, negated if the link is mirrored, [m]."""
         return -x if self.mirrored else x
 
     def boxes(
         self, name: str, rows: Mapping[str, AlignedBox], surface: Material, *, symmetric: bool = False
     ) -> None:
-        """Add one mesh of several boxes, each with its collider; `symmetric` ones are given for both sides."""
+        """Add one mesh of several boxes, each with its collider.
+
+        Args:
+            name: Name of the mesh.
+            rows: Boxes by the names of their colliders.
+            surface: Material of the mesh.
+            symmetric: The boxes are symmetric as a whole, so they are never mirrored.
+        """
         sided = rows if symmetric else {key: self._orient(row) for key, row in rows.items()}
         self.meshes.append(boxes_mesh(name, list(sided.values()), surface))
         self.colliders += [row.collider(key) for key, row in sided.items()]
@@ -124,16 +141,21 @@ class LinkBuilder:
         size: tuple[float, float],
         surface: Material,
     ) -> None:
-        """A print of a size (width, height) on one of `FACES`; its lower left corner as seen from outside.
+        """Add a print to a face of the object; prints are never mirrored.
 
-        Never mirrored.
+        Args:
+            name: Name of the mesh.
+            face: One of `FACES`.
+            corner: Lower left corner of the print as seen from outside (3,), [m].
+            size: Width and height, [m].
+            surface: Material with the printed image.
         """
         right, up = (np.array(edge) for edge in FACES[face])
         place = corner + PRINT_GAP * np.cross(right, up)
         self.meshes.append(panel(name, place, size[0] * right, size[1] * up, surface))
 
     def add_rounded(self, rows: Mapping[str, RoundedBox], surface: Material, *, name: str = "") -> None:
-        """Rounded boxes as one mesh, by default of the first one's name; never mirrored."""
+        """Add rounded boxes with colliders as one mesh, by default with the name of the first; they are never mirrored."""
         meshes = [row.mesh(key, surface) for key, row in rows.items()]
         self.meshes.append(merge_meshes(name or meshes[0].name, meshes))
         for key, row in rows.items():
@@ -146,14 +168,14 @@ class LinkBuilder:
         self.colliders += handle.colliders()
 
     def behind(self, name: str, handle: Handle, surface: Material) -> None:
-        """Add a handle without function at the back, turned by 180 degrees."""
+        """Add a second handle, which is not the held one, at the back, rotated by 180 degrees about z."""
         turn = np.diag([-1.0, -1.0, 1.0, 1.0])
         self.meshes.append(replace(handle.mesh(surface), name=name).transform(turn))
         for part in handle.colliders(f"{name}_"):
             self.colliders.append(replace(part, T_asset_box=turn @ part.T_asset_box))
 
     def link(self, mass: float) -> AssetLink:
-        """The finished link; mass in [kg]."""
+        """Build the link with a mass, [kg]."""
         return AssetLink(
             name=self._name, meshes=tuple(self.meshes), colliders=tuple(self.colliders), mass=mass
         )
@@ -163,7 +185,14 @@ class LinkBuilder:
 
 
 def carcass(w: float, depth: Span, height: Span, board: float) -> dict[str, AlignedBox]:
-    """Boards around a piece of furniture that is open to the front: `w` to both sides, front to back, floor to top."""
+    """List the boards of a body that is open to the front.
+
+    Args:
+        w: Half width, [m].
+        depth: Front and back (y), [m].
+        height: Bottom and top (z), [m].
+        board: Thickness of the boards, [m].
+    """
     (y0, y1), (z0, z1) = depth, height
     inside = (z0 + board, z1 - board)
     return {
@@ -176,7 +205,15 @@ def carcass(w: float, depth: Span, height: Span, board: float) -> dict[str, Alig
 
 
 def feet(w: float, depth: Span, height: float, *, inset: float, half: float) -> dict[str, AlignedBox]:
-    """Four feet of half width `half`, their middles `inset` from the sides, [m]."""
+    """List the boxes of four feet.
+
+    Args:
+        w: Half width of the body, [m].
+        depth: Front and back of the body (y), [m].
+        height: Height of the feet, [m].
+        inset: Distance of the centers of the feet from the sides of the body, [m].
+        half: Half width of the feet, [m].
+    """
     y0, y1 = depth
     places = [(x, y) for x in (-w + inset, w - inset) for y in (y0 + inset, y1 - inset)]
     return {
@@ -188,7 +225,16 @@ def feet(w: float, depth: Span, height: float, *, inset: float, half: float) -> 
 def stand(
     kind: str, w: float, depth: Span, height: float, inset: float, half: float
 ) -> dict[str, AlignedBox]:
-    """The base of a body: blocks as `feet`, legs at its corners, rails along its sides, a plinth, or nothing."""
+    """List the boxes of the base of a body.
+
+    Args:
+        kind: "blocks" (see `feet`), "legs" at the corners, "rails" along the sides, "plinth"; anything else is no base.
+        w: Half width of the body, [m].
+        depth: Front and back of the body (y), [m].
+        height: Height of the base, [m].
+        inset: Distance of blocks and rails from the sides, [m].
+        half: Half width of blocks, legs and rails, [m].
+    """
     y0, y1 = depth
     if kind == "legs":
         return feet(w, depth, height, inset=half, half=half)
@@ -204,7 +250,13 @@ def stand(
 
 
 def corner_posts(w: float, depth: Span, height: Span, side: float) -> dict[str, AlignedBox]:
-    """Posts around the four upright edges of a body, `side` wide; they protrude a little, [m]."""
+    """List posts around the four vertical edges of a body, from which they protrude by POST_OUT.
+
+    Args:
+        w: Half width of the body, [m].
+        depth, height: Spans of the body in y and z, [m].
+        side: Width of the posts, [m].
+    """
     (y0, y1), out, inside = depth, POST_OUT, side - POST_OUT
     posts = {}
     for end, y in (("front", (y0 - out, y0 + inside)), ("back", (y1 - inside, y1 + out))):
@@ -214,7 +266,12 @@ def corner_posts(w: float, depth: Span, height: Span, side: float) -> dict[str, 
 
 
 def window_frame(x: Span, y: Span, z: Span, frame: float) -> list[AlignedBox]:
-    """Four bars of width `frame` around a window, [m]."""
+    """List four bars around a window.
+
+    Args:
+        x, y, z: Outer spans of the bars, [m].
+        frame: Width of the bars, [m].
+    """
     (x0, x1), (z0, z1) = x, z
     inside = (z0 + frame, z1 - frame)
     return [
@@ -226,7 +283,7 @@ def window_frame(x: Span, y: Span, z: Span, frame: float) -> list[AlignedBox]:
 
 
 def lining(x: Span, y: Span, z: Span) -> list[AlignedBox]:
-    """The sides, back, bottom and top of a hollow open to the front; their faces look inwards."""
+    """List thin boxes around the spans (x, y, z), [m], of a cavity that is open to the front; only inner faces are visible."""
     (x0, x1), (y0, y1), (z0, z1), thin = x, y, z, 0.001
     return [
         box(x0 - thin, x0, y0, y1, z0, z1, "xyYzZ"),
@@ -238,13 +295,13 @@ def lining(x: Span, y: Span, z: Span) -> list[AlignedBox]:
 
 
 def hinge(axis: ArrayLike, origin: ArrayLike, opening_deg: float) -> Joint:
-    """A revolute joint with an opening angle, [deg]."""
+    """Build a revolute joint from its axis (3,), a point on it (3,), [m], and its opening angle, [deg]."""
     line, place = np.asarray(axis, np.float64), np.asarray(origin, np.float64)
     return Joint(type="revolute", axis=line, origin=place, lower=0.0, upper=np.deg2rad(opening_deg))
 
 
 def slide(axis: ArrayLike, handle: Handle, travel: float) -> Joint:
-    """A prismatic joint of a part that a handle is on; travel in [m]."""
+    """Build the prismatic joint of a part with a handle from its axis (3,) and its travel, [m]."""
     return Joint(
         type="prismatic", axis=np.asarray(axis, np.float64), origin=handle.foot, lower=0.0, upper=travel
     )
@@ -253,7 +310,14 @@ def slide(axis: ArrayLike, handle: Handle, travel: float) -> Joint:
 def assemble(
     category: str, static: AssetLink, moving: AssetLink, joint: Joint, held: Handle | Array
 ) -> ArticulatedAsset:
-    """The asset, still without a name; it is held at a handle, or at a point (3,) of a level rim."""
+    """Build an asset with an empty name.
+
+    Args:
+        category: Category of the asset.
+        static, moving: Links, asset frame.
+        joint: Joint, asset frame.
+        held: Handle at which the asset is held, or grasp point (3,) on a horizontal rim, [m].
+    """
     point, axis = (held.middle, held.axis) if isinstance(held, Handle) else (held, LEVEL)
     return ArticulatedAsset(
         name="", category=category, static=static, moving=moving, joint=joint, handle_point=point, handle_axis=axis

@@ -1,4 +1,4 @@
-"""Furniture of boards: single drawers, dressers of equal fronts, cabinets with a sliding panel."""
+"""Parametric furniture made of boards: single drawers, dressers with equal fronts, cabinets with a sliding panel."""
 
 from collections.abc import Mapping
 from itertools import product
@@ -34,25 +34,35 @@ from aomgen.assets.procedural.shapes import (
 )
 from aomgen.core.asset import ArticulatedAsset
 
-# Free space between a body and what slides in it, [m].
+# Gap between a body and a sliding part, [m].
 GAP = 0.003
-# A bar nearer to the table leaves no room for a gripper, [m].
+# Smallest height of a handle above the table at which it leaves enough clearance for a gripper, [m].
 LEAST_BAR_Z = 0.105
-# Share of drawers that are dark all over, and of those whose fronts are of the body's wood.
+# Share of drawers that are dark, and share of those whose fronts have the wood of the body.
 DARK_SHARE, ONE_WOOD_SHARE = 0.4, 0.3
-# A drawer stays in its body by this much, [m].
+# Depth of an open drawer that remains in its body, [m].
 KEPT_IN = 0.09
-# Least height of an open shelf, and inset of the feet, [m].
+# Smallest height of an open shelf, and distance of the feet from the sides, [m].
 LEAST_SHELF, FOOT_INSET = 0.02, 0.05
-# Radius of the corners of a table top, [m].
+# Corner radius of a table top, [m].
 TOP_RADIUS = 0.02
-# Plywood, sRGB 0..1.
+# Color of plywood, sRGB 0..1.
 PLY = (0.86, 0.77, 0.62)
 FELT = Material(color_srgb=(0.10, 0.09, 0.08))
 
 
 def make_drawer(rng: np.random.Generator, table: Mapping[str, Any]) -> ArticulatedAsset:
-    """Equal fronts with equal handles, of which only one slides out; an open shelf below them where there is room."""
+    """Make a drawer or dresser: equal fronts with equal handles, one of which slides out.
+
+    The body has an open shelf below the fronts if there is enough space.
+
+    Args:
+        rng: Generator of sizes, colors and prints.
+        table: Rows of a style, see `builder.style_table`.
+
+    Returns:
+        The closed asset in the asset frame, with an empty name.
+    """
     s = draw_sizes(rng, table)
     s.width, s.height = s.columns * s.pitch_x, max(s.height, s.feet + s.rows * s.pitch_z + s.reveal)
     s.low = s.height - s.reveal - s.rows * s.pitch_z
@@ -84,7 +94,7 @@ def make_drawer(rng: np.random.Generator, table: Mapping[str, Any]) -> Articulat
 
 
 def _drawer_boards(s: SimpleNamespace) -> dict[str, AlignedBox]:
-    """The body, and thin boards between the drawers."""
+    """List the boards of the body and the thin boards between the drawers."""
     w, depth, board = s.width / 2, (-s.depth / 2, s.depth / 2), s.board
     boards = carcass(w, depth, (s.feet, s.height), board)
     across = (-w + board, w - board, depth[0], depth[1] - board)
@@ -101,7 +111,7 @@ def _drawer_boards(s: SimpleNamespace) -> dict[str, AlignedBox]:
 
 
 def _add_base_and_top(body: LinkBuilder, s: SimpleNamespace, wood: Material) -> None:
-    """Add the base of a piece of furniture, and its table top with round corners and a board behind it."""
+    """Add the base of a piece of furniture, its table top with round corners and the board at the back of the top."""
     w, y0, y1 = s.width / 2, -s.depth / 2, s.depth / 2
     base = stand(s.stand, w, (y0, y1), s.feet, FOOT_INSET, s.foot_half)
     if base:
@@ -121,7 +131,7 @@ def _add_base_and_top(body: LinkBuilder, s: SimpleNamespace, wood: Material) -> 
 def _add_drawer_prints(
     body: LinkBuilder, drawer: LinkBuilder, s: SimpleNamespace, face: AlignedBox, rng: np.random.Generator
 ) -> None:
-    """Rating plates on top and side, a name on the front."""
+    """Add rating plates on the top and the side, and a nameplate on the front."""
     plate = Material(texture_srgb=textures.label(rng))
     sign = Material(texture_srgb=textures.nameplate(rng, (0.93, 0.92, 0.88), 64))
     x, y = rng.uniform(-0.12, 0.02), rng.uniform(-0.10, 0.02)
@@ -133,7 +143,7 @@ def _add_drawer_prints(
 
 
 def _drawer_front(s: SimpleNamespace, cell: tuple[int, int]) -> AlignedBox:
-    """The front of a cell; it covers the body's boards."""
+    """Compute the front of the drawer in a cell (column, row); it covers the front edges of the boards."""
     back, margin = -s.depth / 2 - GAP, GAP / 2
     x, z = cell[0] * s.pitch_x - s.width / 2, s.low + cell[1] * s.pitch_z
     return box(x + margin, x + s.pitch_x - margin, back - s.board, back, z + margin, z + s.pitch_z - margin)
@@ -153,7 +163,15 @@ def _drawer_surfaces(rng: np.random.Generator) -> tuple[Material, Material, Mate
 
 
 def make_cabinet(rng: np.random.Generator, table: Mapping[str, Any]) -> ArticulatedAsset:
-    """A fixed panel and, before an open shelf, one that slides sideways."""
+    """Make a cabinet with a fixed panel and a panel that slides sideways in front of open shelves.
+
+    Args:
+        rng: Generator of sizes, colors and prints.
+        table: Rows of a style, see `builder.style_table`.
+
+    Returns:
+        The closed asset in the asset frame, with an empty name.
+    """
     s = draw_sizes(rng, table)
     body, door = (LinkBuilder(name, mirrored=s.side < 0.5) for name in ("cabinet", "door"))
     w, front = s.width / 2, -s.depth / 2
@@ -194,7 +212,7 @@ def _add_cabinet_body(
 
 
 def _add_cans(body: LinkBuilder, s: SimpleNamespace, levels: Span, rng: np.random.Generator) -> None:
-    """Jars and cans on the floor and on the shelf behind the sliding panel."""
+    """Add cans on the floor and on the shelf behind the sliding panel."""
     for level, z in enumerate(levels):
         for place in range(3):
             x = body.across(-s.width / 2 + 0.07 + 0.075 * place + rng.uniform(-0.008, 0.008))
@@ -219,7 +237,7 @@ def _add_sliding_panel(
     door.boxes("door", {"door": slab}, face)
     (x0, _, z0), (x1, _, z1) = slab.lower, slab.upper
     size = min(0.5 * (x1 - x0), 0.6 * (z1 - z0))
-    # The print stands on the half of the panel without the handle.
+    # The print is on the half of the panel without the handle.
     left = -x1 + 0.015 if door.mirrored else x1 - 0.015 - size
     corner = (left, slab.lower[1], (z0 + z1 - size) / 2)
     door.print("print", "front", corner, (size, size), Material(texture_srgb=art, roughness=0.6))
@@ -227,10 +245,13 @@ def _add_sliding_panel(
 
 
 def tray(sides: Span, depth: Span, heights: Span, thin: float) -> dict[str, AlignedBox]:
-    """The open box behind a drawer's front: floor, two sides and back, all `thin`, [m].
+    """List the boards of the open box behind a drawer's front: floor, two sides and back.
 
-    Between outer planes across (x), from the front's back side to the tray's end (y), from the floor's lower
-    side to the rim (z).
+    Args:
+        sides: Outer planes on the left and right (x), [m].
+        depth: Rear face of the drawer's front and outer plane at the back (y), [m].
+        heights: Lower face of the floor and rim (z), [m].
+        thin: Thickness of all boards, [m].
     """
     (x0, x1), (start, end), (floor, rim) = sides, depth, heights
     return {

@@ -1,4 +1,4 @@
-"""Handles that a parallel gripper can hold from the front: bars, arches, straps, knobs, lips, cups."""
+"""Parametric handles that a parallel gripper can hold from the front: bars, arches, straps, knobs, lips, cups."""
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
@@ -24,30 +24,30 @@ from aomgen.core.mesh import Mesh
 from aomgen.core.transforms import transform
 from aomgen.core.values import Array
 
-# Outward normal of fronts.
+# Outward normal of all fronts, asset frame.
 OUTWARD: Final = np.array([0.0, -1.0, 0.0])
-# Posts of a bar: their thickness, and their distance from its ends, in thicknesses of the bar.
+# Thickness of the posts of a bar and their distance from its ends, as multiples of the bar's thickness.
 POST: Final = 0.8
-# Share of an arch's length that is bent at either end, and the number of its pieces.
+# Share of an arch's length that is bent at each end, and the number of pieces that approximate the bend.
 BENT_SHARE, BENT_PIECES = 0.27, 4
-# Depth of a strap over its width.
+# Ratio of a strap's depth to its width.
 STRAP: Final = 0.5
-# Distance of the held point from a solid handle's outer edge, and height of the cheeks of a cup, [m].
+# Distance of the grasp point from the outer edge of a solid handle, and height of the cheeks of a cup handle, [m].
 HELD, CHEEK = 0.016, 0.026
-# Radius of a knob's edges over its thickness.
+# Ratio of the radius of a knob's edges to its thickness.
 KNOB_EDGE: Final = 0.2
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Handle(ABC):
-    """A graspable shape that protrudes from a front, [m].
+    """A graspable shape that protrudes from a front; lengths in [m], asset frame.
 
     Attributes:
-        foot: Point of the front's plane behind the handle's middle (3,).
-        axis: Unit direction of the handle: level or upright (3,).
+        foot: Point on the plane of the front behind the handle's center (3,).
+        axis: Unit direction of the handle (3,), horizontal or vertical.
         length: Extent along the axis.
-        thickness: Extent across the axis.
-        clearance: Free depth between front and bar, or protrusion of a solid handle.
+        thickness: Extent across the axis, in the plane of the front.
+        clearance: Clearance between front and bar, or protrusion of a solid handle.
     """
 
     foot: Array
@@ -58,27 +58,30 @@ class Handle(ABC):
 
     @property
     def middle(self) -> Array:
-        """Grasp point (3,), [m]."""
+        """The grasp point (3,), [m]."""
         return self.foot + OUTWARD * (self.clearance - HELD)
 
     @abstractmethod
     def boxes(self) -> dict[str, AlignedBox]:
-        """Colliders by name; all names start with "handle"."""
+        """Return the colliders by name; all names start with "handle"."""
 
     def mesh(self, surface: Material) -> Mesh:
-        """Visible mesh."""
+        """Build the visible mesh."""
         return boxes_mesh("handle", list(self.boxes().values()), surface)
 
     def colliders(self, prefix: str = "") -> list[BoxCollider]:
-        """Colliders; with a prefix on a static link."""
+        """Return all colliders; a prefix marks those of a handle that is not the held one."""
         return [row.collider(prefix + name) for name, row in self.boxes().items()]
 
     def point(self, along: float, out: float) -> Array:
-        """Point (3,) at distances from the foot along the handle and out of the front."""
+        """Compute the point (3,) at given distances from the foot along the handle and out of the front, [m]."""
         return self.foot + along * self.axis + out * OUTWARD
 
     def block(self, along: ArrayLike, out: ArrayLike, across: ArrayLike) -> AlignedBox:
-        """A box between planes (2,) along the handle, out of the front and across the handle, from the foot."""
+        """Build a box from pairs of coordinates (2,) along the handle, out of the front and across the handle.
+
+        The coordinates are relative to the foot, [m].
+        """
         spans = (along, across) if self.axis[0] > 0.5 else (across, along)
         (x0, x1), (z0, z1) = (np.asarray(span) + self.foot[i] for span, i in zip(spans, (0, 2), strict=True))
         y1, y0 = self.foot[1] - np.asarray(out)
@@ -90,11 +93,11 @@ class BarHandle(Handle):
 
     @property
     def middle(self) -> Array:
-        """Middle of the bar (3,), [m]."""
+        """The center of the bar (3,), [m]."""
         return self.point(0.0, self.clearance + self.thickness / 2)
 
     def mesh(self, surface: Material) -> Mesh:
-        """Round bar and posts."""
+        """Build the round bar and its posts."""
         half, radius = self.axis * self.length / 2, self.thickness / 2
         rods = [rod("bar", self.middle - half, self.middle + half, radius, surface)]
         for offset in self._post_offsets():
@@ -103,7 +106,7 @@ class BarHandle(Handle):
         return merge_meshes("handle", rods)
 
     def boxes(self) -> dict[str, AlignedBox]:
-        """Colliders of bar and posts."""
+        """Return the colliders of the bar and its posts."""
         half, round_ = self.length / 2, np.array([-0.5, 0.5]) * self.thickness
         out = (self.clearance, self.clearance + self.thickness)
         rows = {"handle_bar": self.block((-half, half), out, round_)}
@@ -119,10 +122,10 @@ class BarHandle(Handle):
 
 
 class ArchHandle(BarHandle):
-    """A round bar whose ends bend to the front."""
+    """A round bar whose ends are bent toward the front."""
 
     def mesh(self, surface: Material) -> Mesh:
-        """Short rods, each a little longer than its piece of the arch, so that none gapes."""
+        """Build the arch from short rods, each slightly longer than its piece, so that there are no gaps at the joints."""
         rods = []
         for start, end in self._pieces():
             more = 0.2 * self.thickness / 2 * (end - start) / np.linalg.norm(end - start)
@@ -130,13 +133,13 @@ class ArchHandle(BarHandle):
         return merge_meshes("handle", rods)
 
     def boxes(self) -> dict[str, AlignedBox]:
-        """Collider of the straight part."""
+        """Return the collider of the straight part."""
         half, round_ = (0.5 - BENT_SHARE) * self.length, np.array([-0.5, 0.5]) * self.thickness
         out = (self.clearance, self.clearance + self.thickness)
         return {"handle_bar": self.block((-half, half), out, round_)}
 
     def colliders(self, prefix: str = "") -> list[BoxCollider]:
-        """Colliders of the straight part and of every piece of the ends."""
+        """Return the colliders of the straight part and of every piece of the bent ends."""
         bent = [
             _cover_rod(f"{prefix}handle_bend_{i}", start, end, self.thickness / 2)
             for i, (start, end) in enumerate(self._pieces()[1:])
@@ -144,7 +147,7 @@ class ArchHandle(BarHandle):
         return [*Handle.colliders(self, prefix), *bent]
 
     def _pieces(self) -> list[tuple[Array, Array]]:
-        """Ends of the straight part, then of the pieces on either side."""
+        """Return the end points of the straight part, followed by those of the pieces on both sides."""
         straight, bent = (0.5 - BENT_SHARE) * self.length, BENT_SHARE * self.length
         turns = np.linspace(0.0, np.pi / 2, BENT_PIECES + 1)
         height = self.clearance + self.thickness / 2
@@ -156,15 +159,15 @@ class ArchHandle(BarHandle):
 
 
 class StrapHandle(Handle):
-    """A flat strap, bent square to the front at both ends."""
+    """A flat strap with both ends bent at right angles toward the front."""
 
     @property
     def middle(self) -> Array:
-        """Middle of the strap (3,), [m]."""
+        """The center of the strap (3,), [m]."""
         return self.point(0.0, self.clearance + STRAP * self.thickness / 2)
 
     def boxes(self) -> dict[str, AlignedBox]:
-        """Strap and ends."""
+        """Return the colliders of the strap and its ends."""
         half, flat, sides = self.length / 2, STRAP * self.thickness, np.array([-0.5, 0.5]) * self.thickness
         out = (0, self.clearance)
         return {
@@ -175,19 +178,19 @@ class StrapHandle(Handle):
 
 
 class LipHandle(Handle):
-    """A plate that protrudes like a rim."""
+    """A plate that protrudes from the front."""
 
     def boxes(self) -> dict[str, AlignedBox]:
-        """The plate."""
+        """Return the collider of the plate."""
         half, sides = self.length / 2, np.array([-0.5, 0.5]) * self.thickness
         return {"handle_bar": self.block((-half, half), (0, self.clearance), sides)}
 
 
 class CupHandle(LipHandle):
-    """A plate with a cheek below each end."""
+    """A plate with a vertical cheek below each end."""
 
     def boxes(self) -> dict[str, AlignedBox]:
-        """Plate and cheeks."""
+        """Return the colliders of the plate and its cheeks."""
         half, thick, low = self.length / 2, self.thickness, -self.thickness / 2
         out, across = (0, self.clearance), (low - CHEEK, low)
         return {
@@ -198,22 +201,25 @@ class CupHandle(LipHandle):
 
 
 class KnobHandle(Handle):
-    """A square knob with round edges, as long as it is thick; its one flat collider does not slip as several do."""
+    """A square knob with rounded edges, whose length is its thickness.
+
+    It has a single box collider, because a grasp on several colliders slips in simulation.
+    """
 
     def boxes(self) -> dict[str, AlignedBox]:
-        """The knob before its edges are rounded."""
+        """Return the collider, which is the knob without rounding."""
         sides = np.array([-0.5, 0.5]) * self.thickness
         return {"handle_bar": self.block(sides, (0, self.clearance), sides)}
 
     def mesh(self, surface: Material) -> Mesh:
-        """With round edges."""
+        """Build the knob with rounded edges."""
         radius = KNOB_EDGE * self.thickness
         whole = self.boxes()["handle_bar"]
         knob = RoundedBox(whole=whole, axis=1, radii=(radius, radius), corners=ALL_EDGES)
         return knob.mesh("handle", surface)
 
 
-# By their name in `designs.toml`.
+# Handle classes by their names in `designs.toml`.
 HANDLES: Final[dict[str, type[Handle]]] = {
     "bar": BarHandle,
     "arch": ArchHandle,
@@ -225,7 +231,14 @@ HANDLES: Final[dict[str, type[Handle]]] = {
 
 
 def make_handle(s: SimpleNamespace, foot: ArrayLike, axis: Array, length: float) -> Handle:
-    """Make a handle of the kind, thickness and clearance of the sampled sizes."""
+    """Make a handle with the kind, thickness and clearance of the sampled sizes.
+
+    Args:
+        s: Sampled sizes with `handle`, `bar_thickness` and `bar_clearance`.
+        foot: Point on the plane of the front behind the handle's center (3,), [m].
+        axis: Unit direction (3,).
+        length: Extent along the axis, [m].
+    """
     place = np.asarray(foot, np.float64)
     return HANDLES[s.handle](
         foot=place, axis=axis, length=length, thickness=s.bar_thickness, clearance=s.bar_clearance

@@ -1,4 +1,4 @@
-"""Boxes with a lid hinged at the back: toolboxes with a handle in front, laptops held at the lid's rim."""
+"""Parametric objects with a lid hinged at the back: toolboxes held at a handle, laptops held at the rim of the lid."""
 
 from collections.abc import Mapping
 from types import SimpleNamespace
@@ -35,19 +35,19 @@ from aomgen.assets.procedural.shapes import (
 from aomgen.core.asset import ArticulatedAsset
 from aomgen.core.joint import Joint
 
-# Height of a latch on the body; width and depth of the rims of trays; room below the opened lid's back, [m].
+# Height of a latch on the body; width and depth of the rims of trays; clearance below the back of the open lid, [m].
 LATCH, BAND, BAND_OUT, POST_ROOM = 0.034, 0.014, 0.006, 0.012
-# Feet of toolboxes: from the sides to their middles, and half their width; edge left free around prints, [m].
+# Distance of a toolbox's feet from the sides, and their half width; margin around prints, [m].
 FOOT_INSET, FOOT_HALF, PRINT_EDGE = 0.05, 0.016, 0.03
-# Upright edge left of a round or sloping lid; how far the upper step of a lid stands back, [m].
+# Smallest height of the vertical edge of a rounded or beveled lid; inset of the upper step of a lid, [m].
 LEAST_CROWN, TIER_INSET = 0.002, 0.03
-# Height and half length of a carrying handle over the lid, [m] and as a share of the width.
+# Height of a carrying handle above the lid, [m], and its half length as a share of the width.
 CARRY, CARRY_SHARE = 0.04, 0.16
-# Shares of a laptop's depth that gets thinner, of its width that the fans' block and the ridge on its lid take.
+# Share of a laptop's depth that is tapered; shares of its half width that the rear block and the ridge on the lid span.
 WEDGE_SHARE, TAIL_SHARE, RIDGE_SHARE = 0.75, 0.72, 0.6
 # Recess of a laptop's sides from its front, [m].
 WING_INSET = 0.03
-# Height of the rubber strips below a laptop, depth of its lid's rim, and how far inside of the edge it is held, [m].
+# Height of the rubber strips below a laptop, depth of the rim of its lid, and distance of the grasp point from the edge, [m].
 STRIPS, RIM, HELD = 0.002, 0.016, 0.004
 IRON = Material(color_srgb=(0.62, 0.63, 0.66), metallic=0.8, roughness=0.35)
 RUBBER = Material(color_srgb=(0.10, 0.10, 0.11))
@@ -56,12 +56,17 @@ BEZEL = Material(color_srgb=(0.05, 0.05, 0.06))
 
 
 def make_toolbox(rng: np.random.Generator, table: Mapping[str, Any]) -> ArticulatedAsset:
-    """A hollow body with a tray of tools, latches, and a lid with a carrying handle."""
+    """Make a closed toolbox: a hollow body with a tray of tools, latches, and a lid that may have a carrying handle.
+
+    Args:
+        rng: Generator of sizes, colors and prints.
+        table: Rows of a style, see `builder.style_table`.
+    """
     s = draw_sizes(rng, table)
     body_color, lid_color = pick_color(rng, "toolbox"), pick_color(rng, "lid")
     s.seam += s.feet
     s.low = s.seam + SEAL
-    # Height at which the lid's upright walls end.
+    # Height at which the vertical walls of the lid end.
     s.eaves = s.low + s.lid - s.crown
     handle = make_handle(s, [0.0, -s.depth / 2, (s.low + s.eaves) / 2], LEVEL, s.bar_length)
     body, lid = LinkBuilder("body"), LinkBuilder("lid")
@@ -72,7 +77,7 @@ def make_toolbox(rng: np.random.Generator, table: Mapping[str, Any]) -> Articula
 
 
 def _back_hinge(s: SimpleNamespace) -> Joint:
-    """Behind the back by half a seal, so that the lid's back swings clear of the body's."""
+    """Build the hinge half a seal behind the back, so that the lid does not collide with the body when it opens."""
     return hinge([-1.0, 0.0, 0.0], [0.0, s.depth / 2 + SEAL / 2, s.seam + SEAL / 2], s.opening)
 
 
@@ -87,7 +92,7 @@ def _add_toolbox_body(
     x, z = rng.uniform(-0.13, -0.10), s.feet + rng.uniform(0.012, 0.022)
     body.boxes("body", _walls(s, s.feet, s.seam, open_above=True), plastic)
     for number in range(s.bands):
-        # Rims of trays that stand on each other.
+        # The bands represent the rims of stacked trays.
         top = s.feet + (number + 1) * (s.seam - LATCH - s.feet) / s.bands
         y = (front - BAND_OUT, s.depth / 2)
         band = box(-w - BAND_OUT, w + BAND_OUT, *y, top - BAND, top)
@@ -108,7 +113,7 @@ def _add_toolbox_body(
 
 
 def _add_tools(body: LinkBuilder, s: SimpleNamespace, rng: np.random.Generator) -> None:
-    """Add the content: a tray with a screwdriver, a hammer and a wrench."""
+    """Add the content: a tray with three tools."""
     w, y0, y1, wall, z = s.width / 2, -s.depth / 2, s.depth / 2, s.wall, s.seam - 0.035
     felt = Material(texture_srgb=textures.make_speckles(rng, (0.52, 0.50, 0.46), 256), roughness=0.7)
     size = (2 * (w - wall), 0, 0), (0, y1 - y0 - 2 * wall, 0)
@@ -144,7 +149,7 @@ def _add_toolbox_lid(
 
 
 def _add_top(lid: LinkBuilder, s: SimpleNamespace, plastic: Material) -> tuple[Span, float]:
-    """Walls and top of the lid; half sizes and height of its level top, [m]."""
+    """Add walls and top of the lid; return the half sizes (x, y) and the height of its flat top, [m]."""
     w, d, top = s.width / 2, s.depth / 2, s.low + s.lid
     rows = _walls(s, s.low, s.eaves + s.wall if s.crown else top, open_above=False)
     if not s.crown:
@@ -169,7 +174,7 @@ def _add_top(lid: LinkBuilder, s: SimpleNamespace, plastic: Material) -> tuple[S
 def _add_lid_prints(
     lid: LinkBuilder, flat: Span, top: float, grip: float, color: Color, rng: np.random.Generator
 ) -> None:
-    """Stickers and a name on both sides of the carrying handle, where the level top has room for them."""
+    """Add stickers and a nameplate on either side of the carrying handle, unless the flat top is too small for them."""
     w, d = flat
     art = Material(texture_srgb=textures.stickers(rng, color), roughness=0.5)
     brand = Material(texture_srgb=textures.nameplate(rng, color), roughness=0.4)
@@ -181,7 +186,7 @@ def _add_lid_prints(
 
 
 def _walls(s: SimpleNamespace, z0: float, z1: float, *, open_above: bool) -> dict[str, AlignedBox]:
-    """A box open above or below: its bottom or top, and its four sides."""
+    """List the walls of a box that is open at the top or at the bottom: its plate and its four sides."""
     w, y0, y1, wall = s.width / 2, -s.depth / 2, s.depth / 2, s.wall
     low, high = (z0 + wall, z1) if open_above else (z0, z1 - wall)
     skip = "z" if open_above else "Z"
@@ -195,7 +200,7 @@ def _walls(s: SimpleNamespace, z0: float, z1: float, *, open_above: bool) -> dic
 
 
 def _latches(s: SimpleNamespace, z0: float, z1: float) -> dict[str, AlignedBox]:
-    """Plates on the front, left and right of the handle."""
+    """List the latches: plates on the front to the left and right of the handle."""
     x, front = 0.36 * s.width, -s.depth / 2
     return {
         f"latch_{name}": box(sign * x - 0.018, sign * x + 0.018, front - 0.009, front, z0, z1, "Y")
@@ -215,7 +220,12 @@ def _steel(rng: np.random.Generator) -> Material:
 
 
 def make_laptop(rng: np.random.Generator, table: Mapping[str, Any]) -> ArticulatedAsset:
-    """A closed laptop that lies flat: thin base with a notch in front, thin lid held by its front edge."""
+    """Make a closed laptop that lies flat: a base with a notch at the front, and a lid that is held at its front edge.
+
+    Args:
+        rng: Generator of sizes, colors and prints.
+        table: Rows of a style, see `builder.style_table`.
+    """
     s = draw_sizes(rng, table)
     s.depth, s.seam = s.width * s.depth_share, STRIPS + s.base
     color = pick_color(rng, "laptop")
@@ -229,7 +239,7 @@ def make_laptop(rng: np.random.Generator, table: Mapping[str, Any]) -> Articulat
 def _add_base(base: LinkBuilder, s: SimpleNamespace, color: Color, rng: np.random.Generator) -> None:
     w, d, half = s.width / 2, s.depth / 2, s.notch_width / 2
     inner, z = s.notch_depth - d, (STRIPS, s.seam)
-    # A wedge is thinner in front by so much.
+    # The front of a wedge-shaped base is thinner by `wedge`.
     front_z = (STRIPS + s.wedge, s.seam)
     slabs = {
         "base": box(-w, w, inner, d, *z),
@@ -259,7 +269,7 @@ def _add_base(base: LinkBuilder, s: SimpleNamespace, color: Color, rng: np.rando
 
 
 def _add_strips(base: LinkBuilder, s: SimpleNamespace) -> None:
-    """Rubber strips; the front one of a wedge is as high as its base is thinner."""
+    """Add the rubber strips below the base; the front strip of a wedge-shaped base is higher by `wedge`."""
     w, d = s.width / 2, s.depth / 2
     strips = {}
     for name, y in (("front", 0.03 - d), ("back", d - 0.02)):
@@ -269,7 +279,7 @@ def _add_strips(base: LinkBuilder, s: SimpleNamespace) -> None:
 
 
 def _add_armour(base: LinkBuilder, s: SimpleNamespace, case: Material) -> None:
-    """Add protruding parts of the base: sides and a block for fans behind the hinge, corner posts, a carrying handle."""
+    """Add protruding parts of the base: side pieces, a block behind the hinge, corner posts, a carrying handle."""
     w, d, z = s.width / 2, s.depth / 2, (STRIPS, s.seam - POST_ROOM)
     if s.tail > 0:
         half = TAIL_SHARE * w
@@ -281,7 +291,7 @@ def _add_armour(base: LinkBuilder, s: SimpleNamespace, case: Material) -> None:
     if s.post > 0:
         base.boxes("posts", corner_posts(w, (-d, d), z, s.post), RUBBER)
     if s.carry:
-        # The arch is defined for the front and turned to the back.
+        # The arch is defined at the front; `behind` rotates it to the back.
         arch = ArchHandle(
             foot=np.array([0.0, -d, sum(z) / 2]), axis=LEVEL, length=w, thickness=0.014, clearance=0.03
         )
@@ -289,7 +299,7 @@ def _add_armour(base: LinkBuilder, s: SimpleNamespace, case: Material) -> None:
 
 
 def _round(s: SimpleNamespace, row: AlignedBox) -> RoundedBox:
-    """A slab with those edges rounded that are corners of the laptop seen from above."""
+    """Round those vertical edges of a slab that are corners of the laptop as seen from above."""
     sides = (row.lower[0] == -s.width / 2, row.upper[0] == s.width / 2)
     ends = (row.lower[1] == -s.depth / 2, row.upper[1] == s.depth / 2)
     corners = tuple((2 * i - 1, 2 * j - 1) for i in (0, 1) for j in (0, 1) if sides[i] and ends[j])
@@ -312,7 +322,7 @@ def _add_laptop_lid(lid: LinkBuilder, s: SimpleNamespace, color: Color, rng: np.
         lid.boxes("ridge", {"ridge": box(-half, half, 0.0, d - 0.01, top, top + s.ridge, "z")}, case)
     else:
         _add_cover_print(lid, (w, d), color, top, rng)
-    # Upright for the user once the lid is open: its top is the free edge. Round corners are cut off.
+    # The display is upright for the user when the lid is open: its top is at the free edge. It is inset at round corners.
     cut = 0.3 * s.corner
     corner = (cut - w, d - cut, low - PRINT_GAP / 2)
     lid.meshes.append(panel("bezel", corner, (2 * (w - cut), 0, 0), (0, -2 * (d - cut), 0), BEZEL))
@@ -324,7 +334,7 @@ def _add_laptop_lid(lid: LinkBuilder, s: SimpleNamespace, color: Color, rng: np.
 def _add_cover_print(
     lid: LinkBuilder, half: Span, color: Color, top: float, rng: np.random.Generator
 ) -> None:
-    """On the lid: the maker's name alone, upright once the lid is open, or stickers all over it."""
+    """Add a nameplate, which is upright when the lid is open, or stickers that cover the lid."""
     if rng.random() < 0.5:
         name = Material(texture_srgb=textures.nameplate(rng, color, 64), roughness=0.4)
         lid.meshes.append(panel("name", (0.04, -0.01, top + PRINT_GAP), (-0.08, 0, 0), (0, -0.02, 0), name))

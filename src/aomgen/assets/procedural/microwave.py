@@ -1,4 +1,7 @@
-"""Microwave ovens: hollow body, window door on an upright hinge, handle, keys beside, below or above the door."""
+"""Parametric microwave ovens: hollow body, door with window, vertical hinge and handle, keypad next to the door.
+
+The keypad is beside, below or above the door, depending on the style.
+"""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -35,18 +38,26 @@ from aomgen.assets.procedural.shapes import (
 )
 from aomgen.core.asset import ArticulatedAsset
 
-# Between door and keys; depth of a frame around the front; from the sides to the middle of a foot, [m].
+# Gap between door and keypad; depth of the frame around the front; distance of the feet from the sides, [m].
 DOOR_GAP, TRIM_DEPTH, FOOT_INSET = 0.003, 0.022, 0.04
 STEEL = Material(color_srgb=(0.62, 0.62, 0.64), metallic=0.7, roughness=0.35)
 RUBBER = Material(color_srgb=(0.07, 0.07, 0.07))
 
 
 def make_microwave(rng: np.random.Generator, table: Mapping[str, Any]) -> ArticulatedAsset:
-    """One microwave; every size, color and print comes from `rng`."""
+    """Make a microwave oven.
+
+    Args:
+        rng: Generator of sizes, colors and prints.
+        table: Rows of a style, see `builder.style_table`.
+
+    Returns:
+        The closed asset in the asset frame, with an empty name.
+    """
     s = draw_sizes(rng, table)
     body_color, door_color = pick_color(rng, "microwave"), pick_color(rng, "microwave_door")
     body, door = (LinkBuilder(name, mirrored=s.side < 0.5) for name in ("body", "door"))
-    # The back and the front of the door, asset frame y.
+    # `seam` and `front` are the y coordinates of the door's back and front, asset frame.
     s.seam = -s.depth / 2 - SEAL
     s.front = s.seam - s.door
     _lay_out(s)
@@ -63,7 +74,7 @@ def make_microwave(rng: np.random.Generator, table: Mapping[str, Any]) -> Articu
 
 
 def _lay_out(s: SimpleNamespace) -> None:
-    """Spans across and up of the door, of the keys' panel and of the cavity, drawn with the hinge on the left."""
+    """Set the spans (x, z) of door, keypad panel and cavity for a hinge on the left, [m]."""
     w, z0, z1, wall = s.width / 2, s.feet, s.height, s.wall
     across, inner, inside = (-w, w), (-w + wall, w - wall), (z0 + wall, z1 - wall)
     panel_height = (1.0 - s.door_share) * (z1 - z0)
@@ -83,7 +94,7 @@ def _lay_out(s: SimpleNamespace) -> None:
 
 
 def _round(s: SimpleNamespace, row: AlignedBox) -> RoundedBox:
-    """A box with those upright edges rounded that are corners of the microwave's front."""
+    """Round those edges of a box along y that are corners of the microwave as seen from the front."""
     corners = [
         c for c in ALL_EDGES if (row.upper[2] == s.height if c in UPPER_EDGES else row.lower[2] == s.feet)
     ]
@@ -105,7 +116,7 @@ def _add_body(body: LinkBuilder, s: SimpleNamespace, color: Color, rng: np.rando
         "wall_back": box(cx0, w, y1 - wall, y1, cz0, cz1, "yzZx"),
         "column": box(cx1, w, y0, y1 - wall, cz0, cz1, "xYzZ"),
     }
-    # The front of the keys' panel stands flush with the door.
+    # The keypad panel is flush with the front of the door.
     fascia = {"fascia": box(px0, px1, s.front, y0, pz0, pz1, "Y")}
     surface = Material(texture_srgb=sheet(rng, color), roughness=0.45, metallic=0.3)
     if s.corner > 0:
@@ -128,7 +139,7 @@ def _add_body(body: LinkBuilder, s: SimpleNamespace, color: Color, rng: np.rando
 
 
 def _add_cavity(body: LinkBuilder, s: SimpleNamespace, rng: np.random.Generator) -> None:
-    """Inner lining and the turntable."""
+    """Add the lining of the cavity and the turntable."""
     (left, column), (z0, z1) = s.cavity
     hollow = lining((left, column), (-s.depth / 2, s.depth / 2 - s.wall), (z0, z1))
     enamel = textures.make_speckles(rng, (0.70, 0.70, 0.68), 256)
@@ -142,7 +153,7 @@ def _add_cavity(body: LinkBuilder, s: SimpleNamespace, rng: np.random.Generator)
 def _add_prints(
     body: LinkBuilder, s: SimpleNamespace, color: Color, panel_color: Color, rng: np.random.Generator
 ) -> None:
-    """Keys on the fascia, rating plate on the top, vents on both sides."""
+    """Add the keypad on its panel, rating plates on the top and a side, and vents on both sides."""
     w, z0, z1, edge = s.width / 2, s.feet, s.height, 0.004
     (px0, px1), (pz0, pz1) = s.panel_rect
     draw = textures.keypad if s.keys == "beside" else textures.key_strip
@@ -183,7 +194,7 @@ def _add_door(
 def _add_frame(
     door: LinkBuilder, s: SimpleNamespace, spans: tuple[Span, Span, Span], grain: Material
 ) -> None:
-    """Bars around the window, and one collider over frame and window, or three where corners are round."""
+    """Add bars around the window, and one collider for frame and window; round corners need additional colliders."""
     bars = window_frame(*spans, s.frame)
     if s.corner == 0:
         door.shell("frame", bars, grain)

@@ -1,4 +1,4 @@
-"""Boxes, plain and rounded, rods, discs and printed panels with texture coordinates, from which makers build links."""
+"""Textured shapes of which parametric assets consist: boxes, rounded boxes, rods, domes and printed panels."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -13,16 +13,16 @@ from aomgen.core.mesh import NUMBERS, Mesh
 from aomgen.core.transforms import transform
 from aomgen.core.values import Array
 
-# Distance of prints from the surface they are on, [m]: large enough to avoid z-fighting, too small to be visible.
+# Distance between a print and its surface, [m]: large enough to avoid z-fighting, too small to be visible.
 PRINT_GAP = 0.0006
 # The two in-plane axes (u, v) of a face whose normal is axis x, y or z.
 _PLANE_AXES = ((1, 2), (0, 2), (0, 1))
 NO_TEXTURE = np.zeros((0, 0, 3), np.uint8)
-# A rounded edge is cut into at least four steps, and into one for every 6 mm of its smaller radius, [m].
+# Smallest number of steps of a rounded edge, and length of a step relative to its smaller radius, [m].
 LEAST_STEPS, STEP = 4, 0.006
 # All four edges of a box along an axis.
 ALL_EDGES: Final = ((-1, -1), (1, -1), (1, 1), (-1, 1))
-# The edges on the high side of the second other axis.
+# The two edges on the high side of the second of the other axes.
 UPPER_EDGES: Final = ((1, 1), (-1, 1))
 
 
@@ -31,11 +31,11 @@ class Material:
     """Color, texture and reflectance of a mesh.
 
     Attributes:
-        texture_srgb: (H, W, 3) uint8; empty where `color_srgb` holds.
-        color_srgb: (3,), 0..1.
-        tile_m: Length of the texture's edge on planar-mapped parts, [m].
-        roughness, metallic, opacity: UsdPreviewSurface's parameters.
-        maps: Images that replace single parameters, see `Mesh`.
+        texture_srgb: Color texture (H, W, 3), uint8; if it is empty, `color_srgb` is used.
+        color_srgb: Color (3,), 0..1.
+        tile_m: Edge length of the texture on planar-mapped parts, [m].
+        roughness, metallic, opacity: Parameters of UsdPreviewSurface, 0..1.
+        maps: Images that replace single parameters; see `Mesh`.
     """
 
     texture_srgb: NDArray[np.uint8] = field(default_factory=lambda: NO_TEXTURE)
@@ -47,7 +47,14 @@ class Material:
     maps: Mapping[str, NDArray[np.uint8]] = field(default_factory=dict)
 
     def mesh(self, name: str, vertices: Array, faces: NDArray[np.int64], uvs: Array) -> Mesh:
-        """Triangles that it covers; without texture coordinates (F, 3, 2) images become their means."""
+        """Build a mesh with this material.
+
+        Args:
+            name: Name of the mesh.
+            vertices: Points (V, 3), [m].
+            faces: Vertex indices of triangles (F, 3).
+            uvs: Texture coordinates (F, 3, 2); if they are empty, textures and maps are replaced by their means.
+        """
         texture, textured = self.texture_srgb, len(uvs) > 0
         numbers = {
             key: float(self.maps[key].mean() / 255) if key in self.maps else getattr(self, key)
@@ -66,16 +73,17 @@ class Material:
 
 
 def _mean_color(texture_srgb: NDArray[np.uint8]) -> Array:
-    """Compute the mean (3,) of a texture (H, W, 3), 0..1; rows first is several times faster than all pixels at once."""
+    """Compute the mean color (3,), 0..1, of a texture (H, W, 3)."""
     height, width, _ = texture_srgb.shape
+    # Summing along one axis at a time is several times faster than summing over all pixels at once.
     return np.asarray(texture_srgb.sum(0, dtype=np.uint32).sum(0) / (height * width) / 255, np.float64)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AlignedBox:
-    """Axis-aligned box between two corners (3,), [m]; `skip` names faces that stay unseen.
+    """Axis-aligned box between two corners (3,), [m]; `skip` names faces without triangles.
 
-    Face names: "x" "y" "z" for the low side, "X" "Y" "Z" for the high side.
+    Face names are "x", "y", "z" on the low side and "X", "Y", "Z" on the high side.
     """
 
     lower: tuple[float, float, float]
@@ -83,27 +91,27 @@ class AlignedBox:
     skip: str = ""
 
     def mirror(self) -> "AlignedBox":
-        """Its image behind the plane x = 0."""
+        """Mirror the box at the plane x = 0."""
         (x0, y0, z0), (x1, y1, z1) = self.lower, self.upper
         return box(-x1, -x0, y0, y1, z0, z1, self.skip.translate(str.maketrans("xX", "Xx")))
 
     def collider(self, name: str) -> BoxCollider:
-        """The same box for physics."""
+        """Return the box as a collider."""
         lower, upper = np.array(self.lower), np.array(self.upper)
         pose = transform(np.eye(3), (lower + upper) / 2)
         return BoxCollider(name=name, T_asset_box=pose, half_extents=(upper - lower) / 2)
 
 
 def box(x0: float, x1: float, y0: float, y1: float, z0: float, z1: float, skip: str = "") -> AlignedBox:
-    """An `AlignedBox` from its six planes, [m]."""
+    """Build an `AlignedBox` from its six planes, [m]."""
     return AlignedBox(lower=(x0, y0, z0), upper=(x1, y1, z1), skip=skip)
 
 
 def boxes_mesh(name: str, boxes: Sequence[AlignedBox], surface: Material) -> Mesh:
-    """One mesh of several boxes, planar-mapped: u runs along x (or y), v along z (or y).
+    """Build one planar-mapped mesh from several boxes: u runs along x (or y), v along z (or y).
 
-    Coordinates start at the mesh's lowest corner and never leave 0..1: a mesh larger than the
-    tile stretches the texture instead of repeating it.
+    Texture coordinates start at the lowest corner of the mesh and stay within 0..1, so a mesh larger than a tile stretches
+    the texture instead of repeating it.
     """
     sides = product(boxes, range(3), (False, True))
     corners = np.array([
@@ -116,14 +124,14 @@ def boxes_mesh(name: str, boxes: Sequence[AlignedBox], surface: Material) -> Mes
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RoundedBox:
-    """A box whose edges along one axis are rounded, or cut straight.
+    """A box with rounded or beveled edges along one axis.
 
     Attributes:
         whole: The box before rounding; all of its faces are visible.
-        axis: 0, 1 or 2: direction of the edges.
+        axis: Direction of the edges: 0, 1 or 2.
         radii: Extent of the rounding along the two other axes, in their order, [m].
-        corners: The rounded edges by their sides (-1 or 1) along these axes.
-        bevel: Straight instead of round.
+        corners: The rounded edges, given by their sides (-1 or 1) along these axes.
+        bevel: The edges are beveled instead of rounded.
     """
 
     whole: AlignedBox
@@ -133,7 +141,7 @@ class RoundedBox:
     bevel: bool = False
 
     def boxes(self) -> list[AlignedBox]:
-        """Upright or level slices that follow the surface, the one between the edges first."""
+        """Approximate the shape by slices for colliders; the slice between the rounded edges is first."""
         u, v = _PLANE_AXES[self.axis]
         lower, upper = np.array(self.whole.lower), np.array(self.whole.upper)
         along, across = self._profile()
@@ -152,7 +160,7 @@ class RoundedBox:
         return [_box_between(lower, upper), *found]
 
     def mesh(self, name: str, surface: Material) -> Mesh:
-        """Its surface, mapped as that of boxes."""
+        """Build the surface, with the same mapping as `boxes_mesh`."""
         (u, v), outline = _PLANE_AXES[self.axis], self._outline()
         rings = np.empty((2, len(outline), 3))
         rings[:, :, [u, v]] = outline
@@ -162,11 +170,11 @@ class RoundedBox:
         sides = _halves(np.stack([low, low[after], high[after], high], 1))
         fans = [np.stack([ring[:1].repeat(len(ring) - 2, 0), ring[1:-1], ring[2:]], 1) for ring in rings]
         triangles = np.concatenate([sides, fans[0][:, ::-1], fans[1]])
-        # Seen along y, the first axis and the second one turn the other way.
+        # For edges along y, the other axes (x, z) form a left-handed system with y, so the triangles are reversed.
         return _planar_mesh(name, triangles[:, ::-1] if self.axis == 1 else triangles, surface)
 
     def _profile(self) -> tuple[Array, Array]:
-        """Points of an edge from one face to the next, in radii from its centre."""
+        """Compute points of a rounded edge from one face to the next, relative to its center, in units of the radii."""
         steps = max(LEAST_STEPS, int(np.ceil(min(self.radii) / STEP)))
         shares = np.linspace(0.0, 1.0, steps + 1, dtype=np.float64)
         if self.bevel:
@@ -175,7 +183,7 @@ class RoundedBox:
         return np.sin(turns, dtype=np.float64), np.cos(turns, dtype=np.float64)
 
     def _outline(self) -> Array:
-        """Corners (N, 2) along the other two axes, counter-clockwise."""
+        """Compute the outline (N, 2) along the other two axes, counterclockwise."""
         axes = list(_PLANE_AXES[self.axis])
         bounds = np.array([self.whole.lower, self.whole.upper])[:, axes]
         profile = np.stack(self._profile(), 1)
@@ -196,9 +204,13 @@ def _box_between(lower: Array, upper: Array) -> AlignedBox:
 
 
 def panel(name: str, corner: ArrayLike, right: ArrayLike, up: ArrayLike, surface: Material) -> Mesh:
-    """A print: one rectangle seen from the side `right x up`, its texture upright and whole.
+    """Build a rectangle that shows a whole texture upright.
 
-    The corner is the lower left one as seen from outside (3,), [m]; `right` and `up` are edges.
+    Args:
+        name: Name of the mesh.
+        corner: Lower left corner as seen from outside (3,), [m].
+        right, up: Edges from this corner (3,), [m]; the outward normal is their cross product.
+        surface: Material with the texture.
     """
     corner, right, up = (np.asarray(v, np.float64) for v in (corner, right, up))
     quad = np.stack([corner, corner + right, corner + right + up, corner + up])
@@ -209,7 +221,15 @@ def panel(name: str, corner: ArrayLike, right: ArrayLike, up: ArrayLike, surface
 def rod(
     name: str, start: ArrayLike, end: ArrayLike, radius: float, surface: Material, sides: int = 14
 ) -> Mesh:
-    """A closed cylinder between two points (3,), [m], texture wrapped once around it."""
+    """Build a closed cylinder; the texture is wrapped once around it.
+
+    Args:
+        name: Name of the mesh.
+        start, end: Centers of the two end faces (3,), [m].
+        radius: Radius, [m].
+        surface: Material.
+        sides: Number of side faces.
+    """
     start, end = np.asarray(start, np.float64), np.asarray(end, np.float64)
     along = (end - start) / np.linalg.norm(end - start)
     first = np.cross(along, np.eye(3)[np.argmin(np.abs(along))])
@@ -222,7 +242,7 @@ def rod(
     triangles, uvs = [], []
     for i in range(sides):
         a, b, c, d = start + ring[i], start + ring[i + 1], end + ring[i + 1], end + ring[i]
-        # u runs along the rod, so that a brushed or grained texture does too.
+        # u runs along the rod, so that brush marks and grain of a texture do, too.
         uv_a, uv_b, uv_c, uv_d = (0, share[i]), (0, share[i + 1]), (length, share[i + 1]), (length, share[i])
         triangles += [(a, b, c), (a, c, d), (start, b, a), (end, d, c)]
         middle = (0.0, 0.5)
@@ -231,7 +251,7 @@ def rod(
 
 
 def dome(name: str, center: ArrayLike, radii: ArrayLike, surface: Material) -> Mesh:
-    """Upper half of an ellipsoid with radii (3,) on a plane z around a center (3,), [m], texture seen from above."""
+    """Build the upper half of an ellipsoid with a center (3,) and radii (3,), [m]; the texture is projected along z."""
     around = np.arange(21) * 2 * np.pi / 20
     up = np.linspace(0.0, np.pi / 2, 6)
     unit = np.stack(
@@ -248,7 +268,7 @@ def dome(name: str, center: ArrayLike, radii: ArrayLike, surface: Material) -> M
 
 
 def merge_meshes(name: str, meshes: Sequence[Mesh]) -> Mesh:
-    """One mesh of several that share the first one's surface."""
+    """Merge meshes into one with the material of the first."""
     offsets = np.cumsum([0] + [len(m.vertices) for m in meshes[:-1]])
     return replace(
         meshes[0],
@@ -260,7 +280,7 @@ def merge_meshes(name: str, meshes: Sequence[Mesh]) -> Mesh:
 
 
 def _box_face(item: AlignedBox, axis: int, high: bool) -> Array:
-    """Corners (4, 3) of one face, counter-clockwise seen from outside."""
+    """Compute the corners (4, 3) of one face, counterclockwise as seen from outside."""
     low, top = np.array(item.lower), np.array(item.upper)
     i, j = (axis + 1) % 3, (axis + 2) % 3
     quad = np.empty((4, 3))
@@ -275,12 +295,12 @@ def _quads_mesh(name: str, corners: Array, uvs: Array, surface: Material) -> Mes
 
 
 def _halves(quads: Array) -> Array:
-    """Two triangles (2 N, 3, D) of each quad (N, 4, D)."""
+    """Split each quad (N, 4, D) into two triangles (2 N, 3, D)."""
     return quads[:, [[0, 1, 2], [0, 2, 3]]].reshape(-1, 3, quads.shape[-1])
 
 
 def _planar_mesh(name: str, triangles: Array, surface: Material) -> Mesh:
-    """Triangles (N, 3, 3) mapped along the axis that their normal is nearest to; see `boxes_mesh`."""
+    """Build a mesh of triangles (N, 3, 3), each mapped along the axis closest to its normal; see `boxes_mesh`."""
     low = triangles.min((0, 1))
     tile = max(surface.tile_m, float((triangles.max((0, 1)) - low).max()))
     normals = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])

@@ -1,4 +1,7 @@
-"""Textures of made assets: wood, metal, plastic, enamel, glass; prints with words, stickers, keys and screens."""
+"""Procedural textures of parametric assets: wood, metal, plastic, enamel, glass, and prints with words, stickers and keys.
+
+Textures are uint8 images (H, W, 3) in sRGB; arguments `color_srgb` (3,) are in 0..1. Row 0 is the top (v = 1).
+"""
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -8,15 +11,21 @@ from aomgen.core.values import Array
 
 Texture = NDArray[np.uint8]
 
-# Names of makers and products.
+# Fictitious names of brands and products.
 WORDS = ("Orlo", "Vesta", "Kanto", "Milla", "Norden", "Tavi", "Brisk", "Ondea", "Halden", "Pelto")
 KEY_ROWS = ("`1234567890-=", "QWERTYUIOP[]", "ASDFGHJKL;'", "ZXCVBNM,./")
 
 
 def noise(rng: np.random.Generator, size: int, sigma: float | tuple[float, float]) -> Array:
-    """Smooth tileable noise (size, size) with zero mean and unit spread, blurred along rows (v) and columns (u), [px]."""
+    """Sample smooth tileable noise (size, size) with zero mean and unit standard deviation.
+
+    Args:
+        rng: Generator of the noise.
+        size: Height and width, [px].
+        sigma: Standard deviation of the Gaussian blur, [px]; a pair states it along v and u.
+    """
     along_v, along_u = (sigma, sigma) if isinstance(sigma, int | float) else sigma
-    # In the frequency domain a wide blur costs as little as a narrow one, and tiles by itself.
+    # In the frequency domain, the cost is independent of the width of the blur, and the noise is periodic.
     v = np.exp(-2 * (np.pi * along_v * np.fft.fftfreq(size)) ** 2)
     u = np.exp(-2 * (np.pi * along_u * np.fft.rfftfreq(size)) ** 2)
     spectrum = np.fft.rfft2(rng.standard_normal((size, size))) * v[:, None] * u
@@ -25,13 +34,13 @@ def noise(rng: np.random.Generator, size: int, sigma: float | tuple[float, float
 
 
 def tint(color_srgb: ArrayLike, shade: Array) -> Texture:
-    """Texture (H, W, 3): one color (0..1) brightened by `shade` (H, W), +0.1 means 10 %."""
+    """Scale one color by 1 + `shade` (H, W); return the texture (H, W, 3)."""
     image = np.asarray(color_srgb, np.float64) * (1.0 + shade[..., None])
     return np.round(255 * np.clip(image, 0.0, 1.0)).astype(np.uint8)
 
 
 def wood(rng: np.random.Generator, color_srgb: ArrayLike, size: int = 512) -> Texture:
-    """Wood with its grain along u: warped growth rings, fibres and pores."""
+    """Synthesize wood with its grain along u: warped growth rings, fibers and pores."""
     v, u = np.meshgrid(np.linspace(0, 1, size), np.linspace(0, 1, size), indexing="ij")
     warp = 0.05 * noise(rng, size, (24, 120)) + 0.012 * noise(rng, size, (6, 60))
     distance = np.hypot(v - rng.uniform(0.2, 0.8) + warp, 0.06 * (u - rng.uniform(0, 1)))
@@ -43,24 +52,24 @@ def wood(rng: np.random.Generator, color_srgb: ArrayLike, size: int = 512) -> Te
 
 
 def make_brushed_metal(rng: np.random.Generator, color_srgb: ArrayLike, size: int = 512) -> Texture:
-    """Metal brushed along u, with faint smudges."""
+    """Synthesize metal that is brushed along u, with faint smudges."""
     shade = 0.045 * noise(rng, size, (0.5, 40.0)) + 0.03 * noise(rng, size, (30, 30))
     return tint(color_srgb, shade + 0.015 * noise(rng, size, 0.7))
 
 
 def plastic(rng: np.random.Generator, color_srgb: ArrayLike, size: int = 256) -> Texture:
-    """Grained plastic."""
+    """Synthesize grained plastic."""
     return tint(color_srgb, 0.03 * noise(rng, size, 0.8) + 0.02 * noise(rng, size, 18))
 
 
 def make_speckles(rng: np.random.Generator, color_srgb: ArrayLike, size: int = 512) -> Texture:
-    """Enamel or laminate with dark and light speckles."""
+    """Synthesize enamel or laminate with dark and light speckles."""
     fine = noise(rng, size, 1.1)
     return tint(color_srgb, 0.22 * ((fine > 1.7).astype(float) - (fine < -1.6)) + 0.03 * noise(rng, size, 20))
 
 
 def window(rng: np.random.Generator, size: int = 256) -> Texture:
-    """Dark glass in front of a perforated screen, with a soft reflection."""
+    """Synthesize dark glass in front of a perforated screen, with a soft reflection."""
     v, u = np.meshgrid(np.arange(size), np.arange(size), indexing="ij")
     dots = ((u % 6 < 3) & (v % 6 < 3)).astype(float)
     edge = np.minimum.reduce([u, v, size - 1 - u, size - 1 - v]) / (0.10 * size)
@@ -70,7 +79,7 @@ def window(rng: np.random.Generator, size: int = 256) -> Texture:
 
 
 def tread_plate(rng: np.random.Generator, color_srgb: ArrayLike) -> Texture:
-    """Pressed sheet with crossed bars in two directions, worn unevenly."""
+    """Synthesize unevenly worn tread plate with raised bars in two directions."""
     size, pitch = 512, 32
     v, u = np.meshgrid(np.arange(size), np.arange(size), indexing="ij")
     column, row = u // pitch, v // pitch
@@ -85,9 +94,15 @@ def tread_plate(rng: np.random.Generator, color_srgb: ArrayLike) -> Texture:
 def stickers(
     rng: np.random.Generator, color_srgb: ArrayLike, width: int = 448, height: int = 320, count: int = 7
 ) -> Texture:
-    """A grained surface with stickers of several shapes, colors and words, no two alike.
+    """Synthesize a grained surface with stickers of random shapes, colors and words.
 
-    Each is in a separate cell, so that none hides another.
+    Each sticker is in a separate cell of a grid, so stickers do not overlap.
+
+    Args:
+        rng: Generator of the texture.
+        color_srgb: Color of the surface (3,).
+        width, height: Size of the texture, [px].
+        count: Number of stickers.
     """
     size = max(width, height)
     ground = tint(color_srgb, 0.03 * noise(rng, size, 0.8) + 0.03 * noise(rng, size, 20))
@@ -105,7 +120,7 @@ def stickers(
 
 
 def screen(rng: np.random.Generator) -> Texture:
-    """A lit display: hills under a sky, two windows with text, a bar of icons."""
+    """Synthesize the image of a display: a landscape, two windows with text, a bar of icons."""
     width, height = 480, 300
     sky, hill = rng.uniform(0.25, 0.75, 3), rng.uniform(0.1, 0.5, 3)
     share = np.linspace(0, 1, height)[:, None, None]
@@ -132,7 +147,7 @@ def screen(rng: np.random.Generator) -> Texture:
 
 
 def keyboard(rng: np.random.Generator, color_srgb: ArrayLike) -> Texture:
-    """Upper side of a laptop's base: keys, touch pad, a sticker in a corner; upright for its user."""
+    """Synthesize the top of a laptop's base: keys, touchpad and a sticker in a corner, upright for the user."""
     width, height = 512, 352
     ground = tint(color_srgb, 0.03 * noise(rng, width, 0.8) + 0.02 * noise(rng, width, 18))
     image = Image.fromarray(ground[:height])
@@ -157,7 +172,7 @@ def keyboard(rng: np.random.Generator, color_srgb: ArrayLike) -> Texture:
 
 
 def keypad(rng: np.random.Generator, color_srgb: ArrayLike) -> Texture:
-    """Control panel with a clock and twelve keys, upright when v points up."""
+    """Synthesize a tall control panel with a clock and twelve keys."""
     width, height = 192, 448
     image = Image.new("RGB", (width, height), _to_pixel(np.round(255 * np.asarray(color_srgb)), 1))
     draw = ImageDraw.Draw(image)
@@ -182,7 +197,7 @@ def keypad(rng: np.random.Generator, color_srgb: ArrayLike) -> Texture:
 
 
 def key_strip(rng: np.random.Generator, color_srgb: ArrayLike) -> Texture:
-    """Low control panel: a name, a clock, two rows of keys."""
+    """Synthesize a wide control panel with a brand name, a clock and two rows of keys."""
     width, height = 640, 96
     image = Image.new("RGB", (width, height), _to_pixel(color_srgb))
     draw = ImageDraw.Draw(image)
@@ -199,7 +214,7 @@ def key_strip(rng: np.random.Generator, color_srgb: ArrayLike) -> Texture:
 
 
 def label(rng: np.random.Generator) -> Texture:
-    """Rating plate: name, lines of small print, a bar code."""
+    """Synthesize a rating plate with a name, lines of small print and a bar code."""
     width, height = 320, 200
     image = Image.new("RGB", (width, height), _to_pixel(rng.integers(215, 250, 3), 1))
     draw = ImageDraw.Draw(image)
@@ -213,7 +228,7 @@ def label(rng: np.random.Generator) -> Texture:
 
 
 def vents(rng: np.random.Generator, color_srgb: ArrayLike) -> Texture:
-    """Rows of ventilation slots in a colored sheet."""
+    """Synthesize rows of ventilation slots in a colored sheet."""
     width, height = 256, 160
     image = Image.new("RGB", (width, height), _to_pixel(color_srgb))
     draw = ImageDraw.Draw(image)
@@ -227,7 +242,7 @@ def vents(rng: np.random.Generator, color_srgb: ArrayLike) -> Texture:
 
 
 def nameplate(rng: np.random.Generator, color_srgb: ArrayLike, height: int = 56) -> Texture:
-    """Brand name in light or dark letters on the surface's color."""
+    """Synthesize a nameplate with a brand name in light or dark letters on the color of the surface."""
     image = Image.new("RGB", (256, height), _to_pixel(color_srgb))
     ink = (225, 225, 225) if np.asarray(color_srgb).mean() < 0.5 else (35, 35, 40)
     write(ImageDraw.Draw(image), (128, height / 2), str(rng.choice(WORDS)).upper(), 36, ink, "mm")
@@ -242,14 +257,14 @@ def write(
     ink: tuple[int, ...],
     anchor: str | None = None,
 ) -> None:
-    """Words of a size in an ink; see Pillow for anchors."""
+    """Write words at a location, [px], with a font size and color; `anchor` is Pillow's text anchor."""
     draw.text(place, words, fill=ink, font=ImageFont.load_default(size), anchor=anchor)
 
 
 def bar_code(
     draw: ImageDraw.ImageDraw, rng: np.random.Generator, x: tuple[int, int], y: tuple[int, int], gap: int
 ) -> None:
-    """Bars from left to right between two rows, fewer than `gap` apart, [px]."""
+    """Draw the bars of a bar code between two columns `x` and two rows `y`, with gaps below `gap`, [px]."""
     left = x[0]
     while left < x[1]:
         width = int(rng.integers(1, 5))
@@ -258,7 +273,7 @@ def bar_code(
 
 
 def draw_ink(rng: np.random.Generator) -> tuple[int, int, int]:
-    """Any color, 0..255."""
+    """Sample a color, 0..255."""
     r, g, b = (int(c) for c in rng.integers(15, 245, 3))
     return r, g, b
 
