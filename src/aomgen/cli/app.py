@@ -233,7 +233,7 @@ def run(
 ) -> None:
     """Run the stages of a project that are missing or out of date.
 
-    Results that are up to date are kept. docs/dataset.md lists the parameters of the stage "episodes". An unknown name
+    Results that are up to date are kept. docs/episodes.md lists the parameters of the stage "episodes". An unknown name
     is refused with a list of the known ones. Parameters given with --set are stored in the project.toml of the run.
     """
     from aomgen.api.run import change_project
