@@ -126,7 +126,7 @@ def replay(
 ) -> None:
     """Plan for generated objects from recovered demonstrations, and replay the exports (the paper's Table 1).
 
-    `docs/dataset.md` explains the metrics.
+    `docs/episodes.md` explains the metrics.
     """
     from benchmarks.replay_runs import run_replay_bench
 
@@ -177,7 +177,7 @@ def faults(
 ) -> None:
     """Kill runs that make episodes, fill their disk, kill workers, here and on a Ray cluster; continue them.
 
-    Episodes are real but small. `docs/dataset.md` explains the metrics.
+    Episodes are real but small. `docs/episodes.md` explains the metrics.
     """
     from faults import run_faults
 

@@ -187,7 +187,7 @@ def recheck(plan: EpisodePlan, robot: RobotModel, params: PlanParams) -> dict[st
 
 
 def summary(rows: list[dict[str, Any]]) -> dict[str, Any]:
-    """Compute metrics of a sweep's draws; `docs/dataset.md` explains them."""
+    """Compute metrics of a sweep's draws; `docs/episodes.md` explains them."""
     planned = [row for row in rows if not row["reason"]]
     passed = [row for row in planned if not row["failure"]]
     verified = [row for row in planned if "unit" in row]

@@ -27,7 +27,7 @@ EARLIER: Final = 0.8
 
 
 def run_faults(scratch: Path, points: int, tell: Callable[[str], None]) -> dict[str, Any]:
-    """All figures; see `docs/dataset.md`.
+    """All figures; see `docs/episodes.md`.
 
     Args:
         scratch: An empty folder.

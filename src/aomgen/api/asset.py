@@ -77,7 +77,8 @@ class Asset:
         """Make a textured asset with random sizes and style; the same seed gives the same asset.
 
         Args:
-            category: "cabinet", "drawer", "dresser", "laptop", "microwave" or "toolbox".
+            category: "cabinet", "drawer", "laptop", "microwave" or "toolbox"; or "dresser", which makes an object of the
+                category "drawer" that has several fronts.
             seed: Random seed of style, sizes, colors and the side of the hinge.
 
         Raises:

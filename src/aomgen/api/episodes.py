@@ -70,8 +70,8 @@ def generate(
         choices: Other settings of the project, for example `image_size=(256, 256)`.
 
     Yields:
-        Episodes in the order in which they are committed. There are fewer than n for an asset whose attempts are
-        exhausted.
+        Episodes in the order in which they are committed. An asset has fewer than n if the allowed number of
+        samples has been planned.
 
     Raises:
         ConfigError, AssetError: An argument is wrong; the generation has not started.

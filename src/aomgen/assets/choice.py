@@ -18,7 +18,7 @@ from aomgen.errors import AssetError, ConfigError, suggest
 
 Maker = Callable[[np.random.Generator], ArticulatedAsset]
 StyledMaker = Callable[[np.random.Generator, Mapping[str, Any]], ArticulatedAsset]
-# The categories of the benchmark.
+# Generators of the five categories.
 MAKERS: Final[dict[str, StyledMaker]] = {
     "cabinet": make_cabinet,
     "drawer": make_drawer,
@@ -26,7 +26,7 @@ MAKERS: Final[dict[str, StyledMaker]] = {
     "microwave": make_microwave,
     "toolbox": make_toolbox,
 }
-# Categories outside of the benchmark: a dresser is a drawer with several equal fronts.
+# A sixth name, whose objects belong to the category drawer and have several equal fronts.
 OTHER_MAKERS: Final[dict[str, StyledMaker]] = {"dresser": make_drawer}
 
 # Entry of a project's assets that stands for the recorded object, which is available only after reconstruction.

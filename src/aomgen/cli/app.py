@@ -51,7 +51,7 @@ def common(
         typer.Option("--version", callback=_print_version, is_eager=True, help="Print the version and exit."),
     ] = False,
 ) -> None:
-    """Turn one recorded robot demonstration into many photoreal, physically verified demonstrations."""
+    """Turn one recorded robot demonstration into many photoreal demonstrations, each verified in simulation."""
 
 
 @app.command()
@@ -89,9 +89,9 @@ def check(
 ) -> None:
     """Check a capture, a project or an asset.
 
-    Each problem is explained, and no file is changed. The scan images of a capture are also matched at a small size,
-    which takes about ten seconds. Images that overlap with no other image and images with a different exposure are
-    listed, before a run spends minutes on them.
+    The command explains each problem and changes no file. It also matches the scan images of a capture at a small
+    size, which takes about ten seconds, and lists images that overlap with no other image and images with a different
+    exposure.
     """
     from aomgen.assets.choice import asset_file, open_asset
 
@@ -136,7 +136,12 @@ def check(
 @app.command()
 def masks(
     capture: Annotated[Path, typer.Argument(help="Folder with a capture.toml.")],
-    weights: Annotated[str, typer.Option(help="Name of installed SAM 2 weights.")],
+    weights: Annotated[
+        str,
+        typer.Option(
+            help="Name of installed SAM 2 weights; `python -m aomgen.segmentation.sam2_weights --help` installs them."
+        ),
+    ],
 ) -> None:
     """Segment the prompted parts in every scan image with SAM 2.
 
@@ -162,16 +167,18 @@ def init(
         bool,
         typer.Option(
             "--propose",
-            help="First add prompts of the parts that have none to capture.toml, from what moves in the video.",
+            help="First add prompts to capture.toml for the parts that have none, derived from the motion in the video.",
         ),
     ] = False,
 ) -> None:
     """Check a capture and its assets, and write a project file with all settings.
 
-    The file contains the default of every setting, with a comment. With --propose, the prompts that are missing are
-    added to capture.toml first, which takes some minutes: boxes around the robot, the moving part and the static part,
-    found from the motion in the demonstration video. They are marked `proposed = true` with a confidence. Confirm or
-    correct them with `aomgen prompts`.
+    The project file contains every setting with its default value and a comment. An existing project file is not
+    overwritten.
+
+    With --propose, the command first adds missing prompts to capture.toml, which takes some minutes. It derives boxes
+    around the robot, the moving part and the static part from the motion in the demonstration video. They are marked
+    `proposed = true` and have a confidence. Confirm or correct them with `aomgen prompts`.
     """
     from aomgen.capture.read import read_capture
     from aomgen.pipeline.preflight import check_project, machine_warnings, new_project
@@ -207,7 +214,8 @@ def run(
     settings: Annotated[
         list[str] | None,
         typer.Option(
-            "--set", help="Set a stage's parameter: STAGE.NAME=VALUE, as motion.joint.nodes=30; repeatable."
+            "--set",
+            help="Set a parameter of a stage: STAGE.NAME=VALUE, for example motion.joint.nodes=30; repeatable.",
         ),
     ] = None,
     workers: Annotated[
@@ -225,8 +233,8 @@ def run(
 ) -> None:
     """Run the stages of a project that are missing or out of date.
 
-    Results that are up to date are kept. The parameters of episodes are listed in docs/dataset.md; an unknown name
-    is refused with a list of the known ones. Parameters given with --set are stored in the run's project.toml.
+    Results that are up to date are kept. docs/episodes.md lists the parameters of the stage "episodes". An unknown name
+    is refused with a list of the known ones. Parameters given with --set are stored in the project.toml of the run.
     """
     from aomgen.api.run import change_project
     from aomgen.io.schema import merge, parse_setting
@@ -247,7 +255,7 @@ def status(
         bool, typer.Option("--watch", help="Print the status at every change, until the run is complete.")
     ] = False,
 ) -> None:
-    """List the stages of a run, and count its episodes and rejections."""
+    """List the stages of a run with their states, and count episodes and rejected samples."""
     from aomgen.cli.run import status_lines
     from aomgen.pipeline.stages import find_project
 
@@ -276,7 +284,10 @@ def render(
     ],
     state: Annotated[
         Path | None,
-        typer.Option(help="JSON file with joints, gripper, theta and T_world_object, all optional."),
+        typer.Option(
+            help="JSON file with joints [rad], gripper (0 open .. 1 closed), theta (the object's joint value, [rad] or "
+            "[m]) and T_world_object (4x4), all optional."
+        ),
     ] = None,
     labels: Annotated[Path | None, typer.Option(help="Also write the part labels to this PNG.")] = None,
 ) -> None:

@@ -69,9 +69,11 @@ def evaluate_suite(
     results = open_results(run)
     suite = make_suite(results, file, request, workers or results.workers, _tell)
     nearest = suite.nearest
-    apart = f"{nearest.mm:.1f} mm and {nearest.deg:.2f} deg" if nearest else "no episodes yet"
-    print(f"{file}: {len(suite.trials)} trials, {sum(suite.redrawn.values())} redrawn {suite.redrawn}")
-    print(f"nearest to an episode of the training: {apart}")
+    apart = f"{nearest.mm:.1f} mm and {nearest.deg:.2f} deg" if nearest else "the run has no episodes"
+    print(
+        f"{file}: {len(suite.trials)} trials, {sum(suite.redrawn.values())} samples skipped {suite.redrawn}"
+    )
+    print(f"smallest distance of a trial to an episode of the run: {apart}")
 
 
 @evaluate_app.command(DEFAULT_COMMAND)
@@ -200,7 +202,7 @@ def _table(figures: dict[str, Any]) -> str:
         ("policy", f"{figures['policy']}, {figures['action_space']}, {figures['visuals']}"),
         ("success", f"{_share(figures)}, {figures['successes']} of {figures['trials']}"),
         *((f"  {reason}", str(count)) for reason, count in figures["failures"].items()),
-        ("redrawn", json.dumps(figures["redrawn"])),
+        ("skipped", json.dumps(figures["redrawn"])),
     ]
     text = "\n".join(f"{name:14} {value}" for name, value in lines)
     finder = figures.get("finder_error_mm")

@@ -29,7 +29,7 @@ def export(
     format: Annotated[
         str,
         typer.Option(
-            help=f"Format of a dataset of episodes: {DATASET_FORMATS}; or images: labelled images without physics."
+            help=f"Format of a dataset of episodes: {DATASET_FORMATS}; or images: labelled images of random objects."
         ),
     ] = "",
     actions: Annotated[
@@ -41,8 +41,8 @@ def export(
     media: Annotated[
         str,
         typer.Option(
-            help="Images of LeRobot datasets: video (default) or image (PNG); none or keypoints replace them by the pose or the "
-            "keypoints of the object."
+            help="Images of LeRobot datasets: video (default) or image (PNG); or none or keypoints: the "
+            "object's pose or its keypoints instead of images."
         ),
     ] = "",
     size: Annotated[
@@ -81,20 +81,20 @@ def export(
         list[str] | None,
         typer.Option(
             "--category",
-            help="Labelled images: category of generated objects; repeatable. Default: those of the run.",
+            help="Labelled images: category of parametric objects; repeatable. Default: those of the run.",
         ),
     ] = None,
     assets: Annotated[
         list[str] | None,
         typer.Option(
             "--asset",
-            help="Labelled images: category:seed or a USD file, used in turn with those of --category; repeatable.",
+            help="Labelled images: category:seed or a USD file; alternates with the objects of --category; repeatable.",
         ),
     ] = None,
     styles: Annotated[
         list[str] | None,
         typer.Option(
-            "--style", help="Labelled images: style of generated objects; repeatable. Default: all styles."
+            "--style", help="Labelled images: style of parametric objects; repeatable. Default: all styles."
         ),
     ] = None,
     workers: Annotated[
@@ -109,9 +109,10 @@ def export(
 ) -> None:
     """Write the twin, a dataset of the episodes, or labelled images.
 
-    The suffix of the target selects a format of the twin for other programs. With --format the committed episodes are
-    written as a dataset, without those that a person has rejected; with --format images, labelled images of random
-    objects, which need no physics.
+    Without --format, the command writes the twin as a file for other programs, in the format of the target's suffix.
+    With --format and the name of a dataset format, it writes the committed episodes as a dataset; episodes that a
+    person has rejected in `aomgen view` are left out. With --format images, it renders labelled images of random
+    objects; these are neither planned nor simulated.
     """
     from aomgen.exports.formats import TWIN_SUFFIXES, export_twin
     from aomgen.pipeline.runner import results_of
@@ -146,7 +147,9 @@ def export(
     made = export_dataset(
         _episodes(out), target.resolve(), format, actions=actions, media=media, size=size, val=val
     )
-    print(f"wrote {target}: {len(made.train)} + {len(made.val)} episodes, {made.frames} frames")
+    print(
+        f"wrote {target}: {len(made.train)} training and {len(made.val)} validation episodes, {made.frames} frames"
+    )
 
 
 def _export_images(
@@ -184,7 +187,10 @@ def audit(
     dataset: Annotated[Path, typer.Argument(help="Folder of a dataset, in any format of `aomgen export`.")],
     out: RunFolder,
 ) -> None:
-    """Compare a dataset with the committed episodes of a run that no person has rejected."""
+    """Compare a dataset with the episodes of a run.
+
+    Episodes that a person has rejected in `aomgen view` are excluded.
+    """
     from aomgen.datasets.audit import audit_dataset
 
     found = audit_dataset(dataset, _episodes(out))

@@ -27,7 +27,10 @@ Values = list[str] | None
 @assets_app.command("make")
 def assets_make(
     category: Annotated[
-        str, typer.Argument(help="Category: cabinet, drawer, dresser, laptop, microwave or toolbox.")
+        str,
+        typer.Argument(
+            help="Category: cabinet, drawer, laptop, microwave or toolbox; or dresser, for a drawer with several fronts."
+        ),
     ],
     path: Annotated[Path, typer.Argument(help="USD file to write, for example microwave.usda.")],
     seed: Annotated[

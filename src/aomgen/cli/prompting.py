@@ -18,9 +18,9 @@ def prompts(
     """Mark the robot and the object's two parts on scan images.
 
     The command opens a page in a browser. Click on a part to see its mask; shift-click regions that do not belong to
-    it, or drag a box. Each part needs a box on two images. "Save" replaces the [[prompts]] of capture.toml and
-    nothing else; "Done" ends the command. If there is no capture.toml, the command first asks for the robot and the
-    columns of the log.
+    it, or drag a box. Each part needs a box, preferably on two images. "Save" replaces the [[prompts]] of capture.toml
+    and nothing else; "Done" ends the command. If there is no capture.toml, the command first asks for the robot and
+    the columns of the log.
     """
     from aomgen.prompting.server import PromptServer
     from aomgen.prompting.session import PromptSession, find_missing

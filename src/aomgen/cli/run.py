@@ -102,8 +102,8 @@ def status_lines(project: "Project") -> tuple[list[str], bool]:
         for account in read_accounts(folder) if stage.name == "episodes" else ():
             lines.append(
                 f"         {account.asset}: {account.committed} of {account.requested} episodes committed, "
-                f"{account.rejected} rejected, {account.left} remaining, after {account.attempts} attempts"
-                + (f" (samples not used: {account.why})" if account.why else "")
+                f"{account.rejected} missing, {account.left} remaining; {account.attempts} samples planned"
+                + (f" (rejected or skipped: {account.why})" if account.why else "")
             )
     return lines, left
 

@@ -57,7 +57,7 @@ class GenerationParams:
         ranges: Ranges of the variations.
         plan: Parameters of the planning; its rate is the recording's.
         bolted: The object is fixed to its support; False lets it stand by friction.
-        attempts_per_episode: Number of draws tried for each requested episode before giving up.
+        attempts_per_episode: Largest number of samples that are planned for each requested episode.
         cameras: Names of the scene's cameras that are used; empty for all.
         free_cameras: Number of added cameras, placed by `ranges.free`.
         images: Kinds of images that are stored, and whether the robot's cameras are rendered.

@@ -1,4 +1,4 @@
-"""Request episodes until every asset has enough, or as many attempts as are allowed have failed.
+"""Request episodes until every asset has enough, or the allowed number of samples has been planned.
 
 The draws that are tried do not depend on the number of workers: no more draws of an asset
 are begun than are missing.
@@ -139,7 +139,9 @@ def generate(
         tried = sum(quota.begun for quota in quotas)
         total = request.episodes * len(quotas)
         name = request.assets[done.unit.asset]
-        progress(made / total, f"{made} of {total} committed, {tried - made} other attempts ({name})")
+        progress(
+            made / total, f"{made} of {total} committed, {tried - made} rejected or in progress ({name})"
+        )
     _remove_staging(folder)  # of workers that have died meanwhile
     _forget_others(folder, quotas)
     write_draws(folder, _outcomes(folder, request, quotas, committed))

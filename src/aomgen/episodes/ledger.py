@@ -3,7 +3,7 @@
 ```
 request.json          requested episodes of each asset
 000005/               a committed episode: asset 0, draw 5
-rejected/100002.json  an attempt without an episode, and the reason: asset 1, draw 2
+rejected/100002.json  a rejected draw, and the reason: asset 1, draw 2
 objects/000005/       the object of an episode that has another size than its asset
 draws.json            when all is done: every draw with its outcome, also those that were not tried
 ```
@@ -52,7 +52,13 @@ class Unit:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Request:
-    """Requested episodes of each asset, by name and in the order of their numbers, and attempts allowed for them."""
+    """Requested episodes of each asset, by name and in the order of their numbers.
+
+    Attributes:
+        assets: Names of the assets.
+        episodes: Number of requested episodes of each asset.
+        attempts: Largest number of samples of each asset that are planned.
+    """
 
     assets: tuple[str, ...]
     episodes: int
@@ -65,10 +71,10 @@ class Account:
 
     Attributes:
         asset: Its name.
-        requested, committed, rejected, left: Numbers of episodes; `rejected` counts those for
-            which all attempts failed.
-        attempts: Number of attempts that have ended.
-        reasons: Number of rejected attempts and of skipped samples by reason.
+        requested, committed, rejected, left: Numbers of episodes; `rejected` counts those that are missing
+            because the allowed number of samples has been planned.
+        attempts: Number of samples that were planned, committed or rejected.
+        reasons: Number of rejected and of skipped samples by reason.
     """
 
     asset: str
@@ -99,7 +105,7 @@ def write_request(folder: Path, request: Request) -> None:
 
 
 def write_rejection(folder: Path, unit: Unit, variation: Variation, rejection: Rejection) -> None:
-    """Store why an attempt gave no episode.
+    """Store why a sample was rejected.
 
     Raises:
         StorageError: The file cannot be written.
@@ -110,7 +116,7 @@ def write_rejection(folder: Path, unit: Unit, variation: Variation, rejection: R
 
 
 def rejection_file(folder: Path, unit: Unit) -> Path:
-    """Return the path of the file that states why an attempt gave no episode."""
+    """Return the path of the file that states why a sample was rejected."""
     return folder / REJECTED_FOLDER / f"{unit.number:06d}.json"
 
 
@@ -120,7 +126,7 @@ def object_folder(folder: Path, unit: Unit) -> Path:
 
 
 def read_rejection(folder: Path, unit: Unit) -> Rejection:
-    """Read why an attempt gave no episode.
+    """Read why a sample was rejected.
 
     Raises:
         MissingFileError, MalformedFileError: The file is missing or malformed.

@@ -101,8 +101,8 @@ def open_executor(results: Results, opener: Opener, timeout_s: float) -> Executo
 def account_sentence(account: Account) -> str:
     """Describe the outcome of an asset's request in one sentence."""
     return (
-        f"asset {account.asset}: {account.committed} of {account.requested} episodes after {account.attempts} attempts "
-        f"({account.why or 'none tried'})"
+        f"asset {account.asset}: {account.committed} of {account.requested} episodes from {account.attempts} planned samples "
+        f"({account.why or 'no sample'})"
     )
 
 

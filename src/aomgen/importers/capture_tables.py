@@ -28,7 +28,7 @@ images = {scan}                       # TODO: folder of 40 to 100 stills from a 
 # intrinsics = [fx, fy, cx, cy]       # optional, in px
 
 {demo}
-# TODO: prompts; each part needs a box on two scan images:
+# TODO: prompts; each part needs a box, preferably on two scan images:
 # [[prompts]]
 # part = "moving"                     # robot, moving or static
 # image = "0003.jpg"

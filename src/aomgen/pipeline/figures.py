@@ -136,7 +136,7 @@ FIGURES: Final[dict[str, dict[str, Figure]]] = {
     "episodes": {
         "episodes": Figure(name="episodes"),
         "short": Figure(name="missing"),
-        "rejected": Figure(name="attempts rejected"),
+        "rejected": Figure(name="samples rejected"),
         "skipped": Figure(name="samples skipped"),
         # The pass rule requires 90 % of the planned travel in every setting.
         "smallest_margin": Figure(

@@ -34,7 +34,7 @@ class Draw:
         asset: Name of the object.
         outcome: See `Outcome`.
         reason, detail: Reason and detail of a rejection; for an episode, the nearest limit and the metric in words.
-        room: Margin to the nearest limit, 0..1 (see `LimitReading`); negative beyond it; None if no limit is stated.
+        room: Normalized margin to the nearest limit (see `LimitReading`), negative beyond it; None without a limit.
         variation: The stored variation; empty if it is unknown.
         metrics: Metrics of a rejection.
         bodies: Names of the bodies whose overlap is the reason of the rejection.

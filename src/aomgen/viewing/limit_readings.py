@@ -6,7 +6,7 @@ from typing import Any, Final
 
 from aomgen.pipeline.figures import FIGURES, read_figure
 
-# Metrics by which planning compares attempts; a person cannot use them.
+# Metrics by which planning compares candidates; a person cannot use them.
 _INTERNAL: Final = ("in_contact", "path_share")
 
 
@@ -18,7 +18,7 @@ class LimitReading:
         figure: Name of the metric with unit, for example "torque_share".
         name: Name in words.
         value, limit: Value and limit with their unit; the limit with its inequality sign.
-        room: Margin to the limit, divided by the margin of the best value: 1 at the best value, 0 at the limit.
+        room: Normalized margin, the margin divided by that of the best value: 1 at the best value, 0 at the limit.
         setting: Simulated setting of the object in which the metric is worst; empty for metrics of the plan.
     """
 
@@ -31,7 +31,7 @@ class LimitReading:
 
 
 def read_limits(verdict: Mapping[str, Any]) -> list[LimitReading]:
-    """List all metrics of a stored `Verdict` with their limits, the smallest margin first.
+    """List all metrics of a stored `Verdict` with their limits, the smallest normalized margin first.
 
     Raises:
         KeyError, TypeError, ValueError: The values are not a verdict of an episode.

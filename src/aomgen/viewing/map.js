@@ -2,7 +2,7 @@
 "use strict";
 const OUTCOMES = {
   committed: {name: "episode", color: "#2c7a4b"}, rejected: {name: "rejected", color: "#d1495b"},
-  skipped: {name: "not tried", color: "#b9c2cf"}, damaged: {name: "damaged", color: "#e8a33d"},
+  skipped: {name: "skipped", color: "#b9c2cf"}, damaged: {name: "damaged", color: "#e8a33d"},
 };
 const MAP_PX = 640, MAP_ROOM_M = 0.12, LINED = 400;
 

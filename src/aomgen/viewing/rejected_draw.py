@@ -24,7 +24,7 @@ def replan_draw(results: Results, draw: Draw) -> CommittedEpisode:
     """Plan a rejected sample again, and return its motion as an episode without videos.
 
     If the simulation has refused the plan, the motion is the whole plan. Otherwise it is the state with the
-    largest violation in the attempt that progressed farthest, or else the arm at the demonstrated start.
+    largest violation in the candidate that progressed farthest, or else the arm at the demonstrated start.
 
     Args:
         results: Results of a run whose stage "replacement" has finished.
@@ -45,7 +45,7 @@ def replan_draw(results: Results, draw: Draw) -> CommittedEpisode:
     elif planned.worst is not None:
         shown, what = (
             planned.worst,
-            "The page shows the worst violation of the attempt that progressed farthest.",
+            "The page shows the worst violation of the candidate that progressed farthest.",
         )
     else:
         what = "The state of the arm is not known; the page shows its start."

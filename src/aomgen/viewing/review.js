@@ -2,7 +2,7 @@
 "use strict";
 // Interval of looking for new draws and decisions of other windows, [ms].
 const POLL_MS = 3000;
-const NAMES = {committed: "episodes", rejected: "rejected", skipped: "not tried", damaged: "damaged"};
+const NAMES = {committed: "episodes", rejected: "rejected", skipped: "skipped", damaged: "damaged"};
 const ORDER = ["damaged", "committed", "rejected", "skipped"];
 const DECISIONS = {undecided: "undecided", accepted: "accepted", rejected: "rejected"};
 let draws = [], meanings = {}, version = "", cards = new Map(), hidden = new Set(), shown = [], scrolled = 0;
@@ -72,7 +72,7 @@ function card(draw) {
   const kind = draw.room === null || draw.room < 0 ? "over" : draw.room < 0.25 ? "tight" : "";
   link.innerHTML = `${images}<div class="line"><b>${String(draw.number).padStart(6, "0")}</b><span>${escape(draw.asset)}</span>${badge}</div>
     <div class="dim">${escape(draw.place)}</div><div>${cause}</div>${sentence}
-    ${share === null ? "" : `<div class="room" title="${draw.room < 0 ? "beyond the limit by" : "margin to the limit:"} ${(100 * Math.abs(draw.room)).toFixed(0)} %"><i class="${kind}" style="width:${(100 * share).toFixed(0)}%"></i></div>`}
+    ${share === null ? "" : `<div class="room" title="${draw.room < 0 ? "beyond the limit by" : "normalized margin to the limit:"} ${(100 * Math.abs(draw.room)).toFixed(0)} %"><i class="${kind}" style="width:${(100 * share).toFixed(0)}%"></i></div>`}
     ${draw.tags.map(tag => `<span class="chip">${escape(tag)}</span>`).join("")}${draw.note ? `<div class="dim">${escape(draw.note)}</div>` : ""}`;
   cards.set(draw.number, {text, card: link});
   return link;

@@ -27,7 +27,7 @@ def run(tmp_path_factory) -> Path:
 def test_export_and_audit(run, tmp_path):
     made = aomgen("export", run, "opening", "--format", "rlds", "--size", "64x48", folder=tmp_path)
     assert (made.returncode, made.stderr) == (0, "")
-    assert made.stdout == "wrote opening: 2 + 1 episodes, 36 frames\n"
+    assert made.stdout == "wrote opening: 2 training and 1 validation episodes, 36 frames\n"
     found = aomgen("audit", "opening", run, folder=tmp_path)
     assert (found.returncode, found.stderr) == (0, "")
     assert "2 train + 1 val of 3, 36 frames, actions ee_delta" in found.stdout
@@ -38,7 +38,7 @@ def test_rejected_episodes_are_left_out(run, tmp_path):
     change_review(reviewed, reviewed / "08_episodes" / "000001", ReviewChange(decision="rejected"))
     made = aomgen("export", "reviewed", "d", "--format", "lerobot-v3", folder=tmp_path)
     said = "left out 1 of 3 episodes: review.json rejects them\n"
-    assert made.stdout == f"{said}wrote d: 2 + 0 episodes, 27 frames\n"
+    assert made.stdout == f"{said}wrote d: 2 training and 0 validation episodes, 27 frames\n"
     found = aomgen("audit", "d", "reviewed", folder=tmp_path)
     assert (found.returncode, found.stderr) == (0, "")
     assert found.stdout.startswith(f"{said}episodes  2 train of 2, 27 frames")

@@ -263,7 +263,7 @@ def test_an_episode_that_closes_its_object_begins_open_and_ends_closed(tmp_path)
 
 def test_an_asset_that_never_opens_far_enough_is_told_with_its_reasons(tmp_path):
     results = toy_run(tmp_path, params={"ranges": {"scale": [0.3, 0.3]}, "attempts_per_episode": 2}, poses=1)
-    with pytest.raises(NotEnoughEpisodesError, match="drawer-0: 0 of 1 episodes after 2 attempts"):
+    with pytest.raises(NotEnoughEpisodesError, match="drawer-0: 0 of 1 episodes from 2 planned samples"):
         run(results, results.folders["episodes"], lambda share, text: None)
     assert all(account.left == 0 for account in read_accounts(results.folders["episodes"]))
 
@@ -326,7 +326,7 @@ def test_an_asset_without_a_place_leaves_the_others_theirs(tmp_path):
     found = run(results, results.folders["episodes"], lambda share, text: None)
     assert found["episodes"] == 1
     (warning,) = found["warnings"]
-    assert warning.startswith("asset drawer-1: 0 of 1 episodes after 0 attempts")
+    assert warning.startswith("asset drawer-1: 0 of 1 episodes from 0 planned samples")
     assert "off_table" in warning
 
 
