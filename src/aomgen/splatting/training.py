@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from aomgen.core.camera import Camera
 from aomgen.core.gaussians import Gaussians
 from aomgen.core.progress import Progress
+from aomgen.errors import ConfigError
 from aomgen.splatting import native
 from aomgen.splatting.checkpoint import (
     Checkpoint,
@@ -63,8 +64,8 @@ class TrainingParams:
     Attributes:
         iterations: Number of iterations; each renders one image.
         sh_degree: SH degree of the result, 0..3.
-        downsampling: Pairs (share of the iterations, factor): from this share on, the sides of images are divided by
-            the factor.
+        downsampling: Pairs (share of the iterations, factor) by increasing share, the first one 0: from this share on, the
+            sides of images are divided by the factor.
         max_gaussians: Limit of the number of Gaussians.
         grow_every: Iterations between relocations.
         min_opacity: Gaussians of lower opacity are relocated, and removed from the result.
@@ -88,6 +89,19 @@ class TrainingParams:
     exposure: bool = True
     refine_poses: bool = False
     refine_from: float = 0.15
+
+    def __post_init__(self) -> None:
+        shares = [share for share, _ in self.downsampling]
+        if (
+            shares[:1] != [0.0]
+            or shares != sorted(shares)
+            or any(factor < 1 for _, factor in self.downsampling)
+        ):
+            raise ConfigError(
+                "parameter 'gaussians.training.downsampling'",
+                f"is {self.downsampling}",
+                "use pairs of a share, beginning with 0, and a factor of at least 1, e.g. [[0.0, 2], [0.3, 1]]",
+            )
 
 
 def train(

@@ -9,6 +9,7 @@ import torch
 
 from aomgen.core.gaussians import Gaussians
 from aomgen.core.progress import silent
+from aomgen.errors import ConfigError
 from aomgen.splatting.compute import Compute, NativeCompute, TorchCompute
 from aomgen.splatting.differentiable import CpuRasterizer
 from aomgen.splatting.metrics import psnr, ssim
@@ -244,3 +245,11 @@ def test_every_view_is_looked_at_before_any_twice() -> None:
         seen = np.concatenate([choose_error_views(views, count, turn) for turn in range(turns)])
         assert set(seen) == set(range(views))
         assert len(seen) == turns * min(count, views)
+
+
+@pytest.mark.parametrize("downsampling", [(), ((0.1, 2),), ((0.0, 2), (0.5, 1), (0.3, 1)), ((0.0, 0),)])
+def test_schedules_without_a_size_for_each_iteration_are_refused(
+    downsampling: tuple[tuple[float, int], ...],
+) -> None:
+    with pytest.raises(ConfigError, match="downsampling"):
+        TrainingParams(downsampling=downsampling)
