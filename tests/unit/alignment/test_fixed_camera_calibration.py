@@ -173,6 +173,7 @@ def test_several_cameras_and_their_clocks_are_found_and_a_blind_one_is_kept(stag
     assert np.linalg.norm(apply(found.S_world_recon @ S_RECON_WORLD, elbow) - elbow) < 0.002
 
 
+@pytest.mark.slow
 def test_a_clock_that_drifts_is_refused_with_the_factor(stage: Stage) -> None:
     found = calibrate(stage, {"front": camera_video(FRONT, stage.film(FRONT, 0.5, rate=0.02))})
     camera = found.cameras["front"]
@@ -184,6 +185,7 @@ def test_a_clock_that_drifts_is_refused_with_the_factor(stage: Stage) -> None:
     assert factor == pytest.approx(1 / 1.02, abs=0.002)
 
 
+@pytest.mark.slow
 def test_a_known_clock_is_kept_and_a_slightly_wrong_calibration_contradicted(stage: Stage) -> None:
     wrong = FRONT.T_world_cam @ transform(np.eye(3), [0.02, 0.0, 0.01])
     cameras = {"front": camera_video(FRONT, stage.film(FRONT, 0.2), wrong)}
@@ -237,6 +239,7 @@ def test_a_gross_calibration_is_refused_with_its_mistake(stage: Stage, wrong: np
     assert hint in str(refused.value)
 
 
+@pytest.mark.slow
 def test_joint_zeros_are_found_with_the_moving_arm(stage: Stage, front_film: Video) -> None:
     zeros = np.radians([0.0, 0.4, -0.4, 0.3, -0.3, 0.0])
     found = calibrate(worse(stage, -zeros), {"front": camera_video(FRONT, front_film)})

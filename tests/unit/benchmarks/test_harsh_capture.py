@@ -13,6 +13,8 @@ from benchmarks.harsh_capture import FOCAL_SHARE, JOINT_ZERO_RAD, K1, degrade_ca
 from synthetic.scene_recording import Conditions
 from synthetic.world import make_capture
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(scope="module")
 def captures(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:

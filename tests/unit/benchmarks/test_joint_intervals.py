@@ -35,6 +35,7 @@ def test_a_seed_is_a_world() -> None:
     assert not np.array_equal(draw_world(4).joint.axis, draw_world(5).joint.axis)
 
 
+@pytest.mark.slow
 def test_most_intervals_hold_the_truth() -> None:
     rows = [measure_world(seed) for seed in range(8, 16)]
     assert sum(bool(item.failure) for item in rows) <= 1

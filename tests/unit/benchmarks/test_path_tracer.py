@@ -28,6 +28,7 @@ def scenes(tmp_path_factory):
     return tmp_path_factory.mktemp("scenes")
 
 
+@pytest.mark.slow
 def test_a_scene_is_described_with_materials_and_textures(world, scenes):
     with PathTracedRenderer(world, CONDITIONS.size, scenes, LIGHT) as painter:
         painter._described.write(painter.folder)

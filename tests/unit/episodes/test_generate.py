@@ -261,6 +261,7 @@ def test_an_episode_that_closes_its_object_begins_open_and_ends_closed(tmp_path)
     assert (episode.verdict["start_theta"], episode.verdict["target_theta"]) == (0.15, 0.0)
 
 
+@pytest.mark.slow
 def test_an_asset_that_never_opens_far_enough_is_told_with_its_reasons(tmp_path):
     results = toy_run(tmp_path, params={"ranges": {"scale": [0.3, 0.3]}, "attempts_per_episode": 2}, poses=1)
     with pytest.raises(NotEnoughEpisodesError, match="drawer-0: 0 of 1 episodes from 2 planned samples"):
@@ -315,6 +316,7 @@ def test_ranges_that_hold_no_place_are_refused_before_work(tmp_path, name):
     ElementTree.parse(picture)
 
 
+@pytest.mark.slow
 def test_an_asset_without_a_place_leaves_the_others_theirs(tmp_path):
     around = fitted_drawer().T_world_asset[:2, 3]
     table = replace(SUPPORT, low_xy=around - 2, high_xy=around + 2)

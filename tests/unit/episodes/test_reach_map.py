@@ -24,6 +24,7 @@ def found(solver: IkSolver, fitted: FittedAsset, demo: Demonstration) -> ReachMa
     return map_reach(fitted, demo, RANGES, solver, PlanParams())
 
 
+@pytest.mark.slow
 def test_what_can_be_planned_is_on_the_map(
     robot: RobotModel, solver: IkSolver, fitted: FittedAsset, demo: Demonstration, found: ReachMap
 ) -> None:

@@ -221,6 +221,7 @@ def shaded_by_itself(scene, rays=64):
     return replace(scene.twin, gaussians=scene.twin.gaussians.with_sh(sh))
 
 
+@pytest.mark.slow
 def test_light_is_read_from_the_robot_of_a_scene_past_its_shadow_on_itself(toy_scene):
     twin = shaded_by_itself(toy_scene)
     views = [camera_at((np.cos(a), np.sin(a), 2.0), (0.0, 0.0, 0.2)) for a in np.linspace(0, 6, 12)]

@@ -136,6 +136,7 @@ def scanned(gaussians, labels, folder, progress=silent):
     return views, masks, prompted, segmenter
 
 
+@pytest.mark.slow
 def test_parts_of_a_known_scene_are_found():
     gaussians, labels = scene()
     views, masks, prompted, _ = scanned(gaussians, labels, None)

@@ -88,6 +88,7 @@ def test_gaussians_stay_on_the_link_that_they_belong_to(
     assert len(fitted[0].gaussians) + len(fitted[1].gaussians) <= 12_000
 
 
+@pytest.mark.slow
 def test_what_lies_behind_a_window_shows_through(asset: ArticulatedAsset) -> None:
     """The door's panes, one behind the other, each let 60 % through: 36 % of a white background."""
     meshes = tuple(replace(m, opacity=0.4) if "window" in m.name else m for m in asset.moving.meshes)

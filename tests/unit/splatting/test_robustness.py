@@ -234,6 +234,7 @@ def _gigantic_splats() -> None:
     assert peak_bytes < 2.5e9, f"{peak_bytes / 1e9:.2f} GB"
 
 
+@pytest.mark.slow
 def test_too_many_pairs_are_refused_in_bounded_memory() -> None:
     run_in_child(_gigantic_splats)
 

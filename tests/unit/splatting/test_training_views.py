@@ -56,6 +56,7 @@ PARAMS = TrainingParams(
 )
 
 
+@pytest.mark.slow
 def test_perturbed_poses_are_found_again() -> None:
     scene, truth = checkered(4000, 0), ring(16) + ring(8, height=1.3, shift=0.5)
     given = perturbed(truth, 0.008, 0.013)

@@ -187,6 +187,7 @@ def test_contradicted_and_missing_poses_are_estimated(photographs):
     assert _errors(structure, cameras).max() < 0.01
 
 
+@pytest.mark.slow
 def test_poses_of_other_axes_are_not_used(photographs):
     images, cameras, *_ = photographs
     poses = {name: T @ np.diag([1.0, -1.0, -1.0, 1.0]) for name, T in _given_poses(cameras).items()}
