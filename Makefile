@@ -4,7 +4,7 @@ PYTHON ?= python3
 VENV ?= .venv
 OUT ?= out
 BIN := $(VENV)/bin
-CONSTRAINTS := constraints/cpu-py311.txt
+CONSTRAINTS := constraints/cpu.txt
 export PIP_DISABLE_PIP_VERSION_CHECK = 1
 
 .PHONY: demo docs test slow-test coverage check format scores build install weights native sanitize neon blender-env policy-env policy-gpu environments datasets-test api-test tutorials robots-test models-test clean

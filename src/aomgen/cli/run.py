@@ -32,7 +32,6 @@ LEAVE_BAR = "\r\x1b[2K\x1b[?25h"
 EXIT_BUG = 70
 # Settings of every command line of the repository.
 COMMAND_LINE: Final[dict[str, Any]] = {
-    "add_completion": False,
     "no_args_is_help": True,
     "pretty_exceptions_enable": False,
     "rich_markup_mode": None,
