@@ -75,7 +75,7 @@ policy-gpu: policy-env
 	else echo "skipped: PyTorch sees no GPU in .venv-policy"; fi
 
 # The libraries that people train with read a finished run's episodes in every format, and other makers' checkers judge our
-# files, each in an environment of its own.
+# files, each in an environment of its own; needs npm.
 READERS := policy lerobot-v21 tfds robomimic judges
 environments: $(READERS:%=.venv-%/installed.stamp)
 

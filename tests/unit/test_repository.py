@@ -39,6 +39,7 @@ def test_every_supported_python_is_tested():
     versions = re.findall(r"3\.\d+", matrix[1])
     assert versions == ["3.11", "3.12", "3.13"]
     assert PROJECT["project"]["requires-python"] == ">=3.11,<3.14"
+    assert versions == [kind.split()[-1] for kind in PROJECT["project"]["classifiers"] if "Python ::" in kind]
 
 
 def test_named_targets_exist():
