@@ -4,10 +4,10 @@ PYTHON ?= python3
 VENV ?= .venv
 OUT ?= out
 BIN := $(VENV)/bin
-CONSTRAINTS := constraints/cpu-py311.txt
+CONSTRAINTS := constraints/cpu.txt
 export PIP_DISABLE_PIP_VERSION_CHECK = 1
 
-.PHONY: demo docs test slow-test coverage check format scores build install weights native sanitize neon blender-env policy-env policy-gpu environments datasets-test api-test tutorials robots-test models-test clean
+.PHONY: demo docs test slow-test coverage check format scores build package-test install develop weights native sanitize neon blender-env policy-env policy-gpu environments datasets-test api-test tutorials robots-test models-test clean
 
 demo: install
 	$(BIN)/aomgen demo $(OUT)
@@ -48,7 +48,16 @@ scores: $(VENV)/dev.stamp weights
 build: $(VENV)/pip.stamp
 	$(BIN)/pip wheel -q --no-deps -w dist .
 
+# The wheel in an environment without the checkout.
+package-test: $(VENV)/dev.stamp weights
+	rm -rf build/package
+	$(BIN)/pip wheel -q --no-deps -w build/package .
+	$(BIN)/python tests/package_check.py build/package
+
 install: $(VENV)/demo.stamp weights
+
+# An environment for changes of AOMGen: also the tests' packages and the programs of `make check`.
+develop: $(VENV)/dev.stamp weights
 
 # The real LeRobot with our plug-ins, in an environment of its own: `. .venv-policy/bin/activate; lerobot-train ...`
 policy-env: .venv-policy/installed.stamp weights
@@ -66,7 +75,7 @@ policy-gpu: policy-env
 	else echo "skipped: PyTorch sees no GPU in .venv-policy"; fi
 
 # The libraries that people train with read a finished run's episodes in every format, and other makers' checkers judge our
-# files, each in an environment of its own.
+# files, each in an environment of its own; needs npm.
 READERS := policy lerobot-v21 tfds robomimic judges
 environments: $(READERS:%=.venv-%/installed.stamp)
 

@@ -8,7 +8,7 @@ import typer
 from aomgen.cli.run import COMMAND_LINE, run_command
 from aomgen.errors import ConfigError
 
-app = typer.Typer(**COMMAND_LINE)
+app = typer.Typer(**COMMAND_LINE, add_completion=False)
 
 
 @app.command()

@@ -6,7 +6,11 @@ import shutil
 from pathlib import Path
 
 import pytest
+from hypothesis import settings
 
+# A time limit for each example would fail on a busy machine.
+settings.register_profile("any machine", deadline=None)
+settings.load_profile("any machine")
 os.environ.setdefault("MUJOCO_GL", "egl")
 # The matrices here are small: a second thread of the linear algebra doubles their time, mostly by waiting.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")

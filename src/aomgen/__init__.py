@@ -11,6 +11,7 @@ The names in `__all__` are public and keep their meaning within a minor version;
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
+from aomgen.errors import explain_missing_module
 from aomgen.version import __version__ as __version__
 
 if TYPE_CHECKING:
@@ -101,7 +102,13 @@ def __getattr__(name: str) -> Any:
     if name not in _HOMES:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}; it has {', '.join(_HOMES)}")
     module, _, attribute = _HOMES[name].partition(":")
-    return getattr(import_module(f"{__name__}.{module}"), attribute)
+    try:
+        return getattr(import_module(f"{__name__}.{module}"), attribute)
+    except ModuleNotFoundError as error:
+        missing = explain_missing_module(error)
+        if missing is None:
+            raise
+        raise missing from error
 
 
 def __dir__() -> list[str]:

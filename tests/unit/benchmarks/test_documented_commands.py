@@ -69,6 +69,8 @@ DOCUMENTS = [
     *sorted((REPOSITORY / "docs").glob("*.md")),
     *sorted((REPOSITORY / "examples").glob("*.py")),
 ]
+# Options that write to the user's shell while they are parsed.
+COMPLETION = ("--install-completion", "--show-completion")
 COMMANDS = [command for path in DOCUMENTS for command in find_commands(path)]
 
 
@@ -78,6 +80,9 @@ def parse(command: Any, words: list[str], *, complete: bool) -> None:
     Raises:
         UsageError: A command, a flag or a value that there is not.
     """
+    if words and words[0] in COMPLETION:
+        assert words[0] in [option for parameter in command.params for option in parameter.opts]
+        return
     # A placeholder may stand for a number.
     words = ["1" if PLACEHOLDER.fullmatch(word) else word for word in words]
     try:
