@@ -241,11 +241,14 @@ def follow_pushed_part(
         times_s, values: Dense times of the touch [s], and the joint value if the gripper held the part all
             the time (T,), smooth, growing in the demonstrated direction.
         hand: The touching point (T, 3) in the world, and relative to the part if the gripper held it, [m].
-        seen_s: First estimate of start and end, [s]; the gripper pushes at their middle.
+        seen_s: First estimate of start and end, [s]. The gripper certainly pushes at the frame that differs most from both the
+            first and the last state of the part, or at the middle of this interval if the video shows no change.
         leave: Change of the value at which a motion has begun, see `find_motion_tolerance`.
         picture: Changes in the video during the touch.
     """
-    middle = int(np.argmin(np.abs(times_s - sum(seen_s) / 2)))
+    scores = picture.seen.scores
+    pushing_s = picture.times_s[np.argmax(scores)] if scores.max() > 3 * picture.noise else sum(seen_s) / 2
+    middle = int(np.argmin(np.abs(times_s - pushing_s)))
     gone = middle + _left(times_s[middle:], *(points[middle:] for points in hand))
     farthest = _farthest(values[np.minimum(np.arange(len(values)), gone - 1)], middle)
     along = np.zeros((len(values), 3))
