@@ -7,7 +7,7 @@ BIN := $(VENV)/bin
 CONSTRAINTS := constraints/cpu-py311.txt
 export PIP_DISABLE_PIP_VERSION_CHECK = 1
 
-.PHONY: demo docs test slow-test coverage check format scores build install weights native sanitize neon blender-env policy-env policy-gpu environments datasets-test api-test tutorials robots-test models-test clean
+.PHONY: demo docs quick test slow-test coverage check format scores build install weights native sanitize neon blender-env policy-env policy-gpu environments datasets-test api-test tutorials robots-test models-test clean
 
 demo: install
 	$(BIN)/aomgen demo $(OUT)
@@ -15,6 +15,10 @@ demo: install
 PYTEST := $(BIN)/python -m pytest -n auto --maxprocesses 4 --dist worksteal
 test: $(VENV)/dev.stamp weights
 	$(PYTEST) -m "not slow"
+
+# Values, mathematics, files and laws, none of which needs torch: for every change of a line.
+quick: $(VENV)/dev.stamp
+	$(BIN)/python -m pytest -n auto --maxprocesses 4 tests/unit/core tests/unit/io tests/property -m "not slow"
 
 # Killed runs, a full disk, a Ray cluster, whole captures: what takes more than ten seconds each.
 slow-test: $(VENV)/dev.stamp weights
