@@ -1,12 +1,14 @@
 """Inputs and files of a result, so that it can be verified and kept; and the command that made it."""
 
 import hashlib
+import os
+import stat
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
 from aomgen.errors import CorruptArtifactError
-from aomgen.io.artifact import file_digest, read_json
+from aomgen.io.artifact import MAX_LIST_BYTES, file_digest, read_json
 from aomgen.io.atomic import STAGING_PREFIX, write_json
 
 MANIFEST = "manifest.json"
@@ -77,7 +79,7 @@ def read_manifest(folder: Path) -> Manifest | None:
     path = folder / MANIFEST
     if not path.is_file():
         return None
-    data = read_json(path)
+    data = read_json(path, MAX_LIST_BYTES)
     try:
         files = {name: (sha, size) for name, (sha, size) in data.pop("files").items()}
         warnings = tuple(str(sentence) for sentence in data.pop("warnings", ()))
@@ -90,10 +92,12 @@ def read_manifest(folder: Path) -> Manifest | None:
 
 def files_present(folder: Path, manifest: Manifest) -> bool:
     """Return whether every file exists with its size."""
-    return all(
-        (folder / name).is_file() and (folder / name).stat().st_size == size
-        for name, (_, size) in manifest.files.items()
-    )
+    root = os.fspath(folder)
+    try:
+        found = ((os.stat(f"{root}/{name}"), size) for name, (_, size) in manifest.files.items())
+        return all(stat.S_ISREG(have.st_mode) and have.st_size == size for have, size in found)
+    except (FileNotFoundError, NotADirectoryError):
+        return False
 
 
 def files_digest(paths: list[Path]) -> str:
