@@ -1,6 +1,6 @@
 """Time and memory of the bookkeeping of a run with many episodes: status, continuation, completion, datasets in shards.
 
-The episodes of the run are hard links to one small episode: 100,000 folders take 400 MB. Every step is a separate process,
+The files of the episodes are hard links to those of one small episode: 100,000 folders take 400 MB. Every step is a separate process,
 whose time and largest memory include the start of Python.
 """
 
