@@ -7,7 +7,7 @@ BIN := $(VENV)/bin
 CONSTRAINTS := constraints/cpu.txt
 export PIP_DISABLE_PIP_VERSION_CHECK = 1
 
-.PHONY: demo docs test slow-test coverage check format scores build package-test install develop weights native sanitize neon blender-env policy-env policy-gpu environments datasets-test api-test tutorials robots-test models-test clean
+.PHONY: demo docs quick test slow-test coverage check format scores build package-test install develop weights native sanitize neon blender-env policy-env policy-gpu environments datasets-test api-test tutorials robots-test models-test clean
 
 demo: install
 	$(BIN)/aomgen demo $(OUT)
@@ -15,6 +15,12 @@ demo: install
 PYTEST := $(BIN)/python -m pytest -n auto --maxprocesses 4 --dist worksteal
 test: $(VENV)/dev.stamp weights
 	$(PYTEST) -m "not slow"
+
+# Tests of values, mathematics, files and general laws, which need no torch: at most 20 s on two cores. The two files that
+# decode many videos and estimate motions are left to `make test`.
+quick: $(VENV)/dev.stamp
+	$(BIN)/python -m pytest -n auto --maxprocesses 4 -m "not slow" tests/unit/core tests/unit/io tests/property \
+	  --ignore tests/property/test_capture_dialects.py --ignore tests/property/test_motion_laws.py
 
 # Killed runs, a full disk, a Ray cluster, whole captures: what takes more than ten seconds each.
 slow-test: $(VENV)/dev.stamp weights

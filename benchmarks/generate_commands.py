@@ -186,6 +186,26 @@ def faults(
     show(figures, json_file)
 
 
+@generate_app.command("scale")
+def scale(
+    folder: Annotated[
+        Path, typer.Argument(help="Folder of the runs; it must not exist, and is deleted afterwards.")
+    ],
+    units: Annotated[int, typer.Option(min=10_000, help="Committed episodes of the largest run.")] = 100_000,
+    json_file: JsonFile = None,
+) -> None:
+    """Measure status, continuation and completion of runs with many episodes, and their export in shards.
+
+    The episodes are links to one small episode. `docs/dataset.md` explains the metrics.
+    """
+    from benchmarks.scale import run_scale
+    from benchmarks.table import as_table
+
+    rows = run_scale(folder.resolve(), units, partial(print, file=sys.stderr, flush=True))
+    show({"scale": rows}, json_file)
+    print(as_table(rows))
+
+
 @generate_app.command("scan-walks")
 def scan_walks(
     run: Annotated[Path, typer.Argument(help="Folder of a run that is finished up to its alignment.")],

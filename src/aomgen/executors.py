@@ -14,9 +14,10 @@ import sys
 import threading
 import time
 import traceback
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
+from itertools import islice
 from multiprocessing.connection import Connection, wait
 from multiprocessing.process import BaseProcess
 from types import ModuleType
@@ -29,6 +30,11 @@ Work = Callable[[Any], Any]
 Opener = Callable[[], Work]
 # Number of retries of a unit whose worker died.
 RETRIES: Final = 2
+# Reasons why a unit has no result, see `Done.lost`.
+LOST: Final = {
+    "worker_died": "the process that worked on it died repeatedly",
+    "timeout": "it took longer than the limit",
+}
 # Time limit for a connection to the head of a cluster or to another server, [s].
 CONNECT_S: Final = 5.0
 RAY_PROBE: Final = "import ray, sys; ray.init(sys.argv[1], log_to_driver=False, configure_logging=False)"
@@ -65,24 +71,31 @@ class Executor(Protocol):
     def __exit__(self, *exception: object) -> None: ...
 
 
-def run_units(units: Sequence[Any], executor: Executor) -> Iterator[Done]:
+def run_units(units: Iterable[Any], executor: Executor) -> Iterator[Done]:
     """Execute units and yield each result as soon as it is available; the executor is closed at the end.
 
     Raises:
         WorkerError: A unit terminates its process, or takes too long.
         AomgenError: The work of a unit fails.
     """
-    waiting, running = list(units), 0
+    for done in try_units(units, executor):
+        if done.lost:
+            raise WorkerError(f"unit {done.unit}", f"was lost ({done.lost})", "try fewer --workers")
+        yield done
+
+
+def try_units(units: Iterable[Any], executor: Executor) -> Iterator[Done]:
+    """Execute units as `run_units` does, but also yield those that were lost."""
+    waiting, running = iter(units), 0
     with executor:
-        while waiting or running:
-            while waiting and running < executor.slots:
-                executor.submit(waiting.pop(0))
+        while True:
+            for unit in islice(waiting, executor.slots - running):
+                executor.submit(unit)
                 running += 1
-            done = executor.next_done()
+            if not running:
+                return
+            yield executor.next_done()
             running -= 1
-            if done.lost:
-                raise WorkerError(f"unit {done.unit}", f"was lost ({done.lost})", "try fewer --workers")
-            yield done
 
 
 class _Worker:
@@ -91,7 +104,8 @@ class _Worker:
     def __init__(self, opener: Opener) -> None:
         context = multiprocessing.get_context("spawn")
         self.connection, theirs = context.Pipe()
-        self.process: BaseProcess = context.Process(target=_serve, args=(opener, theirs), daemon=True)
+        # Not a daemon process, which may not start processes: the work may itself use an executor.
+        self.process: BaseProcess = context.Process(target=_serve, args=(opener, theirs))
         with _environment(ONE_THREAD), _without_script():
             self.process.start()
         theirs.close()

@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from aomgen.cli.corpus import corpus
 from aomgen.cli.evaluate_commands import evaluate_app
 from aomgen.cli.export_commands import audit, export
 from aomgen.cli.import_commands import import_app
@@ -28,6 +29,7 @@ app.add_typer(import_app, name="import")
 app.add_typer(robot_app, name="robot")
 app.command()(export)
 app.command()(audit)
+app.command()(corpus)
 app.command()(prompts)
 app.command()(splat)
 app.command()(view)

@@ -55,6 +55,13 @@ def export(
             min=0, help="Number of validation episodes. Default: a tenth for rlds and hdf5, none for LeRobot."
         ),
     ] = None,
+    shard: Annotated[
+        str,
+        typer.Option(
+            help="Only a part of the episodes, i/n with i from 1 to n: every n-th one from the i-th on. Its dataset is the "
+            "folder i-of-n of the target; a complete one is kept."
+        ),
+    ] = "",
     episode: Annotated[
         int | None,
         typer.Option(
@@ -118,7 +125,7 @@ def export(
     from aomgen.pipeline.runner import results_of
     from aomgen.pipeline.stages import STAGES, find_project
 
-    episodes = {"--actions": actions, "--media": media, "--val": val}
+    episodes = {"--actions": actions, "--media": media, "--val": val, "--shard": shard}
     dataset = {"--format": format, "--size": size, **episodes}
     twin = {"--episode": episode, "--joint": joint, "--time": time_s}
     request = {"--n": n, "--seed": seed, "--per-object": per_object, "--category": categories}
@@ -142,11 +149,18 @@ def export(
         choices |= {name: tuple(values or ()) for name, values in named.items()}
         _export_images(out, target.resolve(), size or IMAGES_SIZE, choices, workers, ray)
         return
-    from aomgen.datasets.formats import export_dataset
+    from aomgen.datasets.formats import export_dataset, export_shard
+    from aomgen.datasets.selection import shard_name
 
-    made = export_dataset(
-        _episodes(out), target.resolve(), format, actions=actions, media=media, size=size, val=val
-    )
+    options = {"actions": actions, "media": media, "size": size, "val": val}
+    if shard:
+        made = export_shard(_episodes(out), target.resolve(), format, shard, **options)
+        target = target / shard_name(shard)
+    else:
+        made = export_dataset(_episodes(out), target.resolve(), format, **options)
+    if made is None:
+        print(f"kept {target}: it is complete")
+        return
     print(
         f"wrote {target}: {len(made.train)} training and {len(made.val)} validation episodes, {made.frames} frames"
     )
@@ -186,14 +200,17 @@ def _refuse_options(given: Mapping[str, object], problem: str, remedy: str) -> N
 def audit(
     dataset: Annotated[Path, typer.Argument(help="Folder of a dataset, in any format of `aomgen export`.")],
     out: RunFolder,
+    shard: Annotated[str, typer.Option(help="Compare with this part of the episodes, see `export`.")] = "",
 ) -> None:
     """Compare a dataset with the episodes of a run.
 
     Episodes that a person has rejected in `aomgen view` are excluded.
     """
     from aomgen.datasets.audit import audit_dataset
+    from aomgen.datasets.selection import choose_shard
 
-    found = audit_dataset(dataset, _episodes(out))
+    episodes = _episodes(out)
+    found = audit_dataset(dataset, choose_shard(episodes, shard) if shard else episodes)
     splits = " + ".join(f"{count} {name}" for name, count in found.splits.items())
     print(f"episodes  {splits} of {found.committed}, {found.frames} frames, actions {found.actions}")
     print(f"numbers   largest difference {found.difference:.1e} ({found.differing})")

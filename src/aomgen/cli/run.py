@@ -92,19 +92,22 @@ def sample_capture() -> Path:
 
 def status_lines(project: "Project") -> tuple[list[str], bool]:
     """Return the lines that `aomgen status` prints, and whether the run is incomplete."""
-    from aomgen.episodes.ledger import read_accounts
-    from aomgen.pipeline.manifest import read_manifest
-    from aomgen.pipeline.runner import stage_states
+    from aomgen.episodes.ledger import ACCOUNTS, Account, read_accounts
+    from aomgen.pipeline.runner import stage_manifests
     from aomgen.pipeline.stages import STAGES
 
     lines, left = [], False
-    for stage, state in stage_states(project, STAGES):
+    for stage, state, manifest in stage_manifests(project, STAGES):
         folder = project.out / stage.folder
         lines.append(f"{state:8} {stage.folder:18} {stage.title}")
         left |= state != "done"
-        manifest = read_manifest(folder)
         lines += [f"         warning: {sentence}" for sentence in (manifest.warnings if manifest else ())]
-        for account in read_accounts(folder) if stage.name == "episodes" else ():
+        if stage.name != "episodes":
+            continue
+        # The accounts of a finished stage are among its metrics; those of another one are counted.
+        stated = manifest.figures.get(ACCOUNTS) if manifest and state == "done" else None
+        accounts = read_accounts(folder) if stated is None else [Account(**item) for item in stated]
+        for account in accounts:
             lines.append(
                 f"         {account.asset}: {account.committed} of {account.requested} episodes committed, "
                 f"{account.rejected} missing, {account.left} remaining; {account.attempts} samples planned"

@@ -18,15 +18,25 @@ from aomgen.datasets.lerobot_v21 import write_lerobot_v21
 from aomgen.datasets.rlds import FEATURES_FILE, openvla_columns, read_rlds, write_rlds
 from aomgen.datasets.robomimic import FILE, read_robomimic, write_robomimic
 from aomgen.datasets.selection import (
+    MARK,
     Choices,
     Media,
     Selection,
     StoredDataset,
+    choose_shard,
     default_val,
     parse_size,
     require_replaceable,
+    shard_name,
 )
 from aomgen.errors import ConfigError, MalformedFileError, MissingFileError, UnknownNameError
+from aomgen.io.artifact import MAX_LIST_BYTES, read_json
+from aomgen.io.atomic import write_json
+from aomgen.io.review import read_content
+from aomgen.version import __version__
+
+# Folder with the request of each shard of an export, which is written when the shard is complete.
+SHARDS_FOLDER: Final = "shards"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -112,6 +122,46 @@ def export_dataset(
     )
     require_replaceable(folder)
     return known.write(episode_folders, folder, choices, progress)
+
+
+def export_shard(
+    episode_folders: Sequence[Path],
+    folder: Path,
+    kind: str,
+    shard: str,
+    progress: Progress = silent,
+    **options: Any,
+) -> Selection | None:
+    """Build one of several datasets that together contain all episodes, `folder`/i-of-n.
+
+    A shard that exists and was built from the same episodes with the same options is kept, so that an interrupted
+    export continues.
+
+    Args:
+        episode_folders: Folders of all episodes.
+        folder: Folder of all shards; their requests are in `SHARDS_FOLDER` below it.
+        kind: One of `FORMATS`.
+        shard: See `selection.choose_shard`.
+        progress: Called with the progress.
+        options: See `export_dataset`.
+
+    Returns:
+        The episodes of the shard, or None if its dataset was kept.
+
+    Raises:
+        AomgenError: See `export_dataset` and `selection.choose_shard`.
+    """
+    chosen, name = choose_shard(episode_folders, shard), shard_name(shard)
+    contents = {path.name: read_content(path) for path in chosen}
+    request = {"version": __version__, "format": kind, "options": options, "episodes": contents}
+    stated = folder / SHARDS_FOLDER / f"{name}.json"
+    kept = (folder / name / MARK).is_file() and stated.is_file()
+    if kept and read_json(stated, MAX_LIST_BYTES) == request:
+        return None
+    stated.unlink(missing_ok=True)
+    made = export_dataset(chosen, folder / name, kind, progress, **options)
+    write_json(stated, request)
+    return made
 
 
 def find_format(folder: Path) -> DatasetFormat:

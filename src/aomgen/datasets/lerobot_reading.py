@@ -4,6 +4,7 @@ import json
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from functools import cache, lru_cache
+from itertools import count
 from pathlib import Path
 from typing import Any, Final
 
@@ -79,7 +80,7 @@ def read_lerobot(folder: Path) -> StoredDataset:
 
 
 def _locations_v3(folder: Path, videos: list[str], fps: int) -> Iterator[_Location]:
-    for row in _read_table(folder / lerobot_v3.EPISODES_PATH).to_pylist():
+    for row in _read_episode_rows(folder):
         data = folder / lerobot_v3.DATA_PATH.format(
             chunk_index=row["data/chunk_index"], file_index=row["data/file_index"]
         )
@@ -100,6 +101,16 @@ def _locations_v3(folder: Path, videos: list[str], fps: int) -> Iterator[_Locati
             row=row["dataset_from_index"],
             videos=shown,
         )
+
+
+def _read_episode_rows(folder: Path) -> Iterator[dict[str, Any]]:
+    """Yield the rows of all files of the table of episodes, of which there is at least one."""
+    for file in count():
+        chunk, index = divmod(file, CHUNK_FILES)
+        path = folder / lerobot_v3.EPISODES_PATH.format(chunk_index=chunk, file_index=index)
+        if file > 0 and not path.is_file():
+            return
+        yield from _read_table(path).to_pylist()
 
 
 def _locations_v21(folder: Path, videos: list[str], fps: int) -> Iterator[_Location]:

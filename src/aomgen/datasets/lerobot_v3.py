@@ -8,6 +8,7 @@ Source: the file layout of LeRobot's `codebase_version` v3.0.
 
 import json
 from collections.abc import Sequence
+from itertools import groupby
 from pathlib import Path
 from typing import Any, Final
 
@@ -44,7 +45,7 @@ DATA_FILE_MB, VIDEO_FILE_MB = 100, 200
 DATA_PATH: Final = "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
 VIDEO_PATH: Final = "videos/{video_key}/chunk-{chunk_index:03d}/file-{file_index:03d}.mp4"
 TASKS_PATH: Final = "meta/tasks.parquet"
-EPISODES_PATH: Final = "meta/episodes/chunk-000/file-000.parquet"
+EPISODES_PATH: Final = "meta/episodes/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
 Counts = dict[str, NDArray[np.int64]]
 
 
@@ -82,7 +83,7 @@ def write_lerobot_v3(
         else:
             counts = _write_data_with_images(staging, selection, columns, rows, progress)
         _complete_rows(rows, columns, counts)
-        write_parquet(staging / EPISODES_PATH, pa.Table.from_pylist(rows))
+        _write_episode_rows(staging, rows)
         write_parquet(staging / TASKS_PATH, _task_table(tasks_of(selection)))
         totals = {name: np.sum([count[name] for count in counts], 0) for name in counts[0]}
         statistics = dict(episode_statistics(join_columns(columns), totals))
@@ -114,6 +115,16 @@ def _complete_rows(
             row |= {f"stats/{name}/{kind}": numbers for kind, numbers in statistics.items()}
 
 
+def _write_episode_rows(staging: Path, rows: list[dict[str, Any]]) -> None:
+    """Write the table of episodes; all rows have about the same size."""
+    size = pa.Table.from_pylist(rows[:1]).nbytes
+    for file, members in enumerate(_members(assign_files([size] * len(rows), DATA_FILE_MB * 1e6))):
+        chunk, index = divmod(file, CHUNK_FILES)
+        place = {"meta/episodes/chunk_index": chunk, "meta/episodes/file_index": index}
+        path = staging / EPISODES_PATH.format(chunk_index=chunk, file_index=index)
+        write_parquet(path, pa.Table.from_pylist([rows[i] | place for i in members]))
+
+
 def assign_files(sizes: Sequence[float], limit: float) -> list[int]:
     """Assign a file number to each item, so that no file with several items is larger than `limit`."""
     numbers, number, filled = [], 0, 0.0
@@ -127,7 +138,7 @@ def assign_files(sizes: Sequence[float], limit: float) -> list[int]:
 
 def _members(files: list[int]) -> list[list[int]]:
     """Return the numbers of the episodes in each file."""
-    return [[i for i, where in enumerate(files) if where == file] for file in range(files[-1] + 1)]
+    return [list(members) for _, members in groupby(range(len(files)), key=files.__getitem__)]
 
 
 def _write_data(staging: Path, columns: list[dict[str, NDArray]], rows: list[dict[str, Any]]) -> None:

@@ -148,6 +148,30 @@ def default_val(episodes: int) -> int:
     return max(1, round(VAL_SHARE * episodes))
 
 
+def choose_shard(episode_folders: Sequence[Path], shard: str) -> list[Path]:
+    """Choose the episodes of a shard, "i/n" with i from 1 to n: every n-th episode from the i-th on.
+
+    Every shard contains all assets and ranges, and n shards together contain every episode once.
+
+    Raises:
+        ConfigError: The text has another form, or the shard has no episode.
+    """
+    number, _, count = shard.partition("/")
+    if not (number.isdecimal() and count.isdecimal() and 1 <= int(number) <= int(count)):
+        raise ConfigError("--shard", f"'{shard}' is not i/n", "expected i/n with i from 1 to n, as in 2/8")
+    chosen = list(episode_folders[int(number) - 1 :: int(count)])
+    if not chosen:
+        raise ConfigError(
+            "--shard", f"{shard} of {len(episode_folders)} episodes has no episode", "choose fewer shards"
+        )
+    return chosen
+
+
+def shard_name(shard: str) -> str:
+    """Return the name of the folder of a shard "i/n"."""
+    return shard.replace("/", "-of-")
+
+
 def parse_size(text: str) -> tuple[int, int]:
     """Parse a width and height such as `128x96`, [px].
 

@@ -4,8 +4,9 @@ The draws that are tried do not depend on the number of workers: no more draws o
 are begun than are missing.
 """
 
-from collections.abc import Callable, Iterator
-from dataclasses import asdict, dataclass, field
+from collections.abc import Callable, Iterator, Set
+from dataclasses import asdict, dataclass
+from itertools import filterfalse
 from pathlib import Path
 from typing import Any, Final
 
@@ -26,16 +27,12 @@ from aomgen.episodes.ledger import (
     write_rejection,
     write_request,
 )
-from aomgen.executors import Done, Executor
+from aomgen.executors import LOST, Done, Executor
 from aomgen.io.atomic import remove_folder, remove_staging
 from aomgen.io.episode_folder import episode_folder
 
 # An asset is given up after this many skipped draws in a row: where one in a hundred fits, one is found.
 MAX_SKIPPED: Final = 500
-LOST: Final = {
-    "worker_died": "the process that worked on it died repeatedly",
-    "timeout": "it took longer than the limit",
-}
 
 # Function that returns the variation of an asset's draw, and the reason why it is not worth trying, if any.
 Screen = Callable[[Unit], tuple[Variation, Rejection | None]]
@@ -43,33 +40,48 @@ Screen = Callable[[Unit], tuple[Variation, Rejection | None]]
 
 @dataclass(slots=True)
 class _Quota:
-    """State of the episodes of one asset: the draws made, and their outcomes."""
+    """State of the episodes of one asset: the number of draws, and their outcomes.
+
+    Draws are not stored, because a request may have more than 100,000 of them: `screen` computes one again.
+    `before` holds the committed and the rejected units of earlier processes.
+    """
 
     asset: int
     wanted: int
     allowed: int
     screen: Screen
-    draws: list[tuple[Variation, Rejection | None]] = field(default_factory=list)
+    before: tuple[Set[Unit], Set[Unit]]
+    drawn: int = 0
     begun: int = 0
     running: int = 0
     committed: int = 0
     exhausted: bool = False
 
     def next_unit(self) -> Unit | None:
-        """Return the next draw that is worth trying; None when none is missing, or no more are allowed."""
-        if self.committed + self.running >= self.wanted or self.begun >= self.allowed or self.exhausted:
-            return None
+        """Return the next draw that is worth trying; None when none is missing, or no more are allowed.
+
+        Draws that ended in an earlier process are counted, and not screened again.
+        """
+        committed, rejected = self.before
         skipped = 0
-        while skipped < MAX_SKIPPED and len(self.draws) < MAX_DRAWS:
-            unit = Unit(asset=self.asset, index=len(self.draws))
-            variation, rejection = self.screen(unit)
-            self.draws.append((variation, rejection))
-            if rejection is None:
+        while (
+            self.committed + self.running < self.wanted and self.begun < self.allowed and not self.exhausted
+        ):
+            if skipped == MAX_SKIPPED or self.drawn == MAX_DRAWS:
+                self.exhausted = True
+                break
+            unit = Unit(asset=self.asset, index=self.drawn)
+            self.drawn += 1
+            if unit in committed or unit in rejected:
+                self.begun += 1
+                self.committed += unit in committed
+                skipped = 0
+            elif self.screen(unit)[1] is None:
                 self.begun += 1
                 self.running += 1
                 return unit
-            skipped += 1
-        self.exhausted = True
+            else:
+                skipped += 1
         return None
 
     def end(self, *, committed: bool) -> None:
@@ -113,16 +125,14 @@ def generate(
     write_request(folder, request)
     committed, rejected = list_ended_units(folder)
     quotas = [
-        _Quota(asset, request.episodes, request.attempts, screen) for asset in range(len(request.assets))
+        _Quota(asset, request.episodes, request.attempts, screen, (committed, rejected))
+        for asset in range(len(request.assets))
     ]
     while not all(quota.over for quota in quotas):
         if sum(quota.running for quota in quotas) < executor.slots:
             unit = next(filter(None, (quota.next_unit() for quota in quotas)), None)
             if unit is not None:
-                if unit in committed or unit in rejected:
-                    quotas[unit.asset].end(committed=unit in committed)
-                else:
-                    executor.submit(unit)
+                executor.submit(unit)
                 continue
         if not any(quota.running for quota in quotas):
             continue
@@ -130,7 +140,7 @@ def generate(
         quota = quotas[done.unit.asset]
         if done.lost:
             lost = Rejection(reason=done.lost, detail=LOST[done.lost])
-            write_rejection(folder, done.unit, quota.draws[done.unit.index][0], lost)
+            write_rejection(folder, done.unit, screen(done.unit)[0], lost)
         successful = not done.lost and done.value[0]
         committed |= {done.unit} if successful else set()
         quota.end(committed=successful)
@@ -154,14 +164,18 @@ def _remove_staging(folder: Path) -> None:
 
 def _forget_others(folder: Path, quotas: list[_Quota]) -> None:
     """Delete episodes, their objects and rejections beyond what is requested now."""
-    asked = {Unit(asset=quota.asset, index=index) for quota in quotas for index in range(len(quota.draws))}
+
+    def asked(unit: Unit) -> bool:
+        return unit.asset < len(quotas) and unit.index < quotas[unit.asset].drawn
+
     committed, rejected = list_ended_units(folder)
-    for unit in committed - asked:
+    for unit in filterfalse(asked, committed):
         remove_folder(episode_folder(folder, unit.number))
-    for unit in rejected - asked:
+    for unit in filterfalse(asked, rejected):
         rejection_file(folder, unit).unlink()
     for path in (folder / OBJECTS_FOLDER).glob("[0-9]*"):
-        if unit_of(path.name) not in committed & asked:
+        unit = unit_of(path.name)
+        if unit not in committed or not asked(unit):
             remove_folder(path)
 
 
@@ -170,9 +184,9 @@ def _outcomes(
 ) -> Iterator[dict[str, Any]]:
     """Yield every draw with its outcome."""
     for quota in quotas:
-        for index, (variation, screened) in enumerate(quota.draws):
+        for index in range(quota.drawn):
             unit = Unit(asset=quota.asset, index=index)
-            outcome, rejection = "skipped", screened
+            outcome, (variation, rejection) = "skipped", quota.screen(unit)
             if unit in committed:
                 outcome = "committed"
             elif rejection is None:

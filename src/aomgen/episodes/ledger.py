@@ -10,6 +10,7 @@ draws.json            when all is done: every draw with its outcome, also those 
 At any moment, requested = committed + rejected + left. Distributions are computed from the draws.
 """
 
+import os
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
@@ -23,12 +24,14 @@ from aomgen.core.plan import Rejection, Variation
 from aomgen.core.values import Array, freeze_arrays
 from aomgen.episodes.variations import Ranges
 from aomgen.errors import MalformedFileError
-from aomgen.io.artifact import read_json
+from aomgen.io.artifact import MAX_LIST_BYTES, read_json
 from aomgen.io.atomic import write_json
-from aomgen.io.episode_folder import list_committed
+from aomgen.io.episode_folder import list_committed_names
 
 REQUEST_FILE, DRAWS_FILE = "request.json", "draws.json"
 REJECTED_FOLDER, OBJECTS_FOLDER = "rejected", "objects"
+# Name of the accounts among the metrics of the finished stage, where they are read without the draws.
+ACCOUNTS: Final = "accounts"
 # Fields of `Rejection` that its file holds; the sample `worst` is found again by planning.
 STATED: Final = ("reason", "detail", "metrics", "excess", "bodies")
 # Largest number of draws of an asset: the number of an episode has five digits for them.
@@ -92,7 +95,8 @@ class Account:
     @property
     def why(self) -> str:
         """The reasons in words, the most frequent first."""
-        return ", ".join(f"{count} {reason}" for reason, count in self.reasons.items())
+        ordered = sorted(self.reasons.items(), key=lambda item: (-item[1], item[0]))
+        return ", ".join(f"{count} {reason}" for reason, count in ordered)
 
 
 def write_request(folder: Path, request: Request) -> None:
@@ -144,8 +148,11 @@ def read_rejection(folder: Path, unit: Unit) -> Rejection:
 
 def list_ended_units(folder: Path) -> tuple[set[Unit], set[Unit]]:
     """List units whose episode is committed, and those that were rejected."""
-    rejected = (folder / REJECTED_FOLDER).glob("[0-9]*.json")
-    return {unit_of(path.name) for path in list_committed(folder)}, {unit_of(path.stem) for path in rejected}
+    committed = {unit_of(name) for name in list_committed_names(folder)}
+    if not (folder / REJECTED_FOLDER).is_dir():
+        return committed, set()
+    stems = (name.removesuffix(".json") for name in os.listdir(folder / REJECTED_FOLDER))
+    return committed, {unit_of(stem) for stem in stems if stem.isdigit()}
 
 
 def unit_of(number: str | int) -> Unit:
@@ -165,25 +172,27 @@ def read_accounts(folder: Path) -> list[Account]:
     request = read_request(folder)
     committed, rejected = list_ended_units(folder)
     finished = (folder / DRAWS_FILE).is_file()
-    skipped = [draw for draw in read_draws(folder) if draw["outcome"] == "skipped"] if finished else []
-    accounts = []
-    for asset, name in enumerate(request.assets):
-        made = sum(unit.asset == asset for unit in committed)
-        failed = [unit for unit in rejected if unit.asset == asset]
-        over = finished or made + len(failed) >= request.attempts
-        reasons = Counter(read_rejection(folder, unit).reason for unit in failed)
-        reasons.update(draw["reason"] for draw in skipped if draw["asset"] == asset)
-        accounts.append(
-            Account(
-                asset=name,
-                requested=request.episodes,
-                committed=made,
-                rejected=request.episodes - made if over else 0,
-                attempts=made + len(failed),
-                reasons=dict(reasons.most_common()),
-            )
+    made, failed = (Counter(unit.asset for unit in units) for units in (committed, rejected))
+    reasons = [Counter[str]() for _ in request.assets]
+    for unit in rejected:
+        if unit.asset < len(reasons):
+            reasons[unit.asset][read_rejection(folder, unit).reason] += 1
+    for draw in read_draws(folder) if finished else ():
+        if draw["outcome"] == "skipped":
+            reasons[draw["asset"]][draw["reason"]] += 1
+    return [
+        Account(
+            asset=name,
+            requested=request.episodes,
+            committed=made[asset],
+            rejected=request.episodes - made[asset]
+            if finished or made[asset] + failed[asset] >= request.attempts
+            else 0,
+            attempts=made[asset] + failed[asset],
+            reasons=dict(reasons[asset]),
         )
-    return accounts
+        for asset, name in enumerate(request.assets)
+    ]
 
 
 def read_request(folder: Path) -> Request:
@@ -221,7 +230,7 @@ def read_draws(folder: Path) -> list[dict[str, Any]]:
     Raises:
         MissingFileError, MalformedFileError: The file is missing or malformed.
     """
-    content = read_json(folder / DRAWS_FILE)
+    content = read_json(folder / DRAWS_FILE, MAX_LIST_BYTES)
     try:
         return list(content["draws"])
     except (TypeError, KeyError) as error:

@@ -18,7 +18,15 @@ from aomgen.core.progress import Progress
 from aomgen.episodes.factory import EpisodeFactory, open_factory
 from aomgen.episodes.generate import generate
 from aomgen.episodes.grasp_choice import GRASPS_FOLDER
-from aomgen.episodes.ledger import Account, Request, Unit, distributions, read_accounts, read_draws
+from aomgen.episodes.ledger import (
+    ACCOUNTS,
+    Account,
+    Request,
+    Unit,
+    distributions,
+    read_accounts,
+    read_draws,
+)
 from aomgen.episodes.reach_map import REACH_MAP, ReachMap, draw_map, front_line, map_reach, scene_shapes
 from aomgen.episodes.variations import Ranges
 from aomgen.errors import ConfigError, NotEnoughEpisodesError
@@ -83,6 +91,7 @@ def run(
         "skipped": sum(draw["outcome"] == "skipped" for draw in draws),
         "smallest_margin": float(min(margins, default=0.0)),
         "cameras": ", ".join([*factory.place.cameras, *["free"] * factory.place.free]),
+        ACCOUNTS: [asdict(account) for account in accounts],
         "warnings": [account_sentence(account) for account in accounts if account.rejected],
     }
 

@@ -24,8 +24,9 @@ from aomgen.io.atomic import write_bytes, write_json
 INLINE_ELEMENTS = 64
 # Largest npz file that is read, [bytes]; a run writes far smaller ones, and this size fits into memory.
 MAX_NPZ_BYTES: Final = 2 << 30
-# Largest JSON file that is read, [bytes], chosen in the same manner.
+# Largest JSON file that is read, [bytes], chosen in the same manner; and largest list of a run's episodes, samples or files.
 MAX_JSON_BYTES: Final = 64 << 20
+MAX_LIST_BYTES: Final = 1 << 30
 T = TypeVar("T")
 
 
@@ -214,13 +215,13 @@ def file_digest(path: Path) -> str:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 
-def read_json(path: Path) -> Any:
-    """Parse a JSON file that holds no NaN or infinity.
+def read_json(path: Path, max_bytes: int = MAX_JSON_BYTES) -> Any:
+    """Parse a JSON file of at most `max_bytes` that holds no NaN or infinity.
 
     Raises:
         MissingFileError, LimitExceededError, MalformedFileError: The file is missing, malformed or too large.
     """
-    _check_size(path, MAX_JSON_BYTES, "check the path")
+    _check_size(path, max_bytes, "check the path")
     try:
         return json.loads(path.read_text("utf-8"), parse_constant=_refuse)
     except (ValueError, RecursionError) as error:

@@ -1,12 +1,14 @@
 """Manifests, which state the inputs and files of a stage's result, and the record of the last command of a run."""
 
 import hashlib
+import os
+import stat
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
 from aomgen.errors import CorruptArtifactError
-from aomgen.io.artifact import file_digest, read_json
+from aomgen.io.artifact import MAX_LIST_BYTES, file_digest, read_json
 from aomgen.io.atomic import STAGING_PREFIX, write_json
 
 MANIFEST = "manifest.json"
@@ -89,7 +91,7 @@ def read_manifest(folder: Path) -> Manifest | None:
     path = folder / MANIFEST
     if not path.is_file():
         return None
-    data = read_json(path)
+    data = read_json(path, MAX_LIST_BYTES)
     try:
         files = {name: (sha, size) for name, (sha, size) in data.pop("files").items()}
         warnings = tuple(str(sentence) for sentence in data.pop("warnings", ()))
@@ -102,10 +104,12 @@ def read_manifest(folder: Path) -> Manifest | None:
 
 def files_present(folder: Path, manifest: Manifest) -> bool:
     """Return whether every file of a manifest exists and has the recorded size."""
-    return all(
-        (folder / name).is_file() and (folder / name).stat().st_size == size
-        for name, (_, size) in manifest.files.items()
-    )
+    root = os.fspath(folder)
+    try:
+        found = ((os.stat(f"{root}/{name}"), size) for name, (_, size) in manifest.files.items())
+        return all(stat.S_ISREG(have.st_mode) and have.st_size == size for have, size in found)
+    except (FileNotFoundError, NotADirectoryError):
+        return False
 
 
 def files_digest(paths: list[Path]) -> str:

@@ -169,15 +169,20 @@ def _link(source: str, target: str) -> None:
 
 def stage_states(project: Project, stages: tuple[Stage, ...]) -> list[tuple[Stage, str]]:
     """Return each stage with its state ("done", "partial" or "missing"), without checking digests of the capture."""
-    states = []
+    return [(stage, state) for stage, state, _ in stage_manifests(project, stages)]
+
+
+def stage_manifests(
+    project: Project, stages: tuple[Stage, ...]
+) -> Iterator[tuple[Stage, str, Manifest | None]]:
+    """Yield each stage with its state, see `stage_states`, and its manifest if it has one."""
     for stage in stages:
         folder = project.out / stage.folder
         manifest = read_manifest(folder)
         if manifest and files_present(folder, manifest):
-            states.append((stage, "done"))
+            yield stage, "done", manifest
         else:
-            states.append((stage, "partial" if folder.exists() else "missing"))
-    return states
+            yield stage, "partial" if folder.exists() else "missing", manifest
 
 
 def _identify(results: Results, stage: Stage, digests: dict[str, str]) -> Identity:

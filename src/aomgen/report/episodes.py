@@ -10,10 +10,10 @@ import numpy as np
 from aomgen.assets.mjcf import GRAVITY
 from aomgen.core.plan import Variation
 from aomgen.episodes.factory import GenerationParams
-from aomgen.episodes.generate import LOST
 from aomgen.episodes.joint_limits import IkLimits
 from aomgen.episodes.ledger import DRAWS_FILE, Distribution, distributions, read_draws
 from aomgen.episodes.reach_map import OUTCOMES, REACH_MAP, ReachMap, Shape, draw_map, front_line, scene_shapes
+from aomgen.executors import LOST
 from aomgen.io.artifact import load_artifact
 from aomgen.io.episode_folder import CommittedEpisode, list_committed, read_episode
 from aomgen.io.video import read_frames

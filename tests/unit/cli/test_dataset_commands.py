@@ -1,12 +1,15 @@
 """`aomgen export` and `aomgen audit` from the command line: what is printed, and one sentence with an exit code for bad input."""
 
 import shutil
+from dataclasses import asdict
 from pathlib import Path
 
 import pytest
 
 from aomgen.core.project import Project
+from aomgen.episodes.ledger import ACCOUNTS, Account
 from aomgen.io.review import ReviewChange, change_review
+from aomgen.pipeline.manifest import write_manifest
 from aomgen.pipeline.project_file import write_project
 from aomgen.pipeline.stages import PROJECT_FILE
 from command_line import aomgen, one_sentence
@@ -54,9 +57,32 @@ def test_a_dataset_that_differs_ends_with_an_exit_code(run, tmp_path):
     one_sentence(found, 6, "differs from the episodes in 1 ways", "export it again")
 
 
+def test_shards_contain_every_episode_once_and_are_kept(run, tmp_path):
+    reviewed = Path(shutil.copytree(run, tmp_path / "run"))
+    words = ("export", reviewed, "parts", "--format", "lerobot-v3", "--media", "none", "--shard")
+    first = aomgen(*words, "1/2", folder=tmp_path)
+    assert (first.returncode, first.stderr) == (0, "")
+    assert first.stdout == "wrote parts/1-of-2: 2 + 0 episodes, 27 frames\n"
+    second = aomgen(*words, "2/2", folder=tmp_path)
+    assert second.stdout == "wrote parts/2-of-2: 1 + 0 episodes, 9 frames\n"
+    found = aomgen("audit", "parts/1-of-2", "run", "--shard", "1/2", folder=tmp_path)
+    assert (found.returncode, found.stderr) == (0, "")
+    assert "2 train of 2, 27 frames" in found.stdout
+    assert aomgen(*words, "1/2", folder=tmp_path).stdout == "kept parts/1-of-2: it is complete\n"
+    # Without its request, a shard is as if its process had been killed; with other episodes, it is out of date.
+    (tmp_path / "parts" / "shards" / "2-of-2.json").unlink()
+    assert aomgen(*words, "2/2", folder=tmp_path).stdout == second.stdout
+    change_review(reviewed, reviewed / "08_episodes" / "000002", ReviewChange(decision="rejected"))
+    assert "wrote parts/1-of-2: 1 + 0 episodes, 12 frames" in aomgen(*words, "1/2", folder=tmp_path).stdout
+
+
 @pytest.mark.parametrize(
     ("words", "code", "said"),
     [
+        (("--format", "hdf5", "--shard", "3/2"), 2, "'3/2' is not i/n"),
+        (("--format", "hdf5", "--shard", "half"), 2, "'half' is not i/n"),
+        (("--format", "hdf5", "--shard", "9/9"), 2, "9/9 of 3 episodes has no episode"),
+        (("--format", "images", "--n", "5", "--shard", "1/2"), 2, "has no meaning for --format images"),
         (("--format", "parquet"), 2, "'parquet' is unknown"),
         (("--format", "rlds", "--val", "3"), 2, "3 of 3 episodes leaves none to train on"),
         (("--format", "hdf5", "--size", "wide"), 2, "'wide' is not WxH"),
@@ -79,6 +105,19 @@ def test_a_foreign_folder_is_kept(run, tmp_path):
     )
     assert (tmp_path / "photos" / "cat.jpg").read_bytes() == b"cat"
     assert (run / PROJECT_FILE).is_file()
+
+
+def test_the_status_of_finished_episodes_is_in_their_manifest(run, tmp_path):
+    finished = Path(shutil.copytree(run, tmp_path / "run"))
+    account = Account(
+        asset="a", requested=4, committed=3, rejected=1, attempts=9, reasons={"collision": 2, "unstable": 4}
+    )
+    write_manifest(finished / "08_episodes", "episodes", (0, {}, {}), {ACCOUNTS: [asdict(account)]})
+    stated = "a: 3 of 4 episodes committed, 1 rejected, 0 remaining, after 9 attempts (samples not used: 4 unstable, 2 collision)"
+    assert stated in aomgen("status", "run", folder=tmp_path).stdout
+    # Without one of its files the stage is not finished, and its episodes are counted.
+    (finished / "08_episodes" / "000001" / "front.mp4").unlink()
+    assert "a: 3 of 4" not in aomgen("status", "run", folder=tmp_path).stdout
 
 
 def test_a_run_without_episodes_is_refused(run, tmp_path):

@@ -334,7 +334,7 @@ def test_two_action_spaces_without_a_note_are_ambiguous(exported, folders, tmp_p
     [
         ("lerobot-v3", "data/**/*.parquet"),
         ("lerobot-v3", "meta/tasks.parquet"),
-        ("lerobot-v3", EPISODES_PATH),
+        ("lerobot-v3", "meta/episodes/**/*.parquet"),
         ("lerobot-v3", "videos/**/*.mp4"),
         ("lerobot-v2.1", "data/**/*.parquet"),
         ("lerobot-v2.1", "videos/**/*.mp4"),
@@ -417,7 +417,18 @@ def test_a_folder_that_is_no_dataset_is_refused(folders, tmp_path):
 
 def test_the_dataset_of_somebody_else_is_refused(exported, folders, tmp_path):
     dataset = copy(exported["lerobot-v3"], tmp_path)
-    path = dataset / EPISODES_PATH
+    path = dataset / EPISODES_PATH.format(chunk_index=0, file_index=0)
     pq.write_table(pq.read_table(path).drop(["aomgen/source_index"]), path)
     with pytest.raises(MalformedFileError, match="source_index"):
         audit_dataset(dataset, folders)
+
+
+def test_the_table_of_episodes_is_split_into_files_of_limited_size(folders, tmp_path, monkeypatch):
+    monkeypatch.setattr("aomgen.datasets.lerobot_v3.DATA_FILE_MB", 1e-3)
+    export_dataset(folders, tmp_path / "dataset", "lerobot-v3", media="none")
+    files = sorted((tmp_path / "dataset" / "meta" / "episodes").rglob("*.parquet"))
+    assert len(files) == len(folders)
+    assert [pq.read_table(path)["meta/episodes/file_index"][0].as_py() for path in files] == list(
+        range(len(files))
+    )
+    assert audit_dataset(tmp_path / "dataset", folders).faults == []

@@ -161,6 +161,23 @@ def test_more_episodes_are_added_to_what_is_there_and_fewer_taken_from_it(whole,
     assert tree(folder) == tree(whole)
 
 
+def test_draws_that_have_ended_are_not_screened_again(whole, tmp_path):
+    folder = shutil.copytree(whole, tmp_path / "run")
+    screened: list[Unit] = []
+    request = replace(REQUEST, episodes=7, attempts=30)
+    with pytest.raises(KeyboardInterrupt):
+        generate(
+            folder,
+            request,
+            Scrambled(work_in(folder), 1, 0, 0),
+            lambda unit: screened.append(unit) or screen(unit),
+            lambda share, text: None,
+        )
+    committed, rejected = list_ended_units(whole)
+    assert screened
+    assert not set(screened) & (committed | rejected)
+
+
 @pytest.mark.parametrize(
     ("name", "content"),
     [

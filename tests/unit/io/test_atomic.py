@@ -13,7 +13,6 @@ from aomgen.errors import (
     StorageError,
     UnsafePathError,
 )
-from aomgen.io import artifact
 from aomgen.io.artifact import read_json
 from aomgen.io.atomic import remove_staging, stage_folder, write_bytes, write_json
 from aomgen.io.images import image_size, read_image, read_labels, write_image
@@ -44,7 +43,7 @@ def test_an_unwritable_place_is_a_storage_error(tmp_path):
         write_bytes(tmp_path / "file" / "below", b"")
 
 
-def test_json_round_trip_and_refusals(tmp_path, monkeypatch):
+def test_json_round_trip_and_refusals(tmp_path):
     path = tmp_path / "a.json"
     write_json(path, {"x": np.arange(3), "y": np.float32(0.5)})
     assert read_json(path) == {"x": [0, 1, 2], "y": 0.5}
@@ -58,9 +57,8 @@ def test_json_round_trip_and_refusals(tmp_path, monkeypatch):
         read_json(path)
     with pytest.raises(MissingFileError):
         read_json(tmp_path / "b.json")
-    monkeypatch.setattr(artifact, "MAX_JSON_BYTES", 10)
     with pytest.raises(LimitExceededError):
-        read_json(path)
+        read_json(path, max_bytes=10)
     assert json.loads("1") == 1
 
 
