@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from aomgen.errors import StorageError, WorkerError
-from aomgen.executors import require_cluster
+from aomgen.ray_cluster import require_cluster
 from fault_run import INPUTS, PARAMS, RUN_S, at_operation, in_child, make_here, open_here, start_workers
 from fault_trees import AFTER, BEFORE, Left, begin_over, look, summary
 from fault_workers import ray_deaths, worker_deaths

@@ -13,9 +13,10 @@ from pathlib import Path
 
 import pytest
 
-from aomgen import executors
+from aomgen import ray_cluster
 from aomgen.errors import BackendError, StorageError
-from aomgen.executors import Done, Executor, Processes, RayCluster, require_cluster
+from aomgen.executors import Done, Executor, Processes
+from aomgen.ray_cluster import RayCluster, require_cluster
 from executor_work import open_work
 
 HELPERS = Path(__file__).parents[1] / "helpers"
@@ -140,7 +141,7 @@ def test_a_cluster_that_is_not_there_is_named():
 def test_an_address_where_something_else_listens_is_named(monkeypatch):
     if importlib.util.find_spec("ray") is None:
         pytest.skip("ray is not installed")
-    monkeypatch.setattr(executors, "RAY_PROBE_S", 2.0)
+    monkeypatch.setattr(ray_cluster, "RAY_PROBE_S", 2.0)
     with socket.create_server(("127.0.0.1", 0)) as server:
         address = f"127.0.0.1:{server.getsockname()[1]}"
         with pytest.raises(BackendError, match=r"no Ray cluster replies \(nothing said within 2 s\)"):

@@ -42,8 +42,9 @@ def corpus(
     from aomgen.api.arguments import require_name
     from aomgen.api.corpus import CAPTURE_S, CORPUS_FILE, FAILED, list_captures, open_corpus, run_corpus
     from aomgen.assets.choice import asset_file
-    from aomgen.executors import Processes, RayCluster
+    from aomgen.executors import Processes
     from aomgen.pipeline.stages import STAGES
+    from aomgen.ray_cluster import RayCluster
 
     if until:
         require_name("--until", until, [stage.name for stage in STAGES])

@@ -170,10 +170,10 @@ def _export_images(
     out: Path, target: Path, size: str, choices: Mapping[str, Any], workers: int, ray: str
 ) -> None:
     from aomgen.datasets.selection import parse_size
-    from aomgen.executors import require_cluster
     from aomgen.exports.image_dataset import ImageSetRequest, export_images
     from aomgen.pipeline.runner import results_of
     from aomgen.pipeline.stages import STAGES, find_project
+    from aomgen.ray_cluster import require_cluster
 
     if choices["images"] is None:
         raise ConfigError("--n", "is missing", "state the number of images")

@@ -30,10 +30,11 @@ from aomgen.episodes.ledger import (
 from aomgen.episodes.reach_map import REACH_MAP, ReachMap, draw_map, front_line, map_reach, scene_shapes
 from aomgen.episodes.variations import Ranges
 from aomgen.errors import ConfigError, NotEnoughEpisodesError
-from aomgen.executors import Done, Executor, Opener, Processes, RayCluster
+from aomgen.executors import Done, Executor, Opener, Processes
 from aomgen.io.artifact import read_json, save_artifact
 from aomgen.io.atomic import write_json, write_text
 from aomgen.io.episode_folder import EPISODE_FILE, list_committed
+from aomgen.ray_cluster import RayCluster
 from aomgen.results import Results
 
 # Distributions of the episodes over the requested ranges.

@@ -14,13 +14,13 @@ from aomgen.core.progress import Progress
 from aomgen.core.project import Project, split_light
 from aomgen.core.recording import Recording
 from aomgen.errors import ConfigError, MissingFileError, OutdatedRunError, suggest
-from aomgen.executors import require_cluster
 from aomgen.io.review import read_reviews
 from aomgen.io.schema import override
 from aomgen.pipeline.manifest import files_digest, read_manifest, text_digest
 from aomgen.pipeline.preflight import preflight
 from aomgen.pipeline.project_file import read_project, write_project
 from aomgen.pipeline.runner import Display, Stage, StageFunction, lock, run_stages
+from aomgen.ray_cluster import require_cluster
 from aomgen.results import Results
 
 PROJECT_FILE = "project.toml"

@@ -11,9 +11,10 @@ import pytest
 from aomgen.api import corpus
 from aomgen.api.corpus import CORPUS_FILE, open_corpus, run_corpus
 from aomgen.errors import InputError
-from aomgen.executors import Executor, Processes, RayCluster
+from aomgen.executors import Executor, Processes
 from aomgen.io.atomic import write_json
 from aomgen.pipeline.manifest import MANIFEST
+from aomgen.ray_cluster import RayCluster
 from command_line import aomgen, one_sentence
 from corpus_work import InThisProcess, open_stub
 

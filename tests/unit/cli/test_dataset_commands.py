@@ -62,9 +62,9 @@ def test_shards_contain_every_episode_once_and_are_kept(run, tmp_path):
     words = ("export", reviewed, "parts", "--format", "lerobot-v3", "--media", "none", "--shard")
     first = aomgen(*words, "1/2", folder=tmp_path)
     assert (first.returncode, first.stderr) == (0, "")
-    assert first.stdout == "wrote parts/1-of-2: 2 + 0 episodes, 27 frames\n"
+    assert first.stdout == "wrote parts/1-of-2: 2 training and 0 validation episodes, 27 frames\n"
     second = aomgen(*words, "2/2", folder=tmp_path)
-    assert second.stdout == "wrote parts/2-of-2: 1 + 0 episodes, 9 frames\n"
+    assert second.stdout == "wrote parts/2-of-2: 1 training and 0 validation episodes, 9 frames\n"
     found = aomgen("audit", "parts/1-of-2", "run", "--shard", "1/2", folder=tmp_path)
     assert (found.returncode, found.stderr) == (0, "")
     assert "2 train of 2, 27 frames" in found.stdout
@@ -73,7 +73,10 @@ def test_shards_contain_every_episode_once_and_are_kept(run, tmp_path):
     (tmp_path / "parts" / "shards" / "2-of-2.json").unlink()
     assert aomgen(*words, "2/2", folder=tmp_path).stdout == second.stdout
     change_review(reviewed, reviewed / "08_episodes" / "000002", ReviewChange(decision="rejected"))
-    assert "wrote parts/1-of-2: 1 + 0 episodes, 12 frames" in aomgen(*words, "1/2", folder=tmp_path).stdout
+    assert (
+        "wrote parts/1-of-2: 1 training and 0 validation episodes, 12 frames"
+        in aomgen(*words, "1/2", folder=tmp_path).stdout
+    )
 
 
 @pytest.mark.parametrize(
@@ -113,7 +116,10 @@ def test_the_status_of_finished_episodes_is_in_their_manifest(run, tmp_path):
         asset="a", requested=4, committed=3, rejected=1, attempts=9, reasons={"collision": 2, "unstable": 4}
     )
     write_manifest(finished / "08_episodes", "episodes", (0, {}, {}), {ACCOUNTS: [asdict(account)]})
-    stated = "a: 3 of 4 episodes committed, 1 rejected, 0 remaining, after 9 attempts (samples not used: 4 unstable, 2 collision)"
+    stated = (
+        "a: 3 of 4 episodes committed, 1 missing, 0 remaining; 9 samples planned "
+        "(rejected or skipped: 4 unstable, 2 collision)"
+    )
     assert stated in aomgen("status", "run", folder=tmp_path).stdout
     # Without one of its files the stage is not finished, and its episodes are counted.
     (finished / "08_episodes" / "000001" / "front.mp4").unlink()
