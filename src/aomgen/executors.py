@@ -53,9 +53,11 @@ class Executor(Protocol):
 
     def submit(self, unit: Any) -> None:
         """Start the execution of a unit."""
+        ...
 
     def next_done(self) -> Done:
         """Wait until a unit has ended, and return its result, or raise the error of its work."""
+        ...
 
     def __enter__(self) -> Self: ...
 
