@@ -196,6 +196,7 @@ def test_a_known_clock_is_kept_and_a_slightly_wrong_calibration_contradicted(sta
     assert found.figures["calibration_mm"] == pytest.approx(1e3 * np.hypot(0.02, 0.01), abs=4)
 
 
+@pytest.mark.slow
 def test_a_film_without_the_arm_moves_no_camera(stage: Stage) -> None:
     rng = np.random.default_rng(2)
     times = np.arange(int(FPS * SECONDS)) / FPS
@@ -247,6 +248,7 @@ def test_joint_zeros_are_found_with_the_moving_arm(stage: Stage, front_film: Vid
     assert np.all(np.abs(found.joint_zeros_rad - zeros) < 4 * found.joint_zero_sds_rad)
 
 
+@pytest.mark.slow
 def test_joints_as_logged_stay(stage: Stage, front_film: Video) -> None:
     found = calibrate(stage, {"front": camera_video(FRONT, front_film)})
     assert np.abs(np.degrees(found.joint_zeros_rad)).max() < 0.1

@@ -3,6 +3,7 @@
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 from aomgen.io.images import encode_png, read_image
 from aomgen.pipeline.manifest import read_manifest, write_manifest
@@ -10,6 +11,7 @@ from aomgen.pipeline.stages import STAGES
 from benchmarks.imports import digest_scene, take_scene
 
 
+@pytest.mark.slow
 def test_the_digest_is_that_of_decoded_images_and_of_intrinsics(capture_copy: Path):
     before = digest_scene(capture_copy)
     toml = capture_copy / "capture.toml"

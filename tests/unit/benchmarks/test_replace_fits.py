@@ -33,6 +33,7 @@ def films(monkeypatch, robot):
     return shown
 
 
+@pytest.mark.slow
 def test_a_video_without_motion_is_reported_and_the_next_one_is_used(films, monkeypatch, tmp_path):
     monkeypatch.setattr(replace_fits, "CATEGORIES", ("microwave", "drawer"))
     found = replace_fits.run_fits(tmp_path, 7, lambda text: None)

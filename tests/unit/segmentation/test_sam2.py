@@ -232,6 +232,7 @@ def prompt(part, image, box):
     return Prompt(part=part, image=image, points=np.zeros((0, 3)), box=np.array(box, np.float64))
 
 
+@pytest.mark.slow
 def test_prompts_are_carried_as_by_the_library(weights):
     import torch
     from transformers.models.sam2_video.modeling_sam2_video import Sam2VideoInferenceSession

@@ -49,6 +49,7 @@ def test_changed_images_are_told_apart(changed_scan):
     assert "(again.jpg)" in repeated
 
 
+@pytest.mark.slow
 def test_check_writes_a_page_with_the_worst_image_first(capture_copy, tmp_path):
     prompted = {prompt.image for prompt in read_capture(capture_copy).prompts}
     for index, path in enumerate(sorted((capture_copy / "scan").iterdir())):

@@ -214,6 +214,7 @@ def _half_blind(images: dict[str, Path]):
     return stopped
 
 
+@pytest.mark.slow
 def test_global_mapping_helps_where_incremental_mapping_stops(photographs, tmp_path, monkeypatch):
     images, cameras, view, _ = photographs
     monkeypatch.setattr(Workspace, "map", _half_blind(images))

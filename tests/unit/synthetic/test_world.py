@@ -246,6 +246,7 @@ def test_laptops_are_found_closed_or_ajar(made: Callable[[str, int], Articulated
     assert {draw_usual_style(made("dresser", 0), rng)[0].start for _ in range(10)} == {0.0}
 
 
+@pytest.mark.slow
 def test_objects_beside_a_laptop_collide_and_hide_none_of_it(
     made: Callable[[str, int], ArticulatedAsset],
 ) -> None:
