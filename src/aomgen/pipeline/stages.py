@@ -108,7 +108,7 @@ STAGES: tuple[Stage, ...] = (
         title="parts of robot and object",
         needs=("capture", "structure", "gaussians", "alignment"),
         settings=("parts_method", "segmenter", "alignment_method"),
-        version=14,
+        version=15,
         weight=22,
         function=_parts,
         incremental=True,
@@ -119,7 +119,7 @@ STAGES: tuple[Stage, ...] = (
         title="keyframes, contact, joint",
         needs=("capture", "structure", "gaussians", "alignment", "parts"),
         settings=("motion_method",),
-        version=25,
+        version=26,
         weight=9,
         function=_by_method(
             "motion_method",
