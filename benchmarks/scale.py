@@ -17,7 +17,7 @@ from typing import Any, Final
 REPOSITORY: Final = Path(__file__).parents[1]
 EPISODES_FOLDER: Final = "08_episodes"
 ASSETS: Final = 10
-# One attempt in this many is rejected.
+# One sample in this many is rejected.
 REJECTED: Final = 11
 # Number of hard links to one file; ext4 allows 65,000.
 LINKS: Final = 10_000
