@@ -31,8 +31,6 @@ LOST: Final = {
     "worker_died": "the process that worked on it died repeatedly",
     "timeout": "it took longer than the limit",
 }
-# Time limit for a connection to a server, [s].
-CONNECT_S: Final = 5.0
 # Every worker uses one thread, so that results do not depend on the number of workers and workers do not compete for cores.
 ONE_THREAD: Final = {name: "1" for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")}
 

@@ -9,8 +9,10 @@ import time
 from typing import Any, Final, Self
 
 from aomgen.errors import BackendError
-from aomgen.executors import CONNECT_S, RETRIES, Done, Opener, Work
+from aomgen.executors import RETRIES, Done, Opener, Work
 
+# Time limit for a connection to the head of a cluster or to another server, [s].
+CONNECT_S: Final = 5.0
 RAY_PROBE: Final = "import ray, sys; ray.init(sys.argv[1], log_to_driver=False, configure_logging=False)"
 # Time limit for importing Ray and joining the cluster, which is sufficient on a busy machine, [s].
 RAY_PROBE_S: Final = 60.0

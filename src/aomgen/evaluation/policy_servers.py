@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from aomgen.errors import BackendError, PolicyServerError
-from aomgen.executors import CONNECT_S
+from aomgen.ray_cluster import CONNECT_S
 
 # Time limit of a response, [s]; a server compiles its model before the first one.
 ANSWER_S: Final = 300.0

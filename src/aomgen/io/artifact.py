@@ -24,8 +24,9 @@ from aomgen.io.atomic import write_bytes, write_json
 INLINE_ELEMENTS = 64
 # Largest npz file that is read, [bytes]; a run writes far smaller ones, and this size fits into memory.
 MAX_NPZ_BYTES: Final = 2 << 30
-# Largest JSON file that is read, [bytes], chosen in the same manner; and largest list of a run's episodes, samples or files.
+# Largest JSON file that is read, [bytes], chosen in the same manner.
 MAX_JSON_BYTES: Final = 64 << 20
+# Largest list of the episodes, samples or files of a run, [bytes]: a run may have 100,000 episodes.
 MAX_LIST_BYTES: Final = 1 << 30
 T = TypeVar("T")
 
