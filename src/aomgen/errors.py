@@ -239,6 +239,10 @@ class BackendError(AomgenError):
     exit_code = 4
 
 
+class DamagedWeightsError(BackendError):
+    """A file of downloaded weights differs from the published one."""
+
+
 def explain_missing_module(error: ModuleNotFoundError) -> BackendError | None:
     """Return an error that names the extra with a missing module, or None if `reconstruct` does not contain it."""
     module = (error.name or "").partition(".")[0]

@@ -1,21 +1,23 @@
 """Computation of many units whose values are saved in one file each, so that an interrupted command can continue."""
 
 from collections.abc import Iterable, Mapping
+from functools import partial
 from pathlib import Path
 from typing import Any, Final, Generic, TypeVar
 
 from aomgen.core.progress import Progress
 from aomgen.errors import ConfigError
 from aomgen.executors import Executor, run_units
-from aomgen.io.artifact import load_artifact, read_json, save_artifact
-from aomgen.io.atomic import remove_staging, write_json
+from aomgen.io.artifact import load_artifact, save_artifact
+from aomgen.io.atomic import remove_folder, remove_staging, write_json
+from aomgen.io.reuse import reuse, reuse_object
 
 REQUEST_FILE: Final = "request.json"
 T = TypeVar("T")
 
 
 class SavedUnits(Generic[T]):
-    """Folder that holds the value of each unit of a request.
+    """Folder that holds the value of each unit of a request; damaged values are computed again.
 
     Args:
         folder: Folder of the values of one request.
@@ -29,8 +31,11 @@ class SavedUnits(Generic[T]):
     def __init__(self, folder: Path, request: Mapping[str, Any], kind: type[T]) -> None:
         self.folder, self._kind = folder, kind
         place, want = folder / REQUEST_FILE, dict(request)
-        if place.is_file() and read_json(place) != want:
+        have = reuse_object(place)
+        if have and have != want:
             raise ConfigError(folder, "was begun for something else", "delete it, or choose another name")
+        if place.exists() and not have:  # The damaged request may have been another one.
+            remove_folder(folder)
         remove_staging(folder)
         write_json(place, want)
 
@@ -47,12 +52,18 @@ class SavedUnits(Generic[T]):
             AomgenError: The computation of a unit fails.
         """
         wanted = list(units)
-        waiting = [unit for unit in wanted if not (self.folder / f"{unit_name(unit)}.json").is_file()]
+        waiting = [unit for unit in wanted if reuse(self._file(unit), partial(self._load, unit)) is None]
         kept = len(wanted) - len(waiting)
         for number, done in enumerate(run_units(waiting, executor), kept + 1):
             save_artifact(self.folder, unit_name(done.unit), done.value)
             progress(number / len(wanted), f"{number} of {len(wanted)}")
-        return [load_artifact(self.folder, unit_name(unit), self._kind) for unit in wanted]
+        return [self._load(unit) for unit in wanted]
+
+    def _file(self, unit: int) -> Path:
+        return self.folder / f"{unit_name(unit)}.json"
+
+    def _load(self, unit: int) -> T:
+        return load_artifact(self.folder, unit_name(unit), self._kind)
 
 
 def unit_name(unit: int) -> str:

@@ -10,7 +10,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from aomgen.segmentation.weights import find_weights
+from aomgen.segmentation.weights import ensure_weights
 
 # (kernel, stride, expansion, channels, blocks) of each group of blocks; the last two groups of the network, which reach stride
 # 32, are omitted.
@@ -51,7 +51,7 @@ class Lite0(nn.Module):
         Raises:
             BackendError: The weights are not installed.
         """
-        path = find_weights("lite0")["efficientnet-lite0.pth"]
+        path = ensure_weights("lite0")["efficientnet-lite0.pth"]
         published = torch.load(path, map_location="cpu", weights_only=True)
         self.load_state_dict({name: published[name] for name in self.state_dict()})
 

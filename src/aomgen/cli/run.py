@@ -8,6 +8,7 @@ import sys
 import tempfile
 import threading
 import traceback
+import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -28,6 +29,7 @@ RunFolder = Annotated[Path, typer.Argument(help="Folder of a run, or its project
 INTERRUPTED = "interrupted; run the same command again to continue\n"
 # Terminal codes: return to the start of the line, delete it, and show the cursor, which a progress bar hides.
 LEAVE_BAR = "\r\x1b[2K\x1b[?25h"
+PYTHON_FORMAT: Final = warnings.formatwarning
 # Exit code of an internal software error in BSD's sysexits.h.
 EXIT_BUG = 70
 # Settings of every command line of the repository.
@@ -46,6 +48,7 @@ def run_command(app: typer.Typer) -> None:
         SystemExit: Always, with the command's exit code.
     """
     sys.excepthook = report_bug
+    warnings.formatwarning = format_warning
     with stop_at_signals():
         try:
             try:
@@ -169,6 +172,15 @@ def _end(number: int, scratch: str) -> None:
     finally:
         # Also when no process reads the stream any more.
         os._exit(128 + number)
+
+
+def format_warning(message: Warning | str, category: type[Warning], *where: Any, **line: Any) -> str:
+    """Format a warning of AOMGen as one sentence, and a warning of another package as Python does."""
+    from aomgen.io.reuse import StoredFileWarning
+
+    if issubclass(category, StoredFileWarning):
+        return f"warning: {message}\n"
+    return PYTHON_FORMAT(message, category, *where, **line)
 
 
 def report_bug(kind: type[BaseException], error: BaseException, trace: TracebackType | None) -> None:

@@ -32,6 +32,7 @@ from aomgen.datasets.selection import (
 from aomgen.errors import ConfigError, MalformedFileError, MissingFileError, UnknownNameError
 from aomgen.io.artifact import MAX_LIST_BYTES, read_json
 from aomgen.io.atomic import write_json
+from aomgen.io.reuse import reuse
 from aomgen.io.review import read_content
 from aomgen.version import __version__
 
@@ -155,8 +156,8 @@ def export_shard(
     contents = {path.name: read_content(path) for path in chosen}
     request = {"version": __version__, "format": kind, "options": options, "episodes": contents}
     stated = folder / SHARDS_FOLDER / f"{name}.json"
-    kept = (folder / name / MARK).is_file() and stated.is_file()
-    if kept and read_json(stated, MAX_LIST_BYTES) == request:
+    kept = (folder / name / MARK).is_file()
+    if kept and reuse(stated, partial(read_json, stated, MAX_LIST_BYTES)) == request:
         return None
     stated.unlink(missing_ok=True)
     made = export_dataset(chosen, folder / name, kind, progress, **options)

@@ -34,6 +34,7 @@ from aomgen.executors import Work
 from aomgen.io.artifact import file_digest, load_artifact
 from aomgen.io.atomic import stage_folder
 from aomgen.io.episode_folder import episode_folder
+from aomgen.io.reuse import reuse
 from aomgen.lighting.object_shadow import ObjectShadow, tabulate_object_shadow
 from aomgen.results import ASSET_USD, Results
 from aomgen.robots.robot import longest_reach
@@ -180,8 +181,8 @@ class EpisodeFactory:
     def _usual_grasp(self, category: str) -> GraspChoice:
         """Return the usual grasp of a category's objects, from the stage's folder if it has been chosen."""
         chosen = self.folder / GRASPS_FOLDER
-        if (chosen / f"{category}.json").is_file():
-            return load_artifact(chosen, category, GraspChoice)
+        if known := reuse(chosen / f"{category}.json", partial(load_artifact, chosen, category, GraspChoice)):
+            return known
         assets = enumerate(self.results.fitted_assets)
         alike = [number for number, fitted in assets if fitted.asset.category == category]
         # A planner holds a copy of its scene, so only those of one object's draws are kept.

@@ -6,6 +6,7 @@ are begun than are missing.
 
 from collections.abc import Callable, Iterator, Set
 from dataclasses import asdict, dataclass
+from functools import partial
 from itertools import filterfalse
 from pathlib import Path
 from typing import Any, Final
@@ -30,6 +31,7 @@ from aomgen.episodes.ledger import (
 from aomgen.executors import LOST, Done, Executor
 from aomgen.io.atomic import remove_folder, remove_staging
 from aomgen.io.episode_folder import episode_folder
+from aomgen.io.reuse import reuse
 
 # An asset is given up after this many skipped draws in a row: where one in a hundred fits, one is found.
 MAX_SKIPPED: Final = 500
@@ -124,6 +126,7 @@ def generate(
     (folder / DRAWS_FILE).unlink(missing_ok=True)
     write_request(folder, request)
     committed, rejected = list_ended_units(folder)
+    rejected = {unit for unit in rejected if _is_readable(folder, unit)}
     quotas = [
         _Quota(asset, request.episodes, request.attempts, screen, (committed, rejected))
         for asset in range(len(request.assets))
@@ -155,6 +158,15 @@ def generate(
     _remove_staging(folder)  # of workers that have died meanwhile
     _forget_others(folder, quotas)
     write_draws(folder, _outcomes(folder, request, quotas, committed))
+
+
+def _is_readable(folder: Path, unit: Unit) -> bool:
+    """Return whether the rejection of a unit is readable; a damaged one is deleted with a warning."""
+    path = rejection_file(folder, unit)
+    if reuse(path, partial(read_rejection, folder, unit)) is None:
+        remove_folder(path)
+        return False
+    return True
 
 
 def _remove_staging(folder: Path) -> None:

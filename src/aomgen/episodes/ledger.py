@@ -12,7 +12,7 @@ At any moment, requested = committed + rejected + left. Distributions are comput
 
 import os
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Annotated, Any, Final
@@ -25,8 +25,8 @@ from aomgen.core.values import Array, freeze_arrays
 from aomgen.episodes.variations import Ranges
 from aomgen.errors import MalformedFileError
 from aomgen.io.artifact import MAX_LIST_BYTES, read_json
-from aomgen.io.atomic import write_json
-from aomgen.io.episode_folder import list_committed_names
+from aomgen.io.atomic import remove_folder, write_json
+from aomgen.io.episode_folder import episode_folder, list_committed_names
 
 REQUEST_FILE, DRAWS_FILE = "request.json", "draws.json"
 REJECTED_FOLDER, OBJECTS_FOLDER = "rejected", "objects"
@@ -127,6 +127,29 @@ def rejection_file(folder: Path, unit: Unit) -> Path:
 def object_folder(folder: Path, unit: Unit) -> Path:
     """Return the folder with the USD of an episode's object whose size differs from its asset's."""
     return folder / OBJECTS_FOLDER / f"{unit.number:06d}"
+
+
+def unit_paths(folder: Path, unit: Unit) -> tuple[Path, Path, Path]:
+    """Return the paths that a unit may leave, in the order in which they are committed: object, episode and rejection."""
+    return object_folder(folder, unit), episode_folder(folder, unit.number), rejection_file(folder, unit)
+
+
+def forget_files(folder: Path, names: Iterable[str]) -> None:
+    """Delete damaged files, and all files of the units to which they belong, so that these units are made again.
+
+    Args:
+        folder: Folder of all episodes.
+        names: Relative paths of the damaged files.
+
+    Raises:
+        StorageError: A file cannot be deleted.
+    """
+    damaged = [Path(name) for name in names]
+    numbers = {part.removesuffix(".json") for name in damaged for part in name.parts[:2]}
+    units = [unit_of(number) for number in numbers if number.isdigit()]
+    paths = [path for unit in units for path in unit_paths(folder, unit)]
+    for path in filter(Path.exists, [*paths, *(folder / name for name in damaged)]):
+        remove_folder(path)
 
 
 def read_rejection(folder: Path, unit: Unit) -> Rejection:

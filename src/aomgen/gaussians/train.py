@@ -15,6 +15,7 @@ from aomgen.core.transforms import quat_from_matrix
 from aomgen.core.values import Array
 from aomgen.errors import CorruptArtifactError, ReconstructionError
 from aomgen.gaussians.dense_points import DensePoints, DensifyParams, densify
+from aomgen.io.reuse import warn_of_file
 from aomgen.splatting.checkpoint import Checkpoint
 from aomgen.splatting.metrics import psnr, ssim
 from aomgen.splatting.rasterizer import render
@@ -122,8 +123,8 @@ def train_scene(
 
     Args:
         images_srgb: All scan images (H, W, 3) uint8 by name; those without a camera are ignored.
-        checkpoint: File from which the training continues after a kill. One that cannot be used (damaged, or
-            of other inputs) is left out: it is only saved time, and progress says so.
+        checkpoint: File from which the training continues after a kill. If it cannot be used (damaged, or of other
+            inputs), the training starts over with a warning.
 
     Raises:
         ReconstructionError: The held-out images are not reproduced at all.
@@ -139,7 +140,7 @@ def train_scene(
     except CorruptArtifactError as error:
         if checkpoint is None:
             raise
-        progress(0.25, f"training starts over: {error.where} {error.problem}")
+        warn_of_file(error.where, error.problem, "the training starts over")
         checkpoint.path.unlink()
         trained = training(np.random.default_rng(params.seed), checkpoint=checkpoint)
     trained = without_floaters(trained, views.cameras, views.dense, params.near_share)

@@ -10,6 +10,7 @@ the user sets size and threshold.
 """
 
 from collections.abc import Mapping, Sequence
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -22,6 +23,7 @@ from aomgen.core.values import Array
 from aomgen.errors import MalformedFileError, ReconstructionError
 from aomgen.io.artifact import npz_bytes, read_npz
 from aomgen.io.atomic import write_bytes
+from aomgen.io.reuse import reuse
 from aomgen.paper.affinity_features import (
     Affinity,
     AffinityParams,
@@ -186,13 +188,10 @@ def segment_views(
         views: Scan views, world frame, without held-out ones.
         count: Number of segmented views, including the prompted ones.
         folder: Folder with one file for each view; None stores no masks. It must belong to these views and this
-            segmenter, which is not checked.
+            segmenter, which is not checked. The masks of a damaged file are computed again.
 
     Returns:
         Masks (M, H, W) by view name: those of the prompts first, then those of the grid, best first.
-
-    Raises:
-        MalformedFileError: A stored file is damaged.
     """
     prepared = {item.view.name: item.prepared for item in prompted}
     chosen = spread_views(views, list(prepared), count)
@@ -206,9 +205,8 @@ def segment_views(
     found = {}
     for index, view in enumerate(chosen):
         path = None if folder is None else folder / f"{Path(view.name).stem}.npz"
-        if path is not None and path.is_file():
-            masks = load_masks(path)
-        else:
+        masks = None if path is None else reuse(path, partial(load_masks, path))
+        if masks is None:
             image = prepared.get(view.name) or segmenter.prepare(view.name, view.image_srgb)
             grid = grid_points(view.robot.shape, GRID_SIDE, view.robot)
             grid = np.concatenate([grid, _object_grid(view, points_world)])

@@ -3,6 +3,7 @@
 import hashlib
 import os
 import stat
+from collections.abc import Iterator
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
@@ -102,14 +103,24 @@ def read_manifest(folder: Path) -> Manifest | None:
         ) from error
 
 
-def files_present(folder: Path, manifest: Manifest) -> bool:
-    """Return whether every file of a manifest exists and has the recorded size."""
+def find_damage(folder: Path, manifest: Manifest, *, content: bool = False) -> Iterator[str]:
+    """Yield the relative paths of the files that are missing, unreadable or of another size than the manifest states.
+
+    Args:
+        folder: Folder of the result.
+        manifest: Its manifest.
+        content: Also read every file and compare its digest.
+    """
     root = os.fspath(folder)
-    try:
-        found = ((os.stat(f"{root}/{name}"), size) for name, (_, size) in manifest.files.items())
-        return all(stat.S_ISREG(have.st_mode) and have.st_size == size for have, size in found)
-    except (FileNotFoundError, NotADirectoryError):
-        return False
+    for name, (sha256, size) in manifest.files.items():
+        try:
+            have = os.stat(f"{root}/{name}")
+            intact = stat.S_ISREG(have.st_mode) and have.st_size == size
+            intact = intact and (not content or file_digest(folder / name) == sha256)
+        except OSError:
+            intact = False
+        if not intact:
+            yield name
 
 
 def files_digest(paths: list[Path]) -> str:

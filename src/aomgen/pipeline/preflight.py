@@ -11,9 +11,9 @@ from aomgen.core.episode import NEW_CAMERA
 from aomgen.core.project import Project, split_light
 from aomgen.core.recording import Recording
 from aomgen.errors import BackendError, ConfigError, MissingFileError, StorageError, suggest
-from aomgen.io.artifact import read_json
 from aomgen.io.atomic import write_json
 from aomgen.io.hdr_image import read_environment
+from aomgen.io.reuse import reuse_object
 from aomgen.io.video import probe_video
 from aomgen.pipeline.manifest import MANIFEST, text_digest
 from aomgen.pipeline.requirements import EVERYTHING, require_environment, require_room
@@ -79,7 +79,7 @@ def preflight(
     file = project.out / CHECKED_FILE
     choices = project.model_dump_json(exclude={"capture", "out"})
     digest = text_digest("\n".join([__version__, choices, *inputs.values()]))
-    known = read_json(file) if file.is_file() else {}
+    known = reuse_object(file)
     same = known.get("digest") == digest
     warnings = tuple(known.get("warnings", ())) if same else check_project(project, capture)
     done = [stage.name for stage, state in stage_states(project, tuple(stages)) if state == "done"]
@@ -88,7 +88,7 @@ def preflight(
         require_room(project.out)
         has_masks = bool(capture.mask_folders)
         networks = bool(project.networks)
-        require_environment(missing, project.segmenter, has_masks=has_masks, diffusion=networks)
+        require_environment(missing, project.segmenter, has_masks=has_masks, diffusion=networks, repair=True)
     if not same:
         write_json(file, {"digest": digest, "warnings": warnings})
     return warnings

@@ -12,7 +12,7 @@ from aomgen.errors import AomgenError, BackendError, StorageError
 from aomgen.replacement.diffusion import EXTRA as DIFFUSION_REMEDY
 from aomgen.robots.silhouette import REMEDY as GL_REMEDY
 from aomgen.segmentation.sam2_weights import find_sam2
-from aomgen.segmentation.weights import find_weights
+from aomgen.segmentation.weights import ensure_weights, find_weights
 from aomgen.splatting.native import library
 
 # Optional modules that a stage imports, and the command that installs them.
@@ -35,7 +35,7 @@ MIN_FREE = 250 << 20
 
 
 def require_environment(
-    stages: Collection[str], segmenter: str, *, has_masks: bool, diffusion: bool = False
+    stages: Collection[str], segmenter: str, *, has_masks: bool, diffusion: bool = False, repair: bool = False
 ) -> None:
     """Check that this machine can execute stages.
 
@@ -44,6 +44,7 @@ def require_environment(
         segmenter: Segmenter of the project.
         has_masks: The capture contains masks.
         diffusion: The project uses diffusion pipelines.
+        repair: Download damaged weights again.
 
     Raises:
         BackendError: A module, weight file, the native library or an OpenGL driver is missing.
@@ -56,7 +57,7 @@ def require_environment(
     if "parts" in stages and not (segmenter == "auto" and has_masks):
         if segmenter in ("auto", "mobile_sam"):
             _require_modules(*MOBILE_SAM)
-            find_weights()
+            (ensure_weights if repair else find_weights)("mobile_sam")
         else:
             find_sam2(segmenter)
             _require_modules(*SAM2)

@@ -7,19 +7,20 @@ import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any, Protocol
 
 from aomgen.core.progress import Progress
 from aomgen.core.project import Project
 from aomgen.errors import LockedError, StorageError
-from aomgen.io.artifact import read_json
 from aomgen.io.atomic import remove_folder, remove_staging, stage_folder, write_json, write_text
+from aomgen.io.reuse import DAMAGE, reuse, reuse_object, warn_of_file
 from aomgen.pipeline.manifest import (
     MANIFEST,
     Identity,
     Manifest,
-    files_present,
+    find_damage,
     read_manifest,
     text_digest,
     write_manifest,
@@ -54,6 +55,8 @@ class Stage:
         incremental: Whether the stage works in its final folder, commits item by item or writes checkpoints, and
             continues there after a kill.
         amount: Settings that only change the number of items of an incremental stage; existing items remain.
+        forget: Function that deletes the items to which damaged files belong, given the folder and the relative paths of
+            the files; None to compute the whole stage again. The items have digests of their own.
     """
 
     name: str
@@ -66,6 +69,7 @@ class Stage:
     settings: tuple[str, ...] = ()
     incremental: bool = False
     amount: tuple[str, ...] = ()
+    forget: Callable[[Path, list[str]], None] | None = None
 
 
 class Display(Protocol):
@@ -127,12 +131,13 @@ def run_stages(
         AomgenError: A stage failed; no incomplete file remains.
     """
     results = results_of(project, stages, **machine)
+    needed = {name for stage in stages for name in stage.needs}
     with lock(project.out):
         remove_staging(project.out)
         digests = dict(inputs)
         made: list[str] = []
         for stage in stages:
-            kept = _kept(results, stage, digests)
+            kept = _kept(results, stage, digests, content=stage.name in needed and stage.forget is None)
             if kept is None:
                 made.append(stage.name)
                 manifest = _make(results, stage, digests, display)
@@ -178,8 +183,11 @@ def stage_manifests(
     """Yield each stage with its state, see `stage_states`, and its manifest if it has one."""
     for stage in stages:
         folder = project.out / stage.folder
-        manifest = read_manifest(folder)
-        if manifest and files_present(folder, manifest):
+        try:
+            manifest = read_manifest(folder)
+        except DAMAGE:  # The next run warns of it.
+            manifest = None
+        if manifest and not any(find_damage(folder, manifest)):
             yield stage, "done", manifest
         else:
             yield stage, "partial" if folder.exists() else "missing", manifest
@@ -193,13 +201,26 @@ def _identify(results: Results, stage: Stage, digests: dict[str, str]) -> Identi
     return stage.version, inputs, parameters | ({"params": changed} if changed else {})
 
 
-def _kept(results: Results, stage: Stage, digests: dict[str, str]) -> Manifest | None:
-    """Return the manifest of a stage if its result was computed from the current inputs, else None."""
+def _kept(results: Results, stage: Stage, digests: dict[str, str], *, content: bool) -> Manifest | None:
+    """Return the manifest of a stage if its result was computed from the current inputs and is not damaged, else None.
+
+    Damaged items are forgotten, so that they are computed again. Files that no later stage reads, and files of items with
+    digests of their own, are compared by size (`content` is False), because they may be large.
+    """
     folder = results.folders[stage.name]
-    manifest = read_manifest(folder)
-    if manifest is None or not files_present(folder, manifest):
+    manifest = reuse(folder / MANIFEST, partial(read_manifest, folder))
+    if manifest is None or manifest.identity != _identify(results, stage, digests):
         return None
-    return manifest if manifest.identity == _identify(results, stage, digests) else None
+    damaged = list(find_damage(folder, manifest, content=content))
+    if not damaged:
+        return manifest
+    others = f" and {len(damaged) - 1} other files" if len(damaged) > 1 else ""
+    warn_of_file(folder, f"{damaged[0]}{others} of the finished stage '{stage.name}' are missing or damaged")
+    if stage.forget is not None:
+        stage.forget(folder, damaged)
+    elif stage.incremental:
+        (folder / STARTED).unlink(missing_ok=True)
+    return None
 
 
 def _make(results: Results, stage: Stage, digests: dict[str, str], display: Display) -> Manifest:
@@ -215,8 +236,7 @@ def _make(results: Results, stage: Stage, digests: dict[str, str], display: Disp
             manifest = _finish(staging, stage, wanted, stage.function(results, staging, display.progress))
     seconds = time.monotonic() - start
     path = results.out / TIMINGS
-    timings = read_json(path) if path.is_file() else {}
-    write_json(path, {**timings, stage.name: round(seconds, 2)})
+    write_json(path, {**reuse_object(path), stage.name: round(seconds, 2)})
     display.end(stage, seconds, manifest.figures)
     return manifest
 
@@ -232,7 +252,7 @@ def _begin_in_place(folder: Path, stage: Stage, wanted: Identity) -> None:
     deciding = {name: value for name, value in parameters.items() if name not in stage.amount}
     identity = text_digest(repr((__version__, (version, inputs, deciding))))
     started_file = folder / STARTED
-    if folder.exists() and not (started_file.is_file() and read_json(started_file) == {"identity": identity}):
+    if folder.exists() and reuse_object(started_file) != {"identity": identity}:
         remove_folder(folder)
     _make_folder(folder)
     remove_staging(folder)

@@ -67,6 +67,12 @@ def _parts(results: Results, folder: Path, progress: Progress) -> dict[str, Any]
     return run(results, folder, progress, partial(motion_evidence, results))
 
 
+def _forget_episodes(folder: Path, names: list[str]) -> None:
+    from aomgen.episodes.ledger import forget_files
+
+    forget_files(folder, names)
+
+
 STAGES: tuple[Stage, ...] = (
     Stage(
         name="structure",
@@ -156,6 +162,7 @@ STAGES: tuple[Stage, ...] = (
         function=_lazily("episodes.stage"),
         incremental=True,
         amount=("poses",),
+        forget=_forget_episodes,
     ),
     Stage(
         name="dataset",

@@ -1,17 +1,18 @@
 """`report.html`: what a run recovered and made, in images and numbers."""
 
 import shlex
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 
 from aomgen.errors import MissingFileError
-from aomgen.io.artifact import read_json
 from aomgen.io.atomic import write_text
 from aomgen.io.episode_folder import list_committed, read_episode
 from aomgen.io.images import resize, write_image
+from aomgen.io.reuse import reuse, reuse_object
 from aomgen.pipeline.figures import FIGURES, Reading, read_figure, read_figures
-from aomgen.pipeline.manifest import Manifest, load_record, read_manifest
+from aomgen.pipeline.manifest import RUN_RECORD, Manifest, load_record, read_manifest
 from aomgen.pipeline.project_file import read_project
 from aomgen.pipeline.runner import TIMINGS, results_of
 from aomgen.pipeline.stages import PROJECT_FILE, REPORT_FILE, STAGES
@@ -197,7 +198,8 @@ def results_table(results: Results) -> str:
 
 def provenance_table(results: Results) -> str:
     """Version, date, seed and command of a run, and how to make it again."""
-    record, project = load_record(results.out), results.project
+    record = reuse(results.out / RUN_RECORD, partial(load_record, results.out))
+    project = results.project
     rows: list[list[object]] = [
         ["AOMGen", record.version if record else __version__],
         ["finished", record.finished.replace("T", " ") if record else "not recorded"],
@@ -213,7 +215,7 @@ def provenance_table(results: Results) -> str:
 
 def stages_table(results: Results) -> str:
     """Seconds of each stage, their share of the whole, and the figures."""
-    seconds = read_json(results.out / TIMINGS)
+    seconds = reuse_object(results.out / TIMINGS)
     total = max(sum(seconds.values()), 1e-9)
     rows: list[list[object]] = []
     for stage in STAGES:

