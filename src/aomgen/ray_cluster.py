@@ -19,7 +19,7 @@ RAY_PROBE_S: Final = 60.0
 
 
 class RayCluster:
-    """Executor with the workers of a Ray cluster, which must have access to the same folders.
+    """Executor with the workers of a Ray cluster, which must have access to the folders or the store that the work uses.
 
     If the cluster has GPUs, each worker uses one.
 

@@ -50,6 +50,8 @@ class Results:
         folders: Final folder of every stage, by stage name.
         workers: Number of processes that generate episodes.
         ray: Address of the Ray cluster that generates them instead; empty for none.
+        store: URL of the store through which its workers get inputs and return episodes; empty if they can access the
+            folders of the run.
     """
 
     project: Project
@@ -57,6 +59,7 @@ class Results:
     folders: Mapping[str, Path]
     workers: int = field(default_factory=lambda: len(os.sched_getaffinity(0)))
     ray: str = ""
+    store: str = ""
 
     def params(self, stage: str, defaults: T) -> T:
         """Return the parameters of a stage: its defaults with the changes of the project.

@@ -17,6 +17,7 @@ from aomgen.core.gaussians import gaussians_of
 from aomgen.core.light import hemisphere_light
 from aomgen.core.progress import silent
 from aomgen.core.project import Project
+from aomgen.core.recording import RobotChoice
 from aomgen.core.transforms import transform
 from aomgen.episodes.grasp_choice import GRASPS_FOLDER, GraspChoice
 from aomgen.episodes.grasps import grasps
@@ -38,6 +39,17 @@ GRASP_NAME = "tilt +0, turn 1.00"
 SIZE = (64, 48)
 FOLDERS = {"replacement": "07_replacement", "episodes": "08_episodes", "dataset": "dataset"}
 
+ROBOT = RobotChoice(
+    model="ur5e_2f85",
+    model_file=None,
+    root=Path(),
+    references=(),
+    base_frame="base_link",
+    joints=(),
+    scan_joints=np.zeros(0),
+    scan_gripper=0.0,
+)
+
 
 class ToyResults(Results):
     """What the stages `episodes` and `dataset` read; the recording is made up."""
@@ -51,13 +63,13 @@ class ToyResults(Results):
         return _demonstration()
 
     fps: Any = 10.0
-    recorded: Any = SimpleNamespace(instruction="open the drawer")
+    recorded: Any = SimpleNamespace(instruction="open the drawer", robot=ROBOT)
     alignment: Any = SimpleNamespace(joint_zeros_rad=np.zeros(6))
 
 
 @cache
 def _robot() -> RobotModel:
-    return load_robot("ur5e_2f85")
+    return load_robot(ROBOT.model)
 
 
 @cache

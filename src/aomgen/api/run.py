@@ -253,7 +253,7 @@ def bring_up_to_date(
         project: Settings of the run.
         until: Last stage to run; all stages are run if it is empty.
         progress: See `reconstruct`.
-        machine: Execution of the episodes, see `Results`: `workers`, `ray`.
+        machine: Execution of the episodes, see `Results`: `workers`, `ray`, `store`.
 
     Returns:
         Names of the stages that were computed.

