@@ -22,7 +22,7 @@ from aomgen.core.values import Array
 from aomgen.lighting.light_estimation import SceneLight, ToneCurve
 from aomgen.lighting.reflection import show_in_light
 from aomgen.replacement.asset_renderer import AssetRenderer
-from aomgen.replacement.asset_surfels import asset_surfels
+from aomgen.replacement.asset_surfels import fit_surfels
 from aomgen.splatting.metrics import psnr
 from aomgen.splatting.rasterizer import render
 from aomgen.splatting.surfels import Surfels
@@ -115,7 +115,7 @@ def run_meshes(assets: list[ArticulatedAsset], seed: int, tell: Callable[[str], 
         rng = np.random.default_rng([seed, number])
         views = draw_views(asset, rng)
         started = time.perf_counter()
-        static, moving = asset_surfels(asset, rng)
+        static, moving = fit_surfels(asset, rng)
         seconds = time.perf_counter() - started
         scores = score_views(asset, static.gaussians, moving.gaussians, views)
         count = len(static.gaussians) + len(moving.gaussians)

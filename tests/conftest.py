@@ -18,6 +18,15 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 SAMPLE = Path(str(importlib.resources.files("aomgen.samples"))) / "microwave-a"
 
 
+@pytest.fixture(scope="session", autouse=True)
+def own_cache(tmp_path_factory: pytest.TempPathFactory) -> None:
+    """Set the cache folder to one that all workers of a test run share."""
+    base = tmp_path_factory.getbasetemp()
+    os.environ["AOMGEN_CACHE"] = str((base.parent if "PYTEST_XDIST_WORKER" in os.environ else base) / "cache")
+    # Downloaded weights are used from the user's folder.
+    os.environ.setdefault("AOMGEN_WEIGHTS", str(Path.home() / ".cache" / "aomgen" / "weights"))
+
+
 @pytest.fixture(scope="session")
 def sample() -> Path:
     """The bundled capture; read only."""

@@ -74,6 +74,17 @@ def load_artifact(folder: Path, name: str, kind: type[T]) -> T:
         raise MalformedFileError(path, f"holds no {kind.__name__} ({error})", remedy) from error
 
 
+def artifact_digest(value: Any) -> str:
+    """Compute the SHA-256 digest of a value that `save_artifact` can store, as hexadecimal digits."""
+    arrays: dict[str, NDArray[Any]] = {}
+    content = _pack(value, "", arrays)
+    digest = hashlib.sha256(json.dumps(content, sort_keys=True).encode())
+    for name, array in arrays.items():
+        digest.update(f"{name} {array.dtype} {array.shape}".encode())
+        digest.update(np.ascontiguousarray(array).tobytes())
+    return digest.hexdigest()
+
+
 def restore(kind: type[T], data: Any) -> T:
     """Build a value of the class `kind` from JSON values, as `save_artifact` or `asdict` create them from a value.
 

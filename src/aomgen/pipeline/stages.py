@@ -1,7 +1,8 @@
 """The list of all stages, and the functions that run them."""
 
 import importlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -19,7 +20,7 @@ from aomgen.io.schema import override
 from aomgen.pipeline.manifest import files_digest, read_manifest, text_digest
 from aomgen.pipeline.preflight import preflight
 from aomgen.pipeline.project_file import read_project, write_project
-from aomgen.pipeline.runner import Display, Stage, StageFunction, lock, run_stages
+from aomgen.pipeline.runner import Display, Stage, StageFunction, lock, run_stages, stage_states
 from aomgen.ray_cluster import require_cluster
 from aomgen.results import Results
 from aomgen.store import require_store
@@ -80,7 +81,7 @@ STAGES: tuple[Stage, ...] = (
         folder="01_structure",
         title="structure from motion",
         needs=("capture",),
-        version=7,
+        version=8,
         weight=40,
         function=_lazily("structure.stage"),
         incremental=True,
@@ -148,7 +149,7 @@ STAGES: tuple[Stage, ...] = (
         title="removing the object, fitting assets",
         needs=("capture", "assets", "structure", "alignment", "motion", "twin"),
         settings=("assets", "adapt", "light", "light_yaw_deg", "inpainter", "seed", "image_size"),
-        version=19,
+        version=20,
         weight=11,
         function=_lazily("replacement.stage"),
     ),
@@ -224,7 +225,28 @@ def run_pipeline(project: Project, display: Display, *, until: str = "", **machi
     # The project is stored with the results, so that reports can be made again.
     with lock(project.out):
         write_project(project.out / PROJECT_FILE, project)
-    return run_stages(project, STAGES, display, inputs=inputs | review, until=until, **machine)
+    with _fit_assets_early(project, wanted):
+        return run_stages(project, STAGES, display, inputs=inputs | review, until=until, **machine)
+
+
+@contextmanager
+def _fit_assets_early(project: Project, wanted: Sequence[Stage]) -> Iterator[None]:
+    """Fit the Gaussians of the assets on idle cores while earlier stages run, if a later stage needs them.
+
+    Assets that are scaled to the recorded motion are not known before it is estimated.
+    """
+    states = {stage.name: state for stage, state in stage_states(project, tuple(wanted))}
+    if (
+        project.adapt != "trajectory"
+        or states.get("replacement", "done") == "done"
+        or states["structure"] == "done"
+    ):
+        yield
+        return
+    from aomgen.replacement.surfel_cache import fit_in_background
+
+    with fit_in_background(project.assets):
+        yield
 
 
 def require_stage(results: Results, name: str) -> None:

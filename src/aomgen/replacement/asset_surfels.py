@@ -4,9 +4,7 @@ Discs on a surface overhang its edges and smear its prints. Fitted to images, by
 later, they end where the surface ends, and there are more of them where there is more to see.
 """
 
-from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import Final
 
 import numpy as np
@@ -22,7 +20,6 @@ from aomgen.core.gaussians import SH_C0, Gaussians, concatenate
 from aomgen.core.light import open_transfer
 from aomgen.core.transforms import apply
 from aomgen.core.values import Array
-from aomgen.executors import Processes, Work, run_units
 from aomgen.lighting.link_occlusion import estimate_link_transfer
 from aomgen.replacement.asset_cover import cover_links
 from aomgen.replacement.asset_renderer import AssetRenderer
@@ -65,8 +62,6 @@ MIN_OPACITY: Final = 0.02
 STEP_PX: Final = 0.12
 # Learning rates at the end, as a share of those at the start.
 DECAY: Final = 0.1
-# Largest time to fit the surfels of one asset, which takes half a minute, [s].
-FIT_S: Final = 1800.0
 # Cameras look from around, down by these angles, [rad]; the asset's sphere fills these shares of their images.
 ELEVATIONS, FILLED = (-0.2, 1.2), (0.8, 1.1)
 # Focal length over the width of an image: that of a usual camera.
@@ -95,25 +90,13 @@ class _Surface:
         return _Surface(links=self.links[which], normals=self.normals[which], opaque=self.opaque[which])
 
 
-def fit_all_surfels(
-    assets: Mapping[int, ArticulatedAsset], seed: int, workers: int
-) -> Iterator[tuple[int, tuple[Surfels, Surfels]]]:
-    """Fit the surfels of several assets, one asset in each process, and yield them with their numbers when they are done.
-
-    The result does not depend on the number of workers, because the random numbers of an asset follow from its number.
-    Errors as for `asset_surfels`.
-    """
-    opener = partial(_open_fit, assets, seed)
-    for done in run_units(list(assets), Processes(opener, min(workers, len(assets)), FIT_S)):
-        yield done.unit, done.value
+def effort() -> tuple[int, ...]:
+    """Return the parameters that determine the time and the quality of a fit."""
+    return DISCS, MAX_GAUSSIANS, IMAGES, IMAGE_PX, ROUNDS
 
 
-def _open_fit(assets: Mapping[int, ArticulatedAsset], seed: int) -> Work:
-    return lambda number: asset_surfels(assets[number], np.random.default_rng(seed + number))
-
-
-def asset_surfels(asset: ArticulatedAsset, rng: np.random.Generator) -> tuple[Surfels, Surfels]:
-    """An asset's static and moving link as Gaussians that look like its meshes from all around.
+def fit_surfels(asset: ArticulatedAsset, rng: np.random.Generator) -> tuple[Surfels, Surfels]:
+    """Fit Gaussians that look like the meshes of an asset's static and moving link from all around.
 
     Raises:
         AssetError: A link has no surface.

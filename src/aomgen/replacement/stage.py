@@ -27,13 +27,13 @@ from aomgen.lighting.light_estimation import SceneLight, estimate_light, light_o
 from aomgen.lighting.reflection import show_in_light
 from aomgen.lighting.table_shadow import MAX_GAIN
 from aomgen.lighting.wall_shadow import cast_wall_shadow
-from aomgen.replacement.asset_surfels import fit_all_surfels
 from aomgen.replacement.correspondence import describe_contact
 from aomgen.replacement.diffusion import choose_photograph, estimate_environment, inpaint_table
 from aomgen.replacement.fitting import FitParams, fit_asset
 from aomgen.replacement.obstacles import find_obstacles, support_plane
 from aomgen.replacement.original import fit_original, original_twin
 from aomgen.replacement.removal import Cleared, Inpaint, clear_object
+from aomgen.replacement.surfel_cache import find_all_surfels
 from aomgen.replacement.table_texture import Photograph, inpaint
 from aomgen.replacement.viewpoint import episode_cameras
 from aomgen.results import ASSET_USD, ASSETS_FOLDER, BACKGROUND_FOLDER, FITTED, Results
@@ -72,7 +72,7 @@ def run(results: Results, folder: Path, progress: Progress) -> dict[str, Any]:
         if asset.asset.name == ORIGINAL:
             save_artifact(target, "twin", original_twin(background, results.twin, asset))
     others = {number: item.asset for number, item in enumerate(fitted) if item.asset.name != ORIGINAL}
-    for count, (number, surfels) in enumerate(fit_all_surfels(others, project.seed, results.workers), 1):
+    for count, (number, surfels) in enumerate(find_all_surfels(others, results.workers), 1):
         save_artifact(folders[number], "twin", asset_twin(background, fitted[number], light, surfels))
         progress(0.4 + 0.5 * count / len(others), f"Gaussians of the assets, {count} of {len(others)}")
     progress(0.9, "new viewpoint")

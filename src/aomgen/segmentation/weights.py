@@ -25,6 +25,7 @@ from typing import Final, Literal, get_args
 from aomgen.errors import AomgenError, BackendError, DamagedWeightsError, StorageError
 from aomgen.io.artifact import file_digest
 from aomgen.io.atomic import write_bytes, write_text
+from aomgen.io.cache import cache_folder
 from aomgen.io.reuse import warn_of_file
 
 WeightsName = Literal["mobile_sam", "lite0"]
@@ -85,9 +86,9 @@ PACKAGES: Final[Mapping[WeightsName, Package]] = {
 
 
 def weights_folder() -> Path:
-    """Return the folder of all weights: `$AOMGEN_WEIGHTS` if set, else `~/.cache/aomgen/weights`."""
+    """Return the folder of all weights: `$AOMGEN_WEIGHTS` if set, else `weights` in the user's cache folder."""
     chosen = os.environ.get("AOMGEN_WEIGHTS")
-    return Path(chosen) if chosen else Path.home() / ".cache" / "aomgen" / "weights"
+    return Path(chosen) if chosen else cache_folder("weights")
 
 
 # Temporary folders of weights that this process could not store, by name; they are deleted when the process ends.

@@ -1,7 +1,6 @@
 """Assets as Gaussians look like their meshes."""
 
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -13,10 +12,9 @@ from aomgen.core.camera import Camera, look_at
 from aomgen.core.gaussians import Gaussians, concatenate
 from aomgen.core.mesh import sample_surface
 from aomgen.core.transforms import apply
-from aomgen.executors import Done, Opener
 from aomgen.replacement import asset_surfels as module
 from aomgen.replacement.asset_renderer import AssetRenderer
-from aomgen.replacement.asset_surfels import asset_surfels
+from aomgen.replacement.asset_surfels import fit_surfels
 from aomgen.splatting.metrics import psnr
 from aomgen.splatting.rasterizer import render
 from aomgen.splatting.surfels import Surfels, surfels_of
@@ -44,7 +42,7 @@ def small_fit(asset: ArticulatedAsset, pictures: int = 24, size: int = SIZE) -> 
             "IMAGE_PX": size,
         }.items():
             patch.setattr(module, name, value)
-        return asset_surfels(asset, np.random.default_rng(0))
+        return fit_surfels(asset, np.random.default_rng(0))
 
 
 def view(azimuth: float) -> Camera:
@@ -116,35 +114,3 @@ def test_what_is_lit_is_what_was_fitted(fitted: tuple[Surfels, Surfels]) -> None
         assert surfels.albedo_linear.min() >= 0
         assert surfels.albedo_linear.max() <= 1
         assert len(surfels.transfer) == len(surfels.gaussians) == len(surfels.albedo_linear)
-
-
-def test_assets_are_fitted_with_separate_random_numbers_in_any_order(monkeypatch: pytest.MonkeyPatch) -> None:
-    class LastFirst:
-        """Executes the unit that was submitted last, in this process."""
-
-        slots = 2
-
-        def __init__(self, opener: Opener, slots: int, timeout_s: float) -> None:
-            assert slots == 2
-            self.work, self.submitted = opener(), list[int]()
-
-        def submit(self, unit: int) -> None:
-            self.submitted.append(unit)
-
-        def next_done(self) -> Done:
-            unit = self.submitted.pop()
-            return Done(unit=unit, value=self.work(unit))
-
-        def __enter__(self) -> "LastFirst":
-            return self
-
-        def __exit__(self, *exception: object) -> None:
-            pass
-
-    monkeypatch.setattr(module, "Processes", LastFirst)
-    monkeypatch.setattr(module, "asset_surfels", lambda asset, rng: (asset, rng.integers(1000)))
-    assets: Any = {0: "first", 1: "second", 4: "third"}
-    found = list(module.fit_all_surfels(assets, 7, workers=2))
-    assert [number for number, _ in found] == [1, 4, 0]
-    for number, (asset, value) in found:
-        assert (asset, value) == (assets[number], np.random.default_rng(7 + number).integers(1000))  # pyright: ignore[reportGeneralTypeIssues]
