@@ -52,7 +52,7 @@ def find_surfels(asset: ArticulatedAsset) -> tuple[Surfels, Surfels]:
         )
         return _fit(asset)
     with lock_folder(entry):
-        found = reuse(entry / f"{LINKS[-1]}.json", partial(_load, entry))
+        found = _load(entry)
         if found is None:
             found = _fit(asset)
             try:
@@ -68,13 +68,22 @@ def find_surfels(asset: ArticulatedAsset) -> tuple[Surfels, Surfels]:
 def find_all_surfels(
     assets: Mapping[int, ArticulatedAsset], workers: int
 ) -> Iterator[tuple[int, tuple[Surfels, Surfels]]]:
-    """Find the surfels of several assets, one asset in each process, and yield them with their numbers when they are done.
+    """Find the surfels of several assets and yield them with their numbers: first the stored ones, then each one that is fitted.
 
-    Errors as for `find_surfels`.
+    Every fit has its own process. Errors as for `find_surfels`.
     """
-    executor = Processes(partial(_open, assets), min(workers, len(assets)), FIT_S)
-    for done in run_units(list(assets), executor):
-        yield done.unit, done.value
+    entries = {number: cache_folder(FOLDER) / _digest(asset) for number, asset in assets.items()}
+    missing = list[int]()
+    for number, entry in entries.items():
+        found = _load(entry)
+        if found is None:
+            missing.append(number)
+        else:
+            yield number, found
+    if missing:
+        executor = Processes(partial(_open, assets), min(workers, len(missing)), FIT_S)
+        for done in run_units(missing, executor):
+            yield done.unit, done.value
 
 
 @contextmanager
@@ -113,9 +122,14 @@ def _fit(asset: ArticulatedAsset) -> tuple[Surfels, Surfels]:
     return asset_surfels.fit_surfels(asset, np.random.default_rng(0))
 
 
-def _load(entry: Path) -> tuple[Surfels, Surfels]:
-    static, moving = (load_artifact(entry, name, Surfels) for name in LINKS)
-    return static, moving
+def _load(entry: Path) -> tuple[Surfels, Surfels] | None:
+    """Load the surfels of an entry; None if it is incomplete or, after a warning, damaged."""
+
+    def read() -> tuple[Surfels, Surfels]:
+        static, moving = (load_artifact(entry, name, Surfels) for name in LINKS)
+        return static, moving
+
+    return reuse(entry / f"{LINKS[-1]}.json", read)
 
 
 def _digest(asset: ArticulatedAsset) -> str:
