@@ -1,29 +1,32 @@
 """Contact, joint and joint values from the gripper's path during the touch."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from aomgen.core.joint import JointType
+from aomgen.core.motion import MotionEstimate
 from aomgen.core.transforms import apply, invert
 from aomgen.core.values import Array
 from aomgen.motion.contact import SURFACE_SD_M, Contacts, carry_part, find_contacts
-from aomgen.motion.ee_path import GraspGuess
+from aomgen.motion.ee_path import GraspGuess, measure_slip
 from aomgen.motion.inputs import MotionInput
 from aomgen.motion.joint_estimation import JointCandidates, JointEstimate, JointParams, fit_candidates
 from aomgen.motion.joint_value import (
     TouchObservation,
     ValueTrajectory,
+    compute_path_value_sd,
     compute_path_values,
     estimate_level_sd,
     find_motion_tolerance,
     follow_pushed_part,
     refine_interval,
+    sample_at_frames,
     smooth_within,
 )
 from aomgen.motion.keyframes import ChangeFractions
 from aomgen.motion.observations import DENSE_STEP_S, VideoObservations
-from aomgen.motion.part_shape import PartShape, measure_shape
+from aomgen.motion.part_shape import PartShape, infer_direction, measure_shape
 
 # Contact patches are followed for this time after the start of the motion, [s].
 WINDOW_S = 0.3
@@ -34,26 +37,6 @@ _AGREE_S = 0.8
 
 # Start and end of a motion, [s].
 Times = tuple[float, float]
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class RecoveredMotion:
-    """Joint and values along the touch, with the refined interval.
-
-    Attributes:
-        contacts: Contacts for the refined interval.
-        found, estimate: Candidates from the gripper's path, and the estimate of the recovered type.
-        trajectory: Values along the touch.
-        level_sd: Standard deviation of its first level beyond that of the gripper's path, [rad] or [m].
-        face_normal: Outward normal of the part's face (3,) at value 0.
-    """
-
-    contacts: Contacts
-    found: JointCandidates
-    estimate: JointEstimate
-    trajectory: ValueTrajectory
-    level_sd: float
-    face_normal: Array
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -102,10 +85,20 @@ class TouchRecovery:
         Ts_world_part = carry_part(self.demo, rested_s, moments)
         return self._fit(self._contacts(moments, Ts_world_part), (interval.start_s, interval.end_s))
 
-    def recover(self, found: JointCandidates, joint_type: JointType) -> RecoveredMotion:
-        """Recover contact, joint and values for a joint type; `found` is the result of `first_candidates`.
+    def recover(
+        self, found: JointCandidates, joint_type: JointType, odds: float = 1.0
+    ) -> tuple[JointCandidates, MotionEstimate]:
+        """Recover contact, joint and values for a joint type.
 
         Two rounds are run: the second one uses the interval that the first one found in the gripper's path.
+
+        Args:
+            found: Result of `first_candidates`.
+            joint_type: Type of the recovered joint.
+            odds: Likelihood ratio of the prompted part over any other region.
+
+        Returns:
+            Candidates from the gripper's path in the refined interval, and the estimate of the type.
 
         Raises:
             DemonstrationTooShortError: The gripper moved the part less than 3 cm.
@@ -115,18 +108,54 @@ class TouchRecovery:
         contacts = self._contacts(*self._beginning(found.of(joint_type), trajectory))
         found = self._fit(contacts, trajectory.interval)
         estimate = found.of(joint_type)
-        trajectory = self._follow(estimate, trajectory.interval)
-        level_sd = find_motion_tolerance(joint_type)
-        if self.view.touch.gripped:
-            level_sd = estimate_level_sd(trajectory.times_s, trajectory.values, seen[0], level_sd)
-        return RecoveredMotion(
-            contacts=self._contacts(*self._beginning(estimate, trajectory)),
-            found=found,
-            estimate=estimate,
-            trajectory=trajectory,
-            level_sd=level_sd,
-            face_normal=self.shape.face_normal,
+        return found, self._assemble(estimate, self._follow(estimate, trajectory.interval), odds)
+
+    def _assemble(self, estimate: JointEstimate, trajectory: ValueTrajectory, odds: float) -> MotionEstimate:
+        """Assemble the estimate that the rest of the pipeline reads."""
+        demo, frames = self.demo, self.demo.video.times_s
+        start_s, end_s = trajectory.interval
+        thetas = sample_at_frames(frames, trajectory, find_motion_tolerance(estimate.joint.type))
+        moving = (frames >= start_s) & (frames <= end_s)
+        before_end = frames[frames <= end_s + 1e-6]
+        joint = replace(estimate.joint, lower=0.0, upper=float(thetas.max()))
+        poses = demo.ee_poses_at(frames)
+        slips, pivots = measure_slip(joint, thetas, poses, estimate.grasp_ee, int(np.argmax(moving)))
+        return MotionEstimate(
+            clock_offset_s=demo.clock.offset_s,
+            clock_offset_sd_s=demo.clock.sd_s,
+            start_s=find_first_frame(frames, start_s),
+            end_s=float(before_end[-1] if len(before_end) else frames[0]),
+            curve=self.view.curve,
+            contacts=self._contacts(*self._beginning(estimate, trajectory))[0],
+            grasp_ee=estimate.grasp_ee,
+            joint=joint,
+            axis_sd_rad=estimate.axis_sd_rad,
+            origin_sd_m=estimate.origin_sd_m,
+            axis_ci95_rad=estimate.axis_ci95_rad,
+            origin_ci95_m=estimate.origin_ci95_m,
+            type_margin=estimate.margin,
+            ee_turn_ratio=estimate.turn_ratio,
+            times_s=frames,
+            thetas=thetas,
+            theta_sd=self._theta_sd(estimate, trajectory, thetas),
+            slip_m=np.where(moving, np.linalg.norm(slips, axis=1), 0.0),
+            pivot_rad=np.where(moving, np.linalg.norm(pivots, axis=1), 0.0),
+            direction=infer_direction(joint, float(thetas[-1]), demo.points_static, demo.points_moving),
+            part_odds=odds,
         )
+
+    def _theta_sd(self, estimate: JointEstimate, trajectory: ValueTrajectory, thetas: Array) -> Array:
+        """Compute the standard deviation (F,) of the values by joint, grasp, clock and rest level, [rad], [m]."""
+        frames, times, values = self.demo.video.times_s, trajectory.times_s, trajectory.values
+        level_sd = find_motion_tolerance(estimate.joint.type)
+        if self.view.touch.gripped:
+            level_sd = estimate_level_sd(times, values, self.view.interval.start_s, level_sd)
+        moments = np.append(trajectory.interval[0], np.clip(frames, *trajectory.interval))
+        poses, face_normal = self.demo.ee_poses_at(moments), self.shape.face_normal
+        path_sd = compute_path_value_sd(estimate, poses, np.append(0.0, thetas), face_normal)[1:]
+        speed = np.abs(np.interp(frames, times, np.gradient(values, times)))
+        clock_sd = np.where(thetas > 0, speed, 0.0) * self.demo.clock.sd_s
+        return np.sqrt(path_sd**2 + clock_sd**2 + np.where(thetas > 0, level_sd, 0.0) ** 2)
 
     def _follow(self, estimate: JointEstimate, interval: Times) -> ValueTrajectory:
         """Compute values along the touch for a joint that moves in about this interval."""
@@ -171,11 +200,12 @@ class TouchRecovery:
 
     def _fit(self, contacts: Contacts, interval: Times) -> JointCandidates:
         """Fit the joint of either type to the gripper's path over an interval."""
+        patches, grasp_ee = contacts
         # Fingers that do not oppose each other push, and hold the part in no direction.
-        normals = [patch.normal for patch in contacts.patches]
+        normals = [patch.normal for patch in patches]
         pinched = len(normals) == 2 and float(normals[0] @ normals[1]) < 0
         closing_ee = self.demo.robot.closing_ee if pinched else None
-        hold = GraspGuess(point_ee=contacts.grasp_ee, closing_ee=closing_ee)
+        hold = GraspGuess(point_ee=grasp_ee, closing_ee=closing_ee)
         return fit_candidates(self.demo.ee_poses_at(_dense(interval)), hold, self.shape, self.params)
 
 
