@@ -13,7 +13,6 @@ from aomgen.motion.ee_path import GraspGuess, measure_slip
 from aomgen.motion.inputs import MotionInput
 from aomgen.motion.joint_estimation import JointCandidates, JointEstimate, JointParams, fit_candidates
 from aomgen.motion.joint_value import (
-    TouchObservation,
     ValueTrajectory,
     compute_path_value_sd,
     compute_path_values,
@@ -24,7 +23,6 @@ from aomgen.motion.joint_value import (
     sample_at_frames,
     smooth_within,
 )
-from aomgen.motion.keyframes import ChangeFractions
 from aomgen.motion.observations import DENSE_STEP_S, VideoObservations
 from aomgen.motion.part_shape import PartShape, infer_direction, measure_shape
 
@@ -67,7 +65,7 @@ class TouchRecovery:
         return TouchRecovery(
             demo=demo,
             view=view,
-            params=params if view.touch.gripped else params.loosen(),
+            params=params if view.seen.touch.gripped else params.loosen(),
             contact_steps=contact_steps,
             shape=measure_shape(demo.points_static, demo.points_moving),
             surface=demo.surface_moving(SURFACE_SD_M),
@@ -79,11 +77,11 @@ class TouchRecovery:
         Raises:
             DemonstrationTooShortError: The gripper moved the part less than 3 cm.
         """
-        interval, touch = self.view.interval, self.view.touch
-        moments = self._begin(interval.start_s)
-        rested_s = float(self.view.signals.times_s[touch.first]) if touch.gripped else interval.start_s
+        (start_s, _), seen = self.view.interval, self.view.seen
+        moments = self._begin(start_s)
+        rested_s = float(seen.times_s[seen.touch.first]) if seen.touch.gripped else start_s
         Ts_world_part = carry_part(self.demo, rested_s, moments)
-        return self._fit(self._contacts(moments, Ts_world_part), (interval.start_s, interval.end_s))
+        return self._fit(self._contacts(moments, Ts_world_part), self.view.interval)
 
     def recover(
         self, found: JointCandidates, joint_type: JointType, odds: float = 1.0
@@ -103,8 +101,7 @@ class TouchRecovery:
         Raises:
             DemonstrationTooShortError: The gripper moved the part less than 3 cm.
         """
-        seen = (self.view.interval.start_s, self.view.interval.end_s)
-        trajectory = self._follow(found.of(joint_type), seen)
+        trajectory = self._follow(found.of(joint_type), self.view.interval)
         contacts = self._contacts(*self._beginning(found.of(joint_type), trajectory))
         found = self._fit(contacts, trajectory.interval)
         estimate = found.of(joint_type)
@@ -148,8 +145,8 @@ class TouchRecovery:
         """Compute the standard deviation (F,) of the values by joint, grasp, clock and rest level, [rad], [m]."""
         frames, times, values = self.demo.video.times_s, trajectory.times_s, trajectory.values
         level_sd = find_motion_tolerance(estimate.joint.type)
-        if self.view.touch.gripped:
-            level_sd = estimate_level_sd(times, values, self.view.interval.start_s, level_sd)
+        if self.view.seen.touch.gripped:
+            level_sd = estimate_level_sd(times, values, self.view.interval[0], level_sd)
         moments = np.append(trajectory.interval[0], np.clip(frames, *trajectory.interval))
         poses, face_normal = self.demo.ee_poses_at(moments), self.shape.face_normal
         path_sd = compute_path_value_sd(estimate, poses, np.append(0.0, thetas), face_normal)[1:]
@@ -159,8 +156,8 @@ class TouchRecovery:
 
     def _follow(self, estimate: JointEstimate, interval: Times) -> ValueTrajectory:
         """Compute values along the touch for a joint that moves in about this interval."""
-        view, touch = self.view, self.view.touch
-        frames_s = view.signals.times_s[touch.frames]
+        seen = self.view.seen
+        frames_s = seen.times_s[seen.touch.frames]
         times = _dense((float(frames_s[0]), float(frames_s[-1])))
         poses = self.demo.ee_poses_at(times)
         leave = find_motion_tolerance(estimate.joint.type)
@@ -169,19 +166,14 @@ class TouchRecovery:
             estimate.joint, poses, estimate.grasp_ee, reference, self.shape.face_normal
         )
         values = smooth_within(path, DENSE_STEP_S, _SMOOTH_S, leave)
-        if not touch.gripped:
+        if not seen.touch.gripped:
             points = apply(poses, estimate.grasp_ee[None])
             hand = (points, apply(invert(estimate.joint.motion(values)), points))
-            picture = TouchObservation(
-                times_s=frames_s,
-                seen=ChangeFractions(left=view.seen.left[touch.frames], ahead=view.seen.ahead[touch.frames]),
-                noise=view.interval.noise,
-            )
-            return follow_pushed_part(times, values, hand, interval, leave, picture)
-        seen = (view.interval.start_s, view.interval.end_s)
-        felt, levels = refine_interval(times, values, seen, leave)
+            return follow_pushed_part(times, values, hand, interval, leave, seen)
+        felt, levels = refine_interval(times, values, self.view.interval, leave)
         # The gripper's path determines the moment, unless the video contradicts it.
-        start, end = (f if abs(f - s) <= _AGREE_S else s for f, s in zip(felt, seen, strict=True))
+        pairs = zip(felt, self.view.interval, strict=True)
+        start, end = (f if abs(f - s) <= _AGREE_S else s for f, s in pairs)
         return ValueTrajectory(times_s=times, values=values, interval=(start, end), levels=levels)
 
     def _beginning(self, estimate: JointEstimate, trajectory: ValueTrajectory) -> tuple[Array, Array]:

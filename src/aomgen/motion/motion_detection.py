@@ -20,7 +20,7 @@ from aomgen.core.gaussians import Gaussians
 from aomgen.core.values import Array
 from aomgen.errors import NoMotionError, WrongPromptError
 from aomgen.motion.inputs import NEAR_M, GripperSignals, TouchInterval, find_touch
-from aomgen.motion.keyframes import STILL_M, count_reference_frames, measure_change
+from aomgen.motion.keyframes import STILL_M, measure_change
 from aomgen.splatting.rasterizer import RigidParts, render
 from aomgen.splatting.session import RenderSession
 
@@ -254,7 +254,7 @@ def identify_part(
     """
     distances = np.stack([signals.distances_m, *rival_distances_m])
     touch = _find_touch(signals, distances.min(0))
-    change, seen = measure_change(frames_srgb, robot, touch, count_reference_frames(signals.times_s))
+    change, seen = measure_change(signals.times_s, frames_srgb, robot, touch)
     shares = [
         float(change[region & seen].mean()) if np.sum(region & seen) >= _MIN_PIXELS else _SHADOWS
         for region in regions
