@@ -71,11 +71,8 @@ class ChangeFractions:
     @property
     def noises(self) -> tuple[float, float]:
         """Standard deviations of `left` and `ahead` while the part rests."""
-        left, ahead = (
-            max(LEAST_NOISE, _measure_noise(values[self.touch.frames], self._step_s))
-            for values in (self.left, self.ahead)
-        )
-        return left, ahead
+        frames, step = self.touch.frames, self._step_s
+        return _measure_noise(self.left[frames], step), _measure_noise(self.ahead[frames], step)
 
     @property
     def threshold(self) -> float:
@@ -224,9 +221,9 @@ def _remove_glitches(values: Array) -> Array:
 
 
 def _measure_noise(values: Array, step_s: float) -> float:
-    """Measure the robust standard deviation of a series (T,) about its smooth curve."""
+    """Measure the robust standard deviation of a series (T,) about its smooth curve, at least `LEAST_NOISE`."""
     rough = values - smooth(values, step_s, SMOOTH_S)
-    return robust_sd(rough - np.median(rough))
+    return max(LEAST_NOISE, robust_sd(rough - np.median(rough)))
 
 
 def _picture_ends(

@@ -123,16 +123,18 @@ class VideoObservations:
         last = int(np.searchsorted(times, self.interval[1], side="right"))
         during = slice(touch.first, min(max(last, touch.first + 3), touch.last) + 1)
         held = self.way.between(float(times[during][0]), float(times[during][-1]))
+        followed, followed_sd = estimate_following(
+            demo.scene,
+            demo.labels,
+            self.camera,
+            self.frames_srgb[during],
+            widen(self.masks[during]),
+            self.signals.Ts_world_ee[during],
+        )
         return MotionEvidence(
             changed=float(self.seen.smoothed.max()),
-            following=estimate_following(
-                demo.scene,
-                demo.labels,
-                self.camera,
-                self.frames_srgb[during],
-                widen(self.masks[during]),
-                self.signals.Ts_world_ee[during],
-            ),
+            followed=followed,
+            followed_sd=followed_sd,
             nearest_m=float(self.signals.distances_m.min()),
             travel_m=float(held.travel.max()),
         )
