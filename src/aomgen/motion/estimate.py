@@ -47,7 +47,11 @@ class MotionParams:
 _RADIUS_NODES = 512
 
 
-def _ignore_curve(curve: MotionCurve) -> None:
+# Callback that receives the motion score before any refusal that depends on it.
+OnCurve = Callable[[MotionCurve], None]
+
+
+def ignore_curve(curve: MotionCurve) -> None:
     """Default callback; does nothing."""
 
 
@@ -55,7 +59,7 @@ def estimate_motion(
     demonstration: MotionInput,
     params: MotionParams | None = None,
     progress: Progress = silent,
-    on_curve: Callable[[MotionCurve], None] = _ignore_curve,
+    on_curve: OnCurve = ignore_curve,
 ) -> MotionEstimate:
     """Recover the part's motion.
 

@@ -62,10 +62,11 @@ class TouchRecovery:
         demo: MotionInput, view: VideoObservations, params: JointParams, contact_steps: int
     ) -> "TouchRecovery":
         """Prepare a recovery, with the shape of the parts measured."""
+        pushed = replace(params, noise=params.noise.loosen())
         return TouchRecovery(
             demo=demo,
             view=view,
-            params=params if view.seen.touch.gripped else params.loosen(),
+            params=params if view.seen.touch.gripped else pushed,
             contact_steps=contact_steps,
             shape=measure_shape(demo.points_static, demo.points_moving),
             surface=demo.surface_moving(SURFACE_SD_M),

@@ -14,8 +14,8 @@ from aomgen.core.alignment import Alignment
 from aomgen.core.motion import MotionEstimate
 from aomgen.core.progress import Progress, part
 from aomgen.core.transforms import apply, invert
-from aomgen.motion.estimate import estimate_motion
-from aomgen.motion.stage import OnCurve, motion_input, recover_motion
+from aomgen.motion.estimate import OnCurve, estimate_motion
+from aomgen.motion.stage import motion_input, recover_motion
 from aomgen.paper.affinity_features import AffinityParams
 from aomgen.paper.affinity_parts import MASKS_FOLDER, affinity_evidence, segment_views
 from aomgen.paper.icp_alignment import align_as_paper
