@@ -4,8 +4,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from aomgen.conventions import MOVING
 from aomgen.core.joint import JointType
 from aomgen.core.motion import MotionEstimate
+from aomgen.core.parts import spread_points
 from aomgen.core.transforms import apply, invert
 from aomgen.core.values import Array
 from aomgen.motion.contact import SURFACE_SD_M, Contacts, carry_part, find_contacts
@@ -47,7 +49,7 @@ class TouchRecovery:
         params: Parameters of the joint estimate.
         contact_steps: Number of moments at which contact is searched.
         shape: Shape of the parts.
-        surface: Points of the moving part (N, 3), world frame, [m].
+        surface: Points of the moving part (N, 3) without gaps along thin structures, world frame, [m].
     """
 
     demo: MotionInput
@@ -69,7 +71,7 @@ class TouchRecovery:
             params=params if view.seen.touch.gripped else pushed,
             contact_steps=contact_steps,
             shape=measure_shape(demo.points_static, demo.points_moving),
-            surface=demo.surface_moving(SURFACE_SD_M),
+            surface=spread_points(demo.scene, demo.labels, MOVING, SURFACE_SD_M),
         )
 
     def first_candidates(self) -> JointCandidates:

@@ -91,15 +91,15 @@ def box_joint(
     row, column = np.unravel_index(int(np.argmin(costs)), costs.shape)
     edge_static, edge_moving = static.edges()[row], moving.edges()[column]
     step = edge_moving[1] - edge_moving[0]
-    origin = find_pair_center(*points, edge_static, edge_moving, NEAREST_PAIRS)
+    origin = find_pair_center(*points, edge_static, edge_moving)
     joint = Joint(type=joint_type, axis=step / np.linalg.norm(step), origin=origin, lower=0.0, upper=0.0)
     return joint, find_face_normal(static, moving)
 
 
 def find_pair_center(
-    points_static: Array, points_moving: Array, edge_static: Array, edge_moving: Array, count: int
+    points_static: Array, points_moving: Array, edge_static: Array, edge_moving: Array
 ) -> Array:
-    """Mean midpoint (3,) of the `count` nearest point pairs near a pair of edges; the edges' middle without any.
+    """Mean midpoint (3,) of the nearest point pairs near a pair of edges; the edges' middle without any.
 
     Points (N, 3), (M, 3) and the end points (2, 3) of the edges share a frame, [m].
 
@@ -111,7 +111,7 @@ def find_pair_center(
     if not (len(close_moving) and len(close_static)):
         return np.concatenate([edge_static, edge_moving]).mean(0)
     distances, partners = cKDTree(close_static).query(close_moving)
-    chosen = np.argsort(distances)[:count]
+    chosen = np.argsort(distances)[:NEAREST_PAIRS]
     return ((close_moving[chosen] + close_static[partners[chosen]]) / 2).mean(0)
 
 
