@@ -104,9 +104,9 @@ class TouchRecovery:
         Raises:
             DemonstrationTooShortError: The gripper moved the part less than 3 cm.
         """
-        trajectory = self._follow(found.of(joint_type), self.view.interval)
-        contacts = self._contacts(*self._beginning(found.of(joint_type), trajectory))
-        found = self._fit(contacts, trajectory.interval)
+        estimate = found.of(joint_type)
+        trajectory = self._follow(estimate, self.view.interval)
+        found = self._fit(self._first_contacts(estimate, trajectory), trajectory.interval)
         estimate = found.of(joint_type)
         return found, self._assemble(estimate, self._follow(estimate, trajectory.interval), odds)
 
@@ -126,7 +126,7 @@ class TouchRecovery:
             start_s=find_first_frame(frames, start_s),
             end_s=float(before_end[-1] if len(before_end) else frames[0]),
             curve=self.view.curve,
-            contacts=self._contacts(*self._beginning(estimate, trajectory))[0],
+            contacts=self._first_contacts(estimate, trajectory)[0],
             grasp_ee=estimate.grasp_ee,
             joint=joint,
             axis_sd_rad=estimate.axis_sd_rad,
@@ -179,11 +179,11 @@ class TouchRecovery:
         start, end = (f if abs(f - s) <= _AGREE_S else s for f, s in pairs)
         return ValueTrajectory(times_s=times, values=values, interval=(start, end), levels=levels)
 
-    def _beginning(self, estimate: JointEstimate, trajectory: ValueTrajectory) -> tuple[Array, Array]:
-        """Return the first moments (K,) of a motion, and the transforms of the part by then (K, 4, 4)."""
+    def _first_contacts(self, estimate: JointEstimate, trajectory: ValueTrajectory) -> Contacts:
+        """Find the contacts at the first moments of a motion."""
         moments = self._begin(trajectory.interval[0])
         thetas = np.interp(moments, trajectory.times_s, trajectory.values) - trajectory.levels[0]
-        return moments, estimate.joint.motion(thetas)
+        return self._contacts(moments, estimate.joint.motion(thetas))
 
     def _begin(self, start_s: float) -> Array:
         steps = np.linspace(0.0, WINDOW_S, self.contact_steps, dtype=np.float64)
