@@ -56,7 +56,7 @@ def ignore_curve(curve: MotionCurve) -> None:
 
 
 def estimate_motion(
-    demonstration: MotionInput,
+    demo: MotionInput,
     params: MotionParams | None = None,
     progress: Progress = silent,
     on_curve: OnCurve = ignore_curve,
@@ -64,7 +64,7 @@ def estimate_motion(
     """Recover the part's motion.
 
     Args:
-        demonstration: Video, log and scan.
+        demo: Video, log and scan.
         params: Parameters of the submodules.
         progress: Receives the progress.
         on_curve: Receives the motion score as soon as it is known, before any refusal that depends on it.
@@ -78,7 +78,6 @@ def estimate_motion(
     Source: AOMGen, sec. 4.2, AOMotion.
     """
     params = params or MotionParams()
-    demo = demonstration
     for name, points in (("moving", demo.points_moving), ("static", demo.points_static)):
         if not len(points) >= 20:
             raise InputError(f"'{name}' part", f"has {len(points)} points, need 20", "correct its prompts")

@@ -125,7 +125,7 @@ def flag_frames(smoothed: Array, threshold: float) -> tuple[int, int]:
     return int(flagged[0]), int(flagged[-1])
 
 
-def part_masks(capture: Recording, camera: DemoCamera, demonstration: MotionInput) -> PartMasks:
+def part_masks(capture: Recording, camera: DemoCamera, demo: MotionInput) -> PartMasks:
     """Compute the masks of moving part and robot in every frame.
 
     The masks of the part are the label images of the capture if there are any, else they are computed from changes in
@@ -134,7 +134,6 @@ def part_masks(capture: Recording, camera: DemoCamera, demonstration: MotionInpu
     Raises:
         InputError: See `read_demo_masks`.
     """
-    demo = demonstration
     count, height, width = demo.video.frames_srgb.shape[:3]
     labels = read_demo_masks(capture, camera, (count, height, width))
     if labels is None:
