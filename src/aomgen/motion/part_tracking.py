@@ -88,8 +88,7 @@ def track_log_likelihood_ratio(
         return result
     resting = sample_resting(resting)
     moved = _choose_frames(times >= start_s, thetas)
-    width = min(_WIDTH, demo.camera.width)
-    camera = demo.camera.resize(width, round(width * demo.camera.height / demo.camera.width))
+    camera = demo.camera.narrow(_WIDTH)
 
     def read(frames: NDArray[np.intp]) -> tuple[NDArray[np.uint8], NDArray[np.bool_]]:
         images = [resize(demo.video.frames_srgb[k], camera.width, camera.height) for k in frames]
