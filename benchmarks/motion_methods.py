@@ -1,6 +1,6 @@
 """The paper's motion recovery and ours, on a finished run."""
 
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 
@@ -9,8 +9,8 @@ from aomgen.errors import EstimationError
 from aomgen.motion.estimates_file import NO_MOTION, motion_estimates
 from aomgen.motion.inputs import MotionInput
 from aomgen.motion.stage import motion_input
-from aomgen.paper.mask_keyframes import PartMasks
-from aomgen.paper.motion_estimate import PaperMotionParams, estimate_motion_paper
+from aomgen.paper.mask_keyframes import PartMasks, Variant
+from aomgen.paper.motion_estimate import estimate_motion_paper
 from aomgen.results import Results
 from benchmarks.accuracy import score_motion
 from benchmarks.images import TrueMasks
@@ -22,18 +22,8 @@ PREFIX = "paper_motion."
 # Metrics in which the methods are compared.
 GROUPS = ("keyframes.", "contact_mm", "joint.", "theta.")
 REFUSAL = "refusal"
-
-
-def paper_variants(joint_type: JointType) -> dict[str, PaperMotionParams]:
-    """Return parameters as printed; with a threshold that fires; and also with the text's signs.
-
-    The middle one shows the effect of the printed signs where the printed threshold refuses.
-    """
-    return {
-        "printed": PaperMotionParams(joint_type=joint_type),
-        "threshold": PaperMotionParams(joint_type=joint_type, threshold="repaired"),
-        "repaired": PaperMotionParams(joint_type=joint_type, threshold="repaired", signs="repaired"),
-    }
+# The second one shows the effect of the printed signs where the printed threshold refuses.
+VARIANTS = get_args(Variant)
 
 
 def paper_estimates(
@@ -41,9 +31,9 @@ def paper_estimates(
 ) -> dict[str, dict[str, Any]]:
     """Compute each variant's entries of estimates.json; refused ones have the reason under "refusal"."""
     answers = {}
-    for name, params in paper_variants(joint_type).items():
+    for name in VARIANTS:
         try:
-            answers[name] = motion_estimates(estimate_motion_paper(demonstration, masks, params))
+            answers[name] = motion_estimates(estimate_motion_paper(demonstration, masks, joint_type, name))
         except EstimationError as error:
             answers[name] = NO_MOTION | {REFUSAL: str(error)}
     return answers
@@ -74,11 +64,10 @@ def paper_motion_figures(results: Results, truth: Truth, masks: TrueMasks) -> di
 
 def motion_methods_table(figures: dict[str, Any]) -> str:
     """Format one row per metric, a column for our estimator and for each variant of the paper's."""
-    variants = tuple(paper_variants("revolute"))
     names = [name for name in figures if name.startswith(GROUPS)]
     rows = [
         {"figure": name, "aomotion": figures[name]}
-        | {variant: figures.get(f"{PREFIX}{variant}.{name}") for variant in variants}
+        | {variant: figures.get(f"{PREFIX}{variant}.{name}") for variant in VARIANTS}
         for name in names
     ]
     return as_table(rows)

@@ -15,7 +15,7 @@ from scipy.spatial import cKDTree
 from aomgen.core.motion import ContactPatch
 from aomgen.core.quadrature import normal_points
 from aomgen.core.transforms import apply, invert
-from aomgen.core.values import Array, Vector3, freeze_arrays
+from aomgen.core.values import Array
 from aomgen.motion.ee_path import average_poses
 from aomgen.motion.inputs import EMPTY_GRIP, MotionInput
 from aomgen.robots.gripper_surface import hand_surface
@@ -42,16 +42,8 @@ _MIN_TRAVEL_M = 5e-4
 _MIN_FACING = 0.2
 # A finger whose share of the push is smaller than this does not touch.
 _MIN_SHARE = 0.15
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Contacts:
-    """One patch per finger ("hand" if the pads are unknown), and their mean, end-effector frame, [m]."""
-
-    patches: tuple[ContactPatch, ...]
-    grasp_ee: Vector3
-
-    __post_init__ = freeze_arrays
+# One patch per finger ("hand" if the pads are unknown), and their mean (3,), end-effector frame, [m].
+Contacts = tuple[tuple[ContactPatch, ...], Array]
 
 
 def carry_part(demo: MotionInput, resting_s: float, times_s: Array) -> Array:
@@ -90,10 +82,8 @@ def find_contacts(
     if not patches:
         # Fingers that closed on a part that the scan hardly shows may hold it anywhere on their pads.
         patches = [face.patch(points_ee, face.grid, np.zeros(2)) for face in faces] or [_nearest(points_ee)]
-    return Contacts(
-        patches=tuple(_carry(patch, Ts_world_ee) for patch in patches),
-        grasp_ee=np.mean([patch.point for patch in patches], axis=0),
-    )
+    grasp_ee = np.mean([patch.point for patch in patches], axis=0)
+    return tuple(_carry(patch, Ts_world_ee) for patch in patches), grasp_ee
 
 
 def find_between_pads(demo: MotionInput, time_s: float, points: Array) -> NDArray[np.bool_]:

@@ -91,17 +91,6 @@ class EePath:
 
     __post_init__ = freeze_arrays
 
-    @staticmethod
-    def of(Ts_world_ee: Array, hold: GraspGuess) -> "EePath":
-        """Build the path from poses (K, 4, 4)."""
-        rotations = Ts_world_ee[:, :3, :3]
-        return EePath(
-            Ts_world_ee=Ts_world_ee,
-            hold=hold,
-            points_world=apply(Ts_world_ee, hold.point_ee),
-            turns_world=unwrap_rotations(rotations @ rotations[0].T),
-        )
-
     @property
     def closing_world(self) -> Array:
         """Direction (3,) in which the fingers press at the first node; zeros if they do not press."""
@@ -124,7 +113,9 @@ def thin_path(Ts_world_ee: Array, hold: GraspGuess, *, nodes: int) -> EePath:
     smoothed = np.stack([smooth(column, 1.0, _TRAVEL_WINDOW) for column in points.T], 1)
     travel = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(smoothed, axis=0), axis=1)))
     bins = np.minimum((travel / max(travel[-1], 1e-12) * nodes).astype(int), nodes - 1)
-    return EePath.of(np.stack([average_poses(Ts_world_ee[bins == k]) for k in np.unique(bins)]), hold)
+    Ts = np.stack([average_poses(Ts_world_ee[bins == k]) for k in np.unique(bins)])
+    turns = unwrap_rotations(Ts[:, :3, :3] @ Ts[0, :3, :3].T)
+    return EePath(Ts_world_ee=Ts, hold=hold, points_world=apply(Ts, hold.point_ee), turns_world=turns)
 
 
 def average_poses(Ts: Array) -> Array:

@@ -11,14 +11,11 @@ from aomgen.core.motion import MotionCurve, MotionEstimate
 from aomgen.core.progress import Progress, silent
 from aomgen.core.values import Array
 from aomgen.errors import InputError
-from aomgen.motion.ee_path import measure_slip
 from aomgen.motion.inputs import MotionInput
 from aomgen.motion.joint_estimation import JointCandidates, JointParams, choose_type
-from aomgen.motion.joint_trajectory import RecoveredMotion, TouchRecovery, find_first_frame
-from aomgen.motion.joint_value import compute_path_value_sd, find_motion_tolerance, sample_at_frames
+from aomgen.motion.joint_trajectory import TouchRecovery
 from aomgen.motion.kinematic_prior import KinematicPrior
 from aomgen.motion.observations import VideoObservations
-from aomgen.motion.part_shape import infer_direction
 from aomgen.motion.photometric import (
     PhotometricFrames,
     PhotometricParams,
@@ -50,20 +47,24 @@ class MotionParams:
 _RADIUS_NODES = 512
 
 
-def _ignore_curve(curve: MotionCurve) -> None:
+# Callback that receives the motion score before any refusal that depends on it.
+OnCurve = Callable[[MotionCurve], None]
+
+
+def ignore_curve(curve: MotionCurve) -> None:
     """Default callback; does nothing."""
 
 
 def estimate_motion(
-    demonstration: MotionInput,
+    demo: MotionInput,
     params: MotionParams | None = None,
     progress: Progress = silent,
-    on_curve: Callable[[MotionCurve], None] = _ignore_curve,
+    on_curve: OnCurve = ignore_curve,
 ) -> MotionEstimate:
     """Recover the part's motion.
 
     Args:
-        demonstration: Video, log and scan.
+        demo: Video, log and scan.
         params: Parameters of the submodules.
         progress: Receives the progress.
         on_curve: Receives the motion score as soon as it is known, before any refusal that depends on it.
@@ -77,7 +78,6 @@ def estimate_motion(
     Source: AOMGen, sec. 4.2, AOMotion.
     """
     params = params or MotionParams()
-    demo = demonstration
     for name, points in (("moving", demo.points_moving), ("static", demo.points_static)):
         if not len(points) >= 20:
             raise InputError(f"'{name}' part", f"has {len(points)} points, need 20", "correct its prompts")
@@ -94,23 +94,24 @@ def estimate_motion(
         recovery = TouchRecovery.of(demo, view, params.joint, params.contact_steps)
         first = recovery.first_candidates()
 
-        def estimate_type(joint_type: JointType) -> _TypeEstimate:
-            recovered = recovery.recover(first, joint_type)
-            estimate = assemble(demo, view.curve, recovered, moved.odds)
-            lines = (recovered.estimate.axes, recovered.estimate.origins)
+        def estimate_type(
+            joint_type: JointType,
+        ) -> tuple[JointCandidates, PhotometricFrames | None, MotionEstimate]:
+            """Return the candidates, the compared frames, and the estimate, refined where these confirm it."""
+            found, estimate = recovery.recover(first, joint_type, moved.odds)
+            lines = (found.of(joint_type).axes, found.of(joint_type).origins)
             prior = KinematicPrior.of(demo, estimate, lines)
             seen = select_frames(demo, masks_at, prior, params.photometric)
             answer = refine(seen, prior)
-            refined = estimate if answer is None else _take_over(estimate, answer)
-            return _TypeEstimate(found=recovered.found, seen=seen, refined=refined)
+            return found, seen, estimate if answer is None else _take_over(estimate, answer)
 
-        doors, drawers = estimate_type("revolute"), estimate_type("prismatic")
+        found_door, seen, door = estimate_type("revolute")
+        found_drawer, _, drawer = estimate_type("prismatic")
     progress(0.9, "type of the joint")
-    motions = [(item.refined.joint, item.refined.thetas) for item in (doors, drawers)]
-    video_margin = compute_type_margin(doors.seen, (motions[0], motions[1]))
-    found = min((doors.found, drawers.found), key=lambda item: abs(item.margin))
-    answer = doors if choose_type(found, video_margin) == "revolute" else drawers
-    return replace(answer.refined, type_margin=abs(found.margin + video_margin))
+    video_margin = compute_type_margin(seen, ((door.joint, door.thetas), (drawer.joint, drawer.thetas)))
+    found = min((found_door, found_drawer), key=lambda item: abs(item.margin))
+    answer = door if choose_type(found, video_margin) == "revolute" else drawer
+    return replace(answer, type_margin=abs(found.margin + video_margin))
 
 
 def first_motion(demo: MotionInput) -> MotionEstimate:
@@ -126,22 +127,7 @@ def first_motion(demo: MotionInput) -> MotionEstimate:
     recovery = TouchRecovery.of(demo, view, params.joint, params.contact_steps)
     first = recovery.first_candidates()
     joint_type = "revolute" if first.margin > 0 else "prismatic"
-    return assemble(demo, view.curve, recovery.recover(first, joint_type), odds=1.0)
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _TypeEstimate:
-    """Estimate of one joint type.
-
-    Attributes:
-        found: Candidates from the gripper's path.
-        seen: Frames of the video around the part's path, None where the video shows too little.
-        refined: Joint and values, refined on the video where held-out frames agree.
-    """
-
-    found: JointCandidates
-    seen: PhotometricFrames | None
-    refined: MotionEstimate
+    return recovery.recover(first, joint_type)[1]
 
 
 def _take_over(estimate: MotionEstimate, answer: KinematicPrior) -> MotionEstimate:
@@ -175,52 +161,3 @@ def find_radius_95(covariance: Array) -> float:
 
     sd = float(np.sqrt(high))
     return float(root_scalar(excess, bracket=(0.0, 3 * sd), xtol=1e-6 * sd).root)
-
-
-def assemble(
-    demo: MotionInput, curve: MotionCurve, recovered: RecoveredMotion, odds: float
-) -> MotionEstimate:
-    """Assemble the estimate that the rest of the pipeline reads."""
-    frames = demo.video.times_s
-    estimate, trajectory = recovered.estimate, recovered.trajectory
-    start_s, end_s = trajectory.interval
-    thetas = sample_at_frames(frames, trajectory, find_motion_tolerance(estimate.joint.type))
-    moving = (frames >= start_s) & (frames <= end_s)
-    before_end = frames[frames <= end_s + 1e-6]
-    joint = replace(estimate.joint, lower=0.0, upper=float(thetas.max()))
-    poses = demo.ee_poses_at(frames)
-    slips, pivots = measure_slip(joint, thetas, poses, estimate.grasp_ee, int(np.argmax(moving)))
-    return MotionEstimate(
-        clock_offset_s=demo.clock.offset_s,
-        clock_offset_sd_s=demo.clock.sd_s,
-        start_s=find_first_frame(frames, start_s),
-        end_s=float(before_end[-1] if len(before_end) else frames[0]),
-        curve=curve,
-        contacts=recovered.contacts.patches,
-        grasp_ee=estimate.grasp_ee,
-        joint=joint,
-        axis_sd_rad=estimate.axis_sd_rad,
-        origin_sd_m=estimate.origin_sd_m,
-        axis_ci95_rad=estimate.axis_ci95_rad,
-        origin_ci95_m=estimate.origin_ci95_m,
-        type_margin=estimate.margin,
-        ee_turn_ratio=estimate.turn_ratio,
-        times_s=frames,
-        thetas=thetas,
-        theta_sd=_theta_sd(demo, recovered, thetas, frames),
-        slip_m=np.where(moving, np.linalg.norm(slips, axis=1), 0.0),
-        pivot_rad=np.where(moving, np.linalg.norm(pivots, axis=1), 0.0),
-        direction=infer_direction(joint, float(thetas[-1]), demo.points_static, demo.points_moving),
-        part_odds=odds,
-    )
-
-
-def _theta_sd(demo: MotionInput, recovered: RecoveredMotion, thetas: Array, frames: Array) -> Array:
-    """Compute the standard deviation (F,) of the values by joint, grasp, clock and rest level, [rad], [m]."""
-    estimate, trajectory = recovered.estimate, recovered.trajectory
-    poses = demo.ee_poses_at(np.append(trajectory.interval[0], np.clip(frames, *trajectory.interval)))
-    path_sd = compute_path_value_sd(estimate, poses, np.append(0.0, thetas), recovered.face_normal)[1:]
-    speed = np.abs(np.interp(frames, trajectory.times_s, np.gradient(trajectory.values, trajectory.times_s)))
-    clock_sd = np.where(thetas > 0, speed, 0.0) * demo.clock.sd_s
-    level_sd = np.where(thetas > 0, recovered.level_sd, 0.0)
-    return np.sqrt(path_sd**2 + clock_sd**2 + level_sd**2)

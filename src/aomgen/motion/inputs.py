@@ -11,7 +11,7 @@ from aomgen.conventions import BACKGROUND, MOVING, STATIC
 from aomgen.core.alignment import Clock
 from aomgen.core.camera import Camera
 from aomgen.core.gaussians import Gaussians
-from aomgen.core.parts import spread_points, surface_points
+from aomgen.core.parts import surface_points
 from aomgen.core.recording import JointLog
 from aomgen.core.transforms import apply
 from aomgen.core.values import Array, freeze_arrays
@@ -83,10 +83,6 @@ class MotionInput:
     def points_other(self) -> Array:
         """Points of everything else but the robot (K, 3), world frame, [m]."""
         return surface_points(self.scene, self.labels, BACKGROUND)
-
-    def surface_moving(self, spacing_m: float) -> Array:
-        """Sample points of the moving part (N, 3) without gaps along thin structures, world frame, [m]."""
-        return spread_points(self.scene, self.labels, MOVING, spacing_m)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

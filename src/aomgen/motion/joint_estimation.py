@@ -5,7 +5,7 @@ slip through them, so the gripper's pose is a measurement with noise (`joint_pos
 is a weak prior (`part_shape`). Revolute and prismatic explanations compete by their evidence.
 """
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Annotated
 
 import numpy as np
@@ -52,10 +52,6 @@ class JointParams:
 
     noise: NoisePrior = field(default_factory=NoisePrior)
     nodes: int = 24
-
-    def loosen(self) -> "JointParams":
-        """Return the parameters for a path on which the gripper only pushes or hooks."""
-        return replace(self, noise=self.noise.loosen())
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

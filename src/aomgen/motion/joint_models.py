@@ -162,7 +162,6 @@ class Revolute(JointModel):
         return -float(np.log(2 * np.pi * x[4] ** 2) + np.log(RADIUS_SPREAD * np.sqrt(2 * np.pi)))
 
 
-@dataclass(frozen=True, kw_only=True)
 class Prismatic(JointModel):
     """The held point moves on a line, and the end effector does not rotate; there are no further unknowns.
 

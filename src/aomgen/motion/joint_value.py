@@ -210,30 +210,13 @@ def _level(values: Array, otherwise: float) -> float:
     return float(np.median(values)) if len(values) else otherwise
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class TouchObservation:
-    """Changes that the video shows at both ends of a touch.
-
-    Attributes:
-        times_s: Times of the frames of the touch, [s].
-        seen: The part's change fractions in them.
-        noise: Standard deviation of a resting part's change fraction.
-    """
-
-    times_s: Annotated[Array, "T"]
-    seen: ChangeFractions
-    noise: float
-
-    __post_init__ = freeze_arrays
-
-
 def follow_pushed_part(
     times_s: Array,
     values: Array,
     hand: tuple[Array, Array],
     seen_s: tuple[float, float],
     leave: float,
-    picture: TouchObservation,
+    seen: ChangeFractions,
 ) -> ValueTrajectory:
     """Compute the values of a pushed part from those that a holding gripper would give.
 
@@ -244,18 +227,19 @@ def follow_pushed_part(
         seen_s: First estimate of start and end, [s]. The gripper certainly pushes at the frame that differs most from both the
             first and the last state of the part, or at the middle of this interval if the video shows no change.
         leave: Change of the value at which a motion has begun, see `find_motion_tolerance`.
-        picture: Changes in the video during the touch.
+        seen: Changes in the video during the touch.
     """
-    scores = picture.seen.scores
-    pushing_s = picture.times_s[np.argmax(scores)] if scores.max() > 3 * picture.noise else sum(seen_s) / 2
+    scores, noise = seen.scores, max(seen.noises)
+    pushing_s = seen.times_s[np.argmax(scores)] if scores.max() > seen.threshold else sum(seen_s) / 2
     middle = int(np.argmin(np.abs(times_s - pushing_s)))
     gone = middle + _left(times_s[middle:], *(points[middle:] for points in hand))
     farthest = _farthest(values[np.minimum(np.arange(len(values)), gone - 1)], middle)
     along = np.zeros((len(values), 3))
     along[:, 0] = farthest * (STILL_M / leave)
     way = GripperPath(times_s=times_s, points=along)
-    start_s = detect_onset(way, picture.times_s, picture.seen.left, picture.noise, 0.0, held=False)
-    end_s = detect_offset(way, picture.times_s, picture.seen.ahead, picture.noise, 0.0, held=False)
+    frames_s, left, ahead = (row[seen.touch.frames] for row in (seen.times_s, seen.left, seen.ahead))
+    start_s = detect_onset(way, frames_s, left, noise, 0.0, held=False)
+    end_s = detect_offset(way, frames_s, ahead, noise, 0.0, held=False)
     interval = (min(start_s, end_s), max(start_s, end_s))
     first, last = np.interp(interval, times_s, farthest)
     return ValueTrajectory(

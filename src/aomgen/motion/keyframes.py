@@ -47,10 +47,14 @@ class ChangeFractions:
     """Change fractions 0..1 of the part's visible pixels; 0 outside the touch.
 
     Attributes:
+        times_s: Times of the frames (T,), [s].
+        touch: Interval in which the gripper can move the part.
         left: Difference from its first appearance (T,).
         ahead: Difference from its last appearance (T,).
     """
 
+    times_s: Array
+    touch: TouchInterval
     left: Array
     ahead: Array
 
@@ -59,20 +63,25 @@ class ChangeFractions:
         """Smaller of both change fractions (T,)."""
         return np.minimum(self.left, self.ahead)
 
+    @property
+    def smoothed(self) -> Array:
+        """Smoothed scores (T,), without glitches."""
+        return smooth(_remove_glitches(self.scores), self._step_s, SMOOTH_S)
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Interval:
-    """Start and end of the motion [s], the smoothed score (T,) and its noise while the part rests."""
-
-    start_s: float
-    end_s: float
-    smoothed: Array
-    noise: float
+    @property
+    def noises(self) -> tuple[float, float]:
+        """Standard deviations of `left` and `ahead` while the part rests."""
+        frames, step = self.touch.frames, self._step_s
+        return _measure_noise(self.left[frames], step), _measure_noise(self.ahead[frames], step)
 
     @property
     def threshold(self) -> float:
         """Score that a resting part hardly ever reaches."""
-        return 3.0 * self.noise
+        return 3.0 * max(self.noises)
+
+    @property
+    def _step_s(self) -> float:
+        return float(np.median(np.diff(self.times_s)))
 
 
 def find_part_region(points_world: Array, camera: Camera) -> NDArray[np.bool_]:
@@ -97,74 +106,60 @@ def keep_touching(mask: NDArray[np.bool_], seed: NDArray[np.bool_]) -> NDArray[n
 
 
 def measure_change_fractions(
+    times_s: Array,
     frames_srgb: NDArray[np.uint8],
     robot: NDArray[np.bool_],
     region: NDArray[np.bool_],
     touch: TouchInterval,
-    reference_frames: int,
 ) -> ChangeFractions:
     """Compare every frame of the touch with the two states at its ends.
 
     Args:
-        frames_srgb, robot: Small frames (T, H, W, 3) of one exposure, and the
+        times_s, frames_srgb, robot: Times (T,) [s] of small frames (T, H, W, 3) of one exposure, and the
             robot's masks (T, H, W) in them.
         region: The part's pixels (H, W) at its scanned pose.
         touch: Interval in which the gripper can move the part. The two states are taken from its ends, so
             that the shadow of the arriving gripper is in both images.
-        reference_frames: Number of frames that make each of the two images.
 
     Source: AOMGen, sec. 4.2, "Keyframe Extraction". The paper compares the part's masks in
     neighboring frames; here the image itself is compared with the first and the last state.
     """
     frames, hidden = frames_srgb[touch.frames], widen(robot[touch.frames])
-    (before, before_seen), (after, after_seen) = _picture_ends(frames, hidden, reference_frames)
+    (before, before_seen), (after, after_seen) = _picture_ends(times_s, frames, hidden)
     moved = before_seen & after_seen & (_change(before, after) > 0.5)
     footprint = keep_touching(ndimage.binary_closing(moved) | region, region)
     left, ahead = np.zeros(len(frames_srgb)), np.zeros(len(frames_srgb))
     left[touch.frames] = _compute_change_fractions(frames, hidden, before, footprint & before_seen)
     ahead[touch.frames] = _compute_change_fractions(frames, hidden, after, footprint & after_seen)
-    return ChangeFractions(left=left, ahead=ahead)
+    return ChangeFractions(times_s=times_s, touch=touch, left=left, ahead=ahead)
 
 
 def measure_change(
-    frames_srgb: NDArray[np.uint8],
-    robot: NDArray[np.bool_],
-    touch: TouchInterval,
-    reference_frames: int,
+    times_s: Array, frames_srgb: NDArray[np.uint8], robot: NDArray[np.bool_], touch: TouchInterval
 ) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
     """Measure change per pixel over the touch (H, W), 0..1; also find pixels without robot at both ends."""
-    hidden = widen(robot[touch.frames])
-    (before, before_seen), (after, after_seen) = _picture_ends(
-        frames_srgb[touch.frames], hidden, reference_frames
-    )
+    frames, hidden = frames_srgb[touch.frames], widen(robot[touch.frames])
+    (before, before_seen), (after, after_seen) = _picture_ends(times_s, frames, hidden)
     return _change(before, after), before_seen & after_seen
 
 
-def find_interval(
-    times_s: Array, seen: ChangeFractions, way: GripperPath, touch: TouchInterval, pixel_m: float
-) -> Interval:
-    """Find the first and the last moment of the motion.
+def find_interval(seen: ChangeFractions, way: GripperPath, pixel_m: float) -> tuple[float, float]:
+    """Find the first and the last moment of the motion, [s].
 
     Args:
-        times_s, seen: Times of the frames (T,), [s], and the part's change fractions in them.
+        seen: The part's change fractions.
         way: Path of the gripper, beyond the touch.
-        touch: Interval in which the gripper can move the part.
         pixel_m: Size of a pixel at the part, [m].
 
     Source: AOMGen, sec. 4.2, threshold B + 3 sigma. Instead of taking the first and last frame above a
     threshold, the rise and fall of the change fractions are traced back to the noise level; pauses, single
     bad frames and the share of moving frames do not affect the result.
     """
-    step = float(np.median(np.diff(times_s)))
-    times, left, ahead = (values[touch.frames] for values in (times_s, seen.left, seen.ahead))
-    noises = [max(LEAST_NOISE, _measure_noise(values, step)) for values in (left, ahead)]
-    held = way.between(float(times[0]), float(times[-1]))
-    return Interval(
-        start_s=detect_onset(held, times, left, noises[0], pixel_m, held=touch.gripped),
-        end_s=detect_offset(held, times, ahead, noises[1], pixel_m, held=touch.gripped),
-        smoothed=smooth(_remove_glitches(seen.scores), step, SMOOTH_S),
-        noise=max(noises),
-    )
+    times, left, ahead = (values[seen.touch.frames] for values in (seen.times_s, seen.left, seen.ahead))
+    noise_left, noise_ahead = seen.noises
+    during = way.between(float(times[0]), float(times[-1]))
+    start_s = detect_onset(during, times, left, noise_left, pixel_m, held=seen.touch.gripped)
+    return start_s, detect_offset(during, times, ahead, noise_ahead, pixel_m, held=seen.touch.gripped)
 
 
 def detect_onset(
@@ -220,26 +215,26 @@ def detect_offset(
     return -detect_onset(way.reverse(), -times_s[::-1], ahead[::-1], noise, pixel_m, held=held)
 
 
-def count_reference_frames(times_s: Array) -> int:
-    """Count the frames in a still segment, at least three, so that a bad one does not matter."""
-    return max(3, round(REST_S / float(np.median(np.diff(times_s)))))
-
-
 def _remove_glitches(values: Array) -> Array:
     """Replace single outliers of a series (T,) by the median of three."""
     return np.asarray(ndimage.median_filter(values, 3, mode="nearest"))
 
 
 def _measure_noise(values: Array, step_s: float) -> float:
-    """Measure the robust standard deviation of a series (T,) about its smooth curve."""
+    """Measure the robust standard deviation of a series (T,) about its smooth curve, at least `LEAST_NOISE`."""
     rough = values - smooth(values, step_s, SMOOTH_S)
-    return robust_sd(rough - np.median(rough))
+    return max(LEAST_NOISE, robust_sd(rough - np.median(rough)))
 
 
 def _picture_ends(
-    frames: NDArray[np.uint8], hidden: NDArray[np.bool_], count: int
+    times_s: Array, frames: NDArray[np.uint8], hidden: NDArray[np.bool_]
 ) -> list[tuple[NDArray[np.float32], NDArray[np.bool_]]]:
-    """Compute median images (H, W, 3) of first and last frames without robot, with valid pixels (H, W)."""
+    """Compute median images (H, W, 3) of first and last frames without robot, with valid pixels (H, W).
+
+    `times_s`: Times of all frames of the video.
+    """
+    # At least three frames of a still segment, so that a bad one does not matter.
+    count = max(3, round(REST_S / float(np.median(np.diff(times_s)))))
     return [compute_masked_median(frames[end], ~hidden[end]) for end in (slice(count), slice(-count, None))]
 
 

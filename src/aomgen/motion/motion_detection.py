@@ -20,7 +20,7 @@ from aomgen.core.gaussians import Gaussians
 from aomgen.core.values import Array
 from aomgen.errors import NoMotionError, WrongPromptError
 from aomgen.motion.inputs import NEAR_M, GripperSignals, TouchInterval, find_touch
-from aomgen.motion.keyframes import STILL_M, count_reference_frames, measure_change
+from aomgen.motion.keyframes import STILL_M, measure_change
 from aomgen.splatting.rasterizer import RigidParts, render
 from aomgen.splatting.session import RenderSession
 
@@ -48,31 +48,19 @@ MIN_ODDS = 2.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class FollowingEstimate:
-    """Agreement of the video with the change that the gripper would make.
-
-    Attributes:
-        share: About 1 when the part follows the gripper, 0 when it rests.
-        sd: Standard deviation from the noise of the images; infinite when nothing is visible.
-    """
-
-    share: float
-    sd: float
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
 class MotionEvidence:
     """Evidence for and against a motion.
 
     Attributes:
         changed: Largest share of the part's pixels that show neither its first nor its last appearance.
-        following: Agreement with a part that follows the gripper.
+        followed, followed_sd: Result of `estimate_following`.
         nearest_m: Smallest distance of the fingers to the part, [m].
         travel_m: Path length of the gripper during the touch, [m].
     """
 
     changed: float
-    following: FollowingEstimate
+    followed: float
+    followed_sd: float
     nearest_m: float
     travel_m: float
 
@@ -81,7 +69,7 @@ class MotionEvidence:
         """Natural logarithm of the likelihood ratio of a motion over none."""
         # Densities: 1 over 0..1 if it moved, exponential with mean _SHADOWS if not.
         change = float(np.clip(self.changed / _SHADOWS + np.log(_SHADOWS), -_MOST, _MOST))
-        share, noise = self.following.share, self.following.sd
+        share, noise = self.followed, self.followed_sd
         if not (np.isfinite(noise) and self.travel_m > STILL_M):
             return change
         moved, stood = np.hypot(_FOLLOWS_SD, noise), np.hypot(_CHANCE_SD, noise)
@@ -104,8 +92,8 @@ class MotionEvidence:
         if self.log_likelihood_ratio > 0:
             return
         pulled = f"the gripper moves {1e3 * self.travel_m:.0f} mm while it is near the part"
-        if np.isfinite(self.following.sd):
-            pulled += f", the part follows by {100 * max(self.following.share, 0.0):.0f} % of that"
+        if np.isfinite(self.followed_sd):
+            pulled += f", the part follows by {100 * max(self.followed, 0.0):.0f} % of that"
         raise NoMotionError(
             "demonstration video",
             f"the part does not move: {pulled}, and {100 * self.changed:.0f} % of its pixels change in between "
@@ -121,7 +109,7 @@ def estimate_following(
     frames_srgb: NDArray[np.uint8],
     hidden: NDArray[np.bool_],
     Ts_world_ee: Array,
-) -> FollowingEstimate:
+) -> tuple[float, float]:
     """Compare the video of a touch with renderings in which the part moves with the gripper.
 
     Args:
@@ -129,12 +117,15 @@ def estimate_following(
         camera, frames_srgb: Frames (T, H, W, 3) of one exposure, without bad ones.
         hidden, Ts_world_ee: Masks of the robot (T, H, W), and end-effector poses (T, 4, 4).
 
+    Returns:
+        Share by which the part follows, about 1 when it moves with the gripper and 0 when it rests, and its
+        standard deviation from the noise of the images, infinite when nothing is visible.
+
     Not checked: how the part rotates with the gripper. It is rendered rotating with it and not rotating
     at all, and the better rendering counts.
     """
-    nothing = FollowingEstimate(share=0.0, sd=float(np.inf))
     if len(frames_srgb) < 3:
-        return nothing
+        return 0.0, np.inf
     session = RenderSession(scene.select((labels != MOVING) & (labels != ROBOT)), camera)
     moving = scene.select(labels == MOVING)
     first = _draw(session, moving, np.eye(4))
@@ -151,8 +142,8 @@ def estimate_following(
             sums[row] += np.sum(observed * change), np.sum(change**2)
     together, alone = max(sums, key=lambda row: row[0] / np.sqrt(max(row[1], 1e-9)))
     if not alone > 0:
-        return nothing
-    return FollowingEstimate(share=float(together / alone), sd=float(_NOISE * np.sqrt(_SHARED / alone)))
+        return 0.0, np.inf
+    return float(together / alone), float(_NOISE * np.sqrt(_SHARED / alone))
 
 
 def _draw(session: RenderSession, moving: Gaussians, T: Array) -> NDArray[np.float32]:
@@ -254,7 +245,7 @@ def identify_part(
     """
     distances = np.stack([signals.distances_m, *rival_distances_m])
     touch = _find_touch(signals, distances.min(0))
-    change, seen = measure_change(frames_srgb, robot, touch, count_reference_frames(signals.times_s))
+    change, seen = measure_change(signals.times_s, frames_srgb, robot, touch)
     shares = [
         float(change[region & seen].mean()) if np.sum(region & seen) >= _MIN_PIXELS else _SHADOWS
         for region in regions

@@ -14,7 +14,6 @@ from aomgen.motion.ee_path import GripperPath, smooth
 from aomgen.motion.inputs import (
     GripperSignals,
     MotionInput,
-    TouchInterval,
     find_touch,
     measure_pad_distances,
     measure_surface_gaps,
@@ -23,8 +22,6 @@ from aomgen.motion.inputs import (
 )
 from aomgen.motion.keyframes import (
     ChangeFractions,
-    Interval,
-    count_reference_frames,
     find_interval,
     find_part_region,
     measure_change_fractions,
@@ -58,20 +55,18 @@ class VideoObservations:
         frames_srgb: (T, H, W, 3).
         masks: Masks of the robot (T, H, W).
         signals: The gripper at the frames' times.
-        touch: Interval in which it can move the part.
         way: Path of the gripper over dense times of the whole video.
-        seen: The part's change fractions in the frames.
-        interval: Interval of the motion seen in these, whether or not they are evidence of one.
+        seen: The part's change fractions in the frames, with the touch.
+        interval: Start and end of the motion seen in these, [s], whether or not they are evidence of one.
     """
 
     camera: Camera
     frames_srgb: NDArray[np.uint8]
     masks: NDArray[np.bool_]
     signals: GripperSignals
-    touch: TouchInterval
     way: GripperPath
     seen: ChangeFractions
-    interval: Interval
+    interval: tuple[float, float]
 
     @staticmethod
     def of(demo: MotionInput, masks_at: MasksAt, width: int) -> "VideoObservations":
@@ -101,17 +96,16 @@ class VideoObservations:
         touch = find_touch(signals)
         if not touch.gripped and demo.robot.hand_bodies:
             touch = refine_touch(touch, times, measure_surface_gaps(demo, times))
-        seen = measure_change_fractions(images, masks, region, touch, count_reference_frames(times))
+        seen = measure_change_fractions(times, images, masks, region, touch)
         pixel_m = float(np.median(small.project(demo.points_moving)[1])) / small.fx
         return VideoObservations(
             camera=small,
             frames_srgb=images,
             masks=masks,
             signals=signals,
-            touch=touch,
             way=way,
             seen=seen,
-            interval=find_interval(times, seen, way, touch, pixel_m),
+            interval=find_interval(seen, way, pixel_m),
         )
 
     def identify_part(self, demo: MotionInput) -> PartIdentification:
@@ -125,20 +119,22 @@ class VideoObservations:
 
     def weigh_motion(self, demo: MotionInput) -> MotionEvidence:
         """Weigh the evidence for and against a motion."""
-        times, touch = self.signals.times_s, self.touch
-        last = int(np.searchsorted(times, self.interval.end_s, side="right"))
+        times, touch = self.signals.times_s, self.seen.touch
+        last = int(np.searchsorted(times, self.interval[1], side="right"))
         during = slice(touch.first, min(max(last, touch.first + 3), touch.last) + 1)
         held = self.way.between(float(times[during][0]), float(times[during][-1]))
+        followed, followed_sd = estimate_following(
+            demo.scene,
+            demo.labels,
+            self.camera,
+            self.frames_srgb[during],
+            widen(self.masks[during]),
+            self.signals.Ts_world_ee[during],
+        )
         return MotionEvidence(
-            changed=float(self.interval.smoothed.max()),
-            following=estimate_following(
-                demo.scene,
-                demo.labels,
-                self.camera,
-                self.frames_srgb[during],
-                widen(self.masks[during]),
-                self.signals.Ts_world_ee[during],
-            ),
+            changed=float(self.seen.smoothed.max()),
+            followed=followed,
+            followed_sd=followed_sd,
             nearest_m=float(self.signals.distances_m.min()),
             travel_m=float(held.travel.max()),
         )
@@ -149,8 +145,8 @@ class VideoObservations:
         return MotionCurve(
             times_s=self.signals.times_s,
             scores=self.seen.scores,
-            smoothed=self.interval.smoothed,
-            threshold=self.interval.threshold,
+            smoothed=self.seen.smoothed,
+            threshold=self.seen.threshold,
             distances_m=self.signals.distances_m,
             speeds_m_s=self.signals.speeds_m_s,
             gripper=self.signals.gripper,

@@ -4,7 +4,7 @@ Each Gaussian is tested for whether it explains its pixels better if it moved wi
 rested. Its color is read from the frames at rest; frames in which robot or part hide it are ignored.
 """
 
-from dataclasses import dataclass
+from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -88,8 +88,7 @@ def track_log_likelihood_ratio(
         return result
     resting = sample_resting(resting)
     moved = _choose_frames(times >= start_s, thetas)
-    width = min(_WIDTH, demo.camera.width)
-    camera = demo.camera.resize(width, round(width * demo.camera.height / demo.camera.width))
+    camera = demo.camera.narrow(_WIDTH)
 
     def read(frames: NDArray[np.intp]) -> tuple[NDArray[np.uint8], NDArray[np.bool_]]:
         images = [resize(demo.video.frames_srgb[k], camera.width, camera.height) for k in frames]
@@ -97,10 +96,11 @@ def track_log_likelihood_ratio(
         return np.stack(images), ~widen(masks, _ROBOT_MARGIN_PX)
 
     stands = np.flatnonzero(demo.labels != ROBOT)
-    rest = _RestState.of(demo.scene.select(stands), demo.labels[stands] == MOVING, camera, *read(resting))
+    scene, moving = demo.scene.select(stands), demo.labels[stands] == MOVING
+    compare = _compare_with_rest(scene, moving, camera, *read(resting))
     total, count = np.zeros((2, len(stands)))
     for k, image, bare in zip(moved, *read(moved), strict=True):
-        log_ratio = rest.compare(image, bare, joint.motion(float(thetas[k])))
+        log_ratio = compare(image, bare, joint.motion(float(thetas[k])))
         total += np.nan_to_num(log_ratio)
         count += np.isfinite(log_ratio)
     result[stands] = total / np.maximum(count, 1) * np.minimum(count / _ENOUGH_FRAMES, 1)
@@ -118,65 +118,58 @@ def _choose_frames(started: NDArray[np.bool_], thetas: Array) -> NDArray[np.intp
     return np.unique(moving[np.concatenate([way, end])])
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Appearance:
-    """Pixels (N, 2) and colors (N, 3), 0..1, of points in an image, and their visibility (N,)."""
+def _compare_with_rest(
+    scene: Gaussians,
+    moving: NDArray[np.bool_],
+    camera: Camera,
+    images: NDArray[np.uint8],
+    bare: NDArray[np.bool_],
+) -> Callable[[NDArray[np.uint8], NDArray[np.bool_], Array], Array]:
+    """Make the comparison of frames with the video at rest, whose colors are the median of some images.
 
-    pixels: Array
-    colors: Array
-    shown: NDArray[np.bool_]
+    Args:
+        scene, moving: The scene without the robot, and which of its N Gaussians move with the part (N,).
+        camera: Camera of all images.
+        images, bare: Images at rest (K, H, W, 3), and where they show no robot (K, H, W).
 
+    Returns:
+        Function from a frame (H, W, 3), its pixels without robot (H, W) and the part's transform (4, 4) to
+        log-likelihood ratios (N,), NaN where the frame does not show both positions.
+    """
+    points = scene.means.astype(np.float64)
+    _, nearest = cKDTree(points[scene.opacities > SOLID_OPACITY]).query(points, k=_NEIGHBORS)
+    around = points[scene.opacities > SOLID_OPACITY][nearest]
+    around -= around.mean(1, keepdims=True)
+    normals = np.linalg.eigh(np.einsum("nki,nkj->nij", around, around))[1][:, :, 0]
+    # Normals point towards the camera.
+    normals *= np.where(_steepness(normals, points, camera) < 0, -1.0, 1.0)[:, None]
+    _, colors, shown = _look(*compute_masked_median(images, bare), _draw_depth(scene, camera), camera, points)
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _RestState:
-    """The scene without the robot as the video shows it at rest; normals (N, 3) point towards the camera."""
-
-    scene: Gaussians
-    camera: Camera
-    moving: NDArray[np.bool_]
-    normals: Array
-    seen: _Appearance
-
-    @staticmethod
-    def of(
-        scene: Gaussians,
-        moving: NDArray[np.bool_],
-        camera: Camera,
-        images: NDArray[np.uint8],
-        bare: NDArray[np.bool_],
-    ) -> "_RestState":
-        """Read colors from the median of images (K, H, W, 3) where they show no robot (K, H, W)."""
-        points = scene.means.astype(np.float64)
-        _, nearest = cKDTree(points[scene.opacities > SOLID_OPACITY]).query(points, k=_NEIGHBORS)
-        around = points[scene.opacities > SOLID_OPACITY][nearest]
-        around -= around.mean(1, keepdims=True)
-        normals = np.linalg.eigh(np.einsum("nki,nkj->nij", around, around))[1][:, :, 0]
-        normals *= np.where(_steepness(normals, points, camera) < 0, -1.0, 1.0)[:, None]
-        seen = _look(*compute_masked_median(images, bare), _draw_depth(scene, camera), camera, points)
-        return _RestState(scene=scene, camera=camera, moving=moving, normals=normals, seen=seen)
-
-    def compare(self, image: NDArray[np.uint8], bare: NDArray[np.bool_], T_world_part: Array) -> Array:
-        """Compute the log-likelihood ratio (N,) from a frame; NaN where it does not show both positions."""
-        points, camera = self.scene.means.astype(np.float64), self.camera
+    def compare(image: NDArray[np.uint8], bare: NDArray[np.bool_], T_world_part: Array) -> Array:
         places = apply(T_world_part, points)
-        parts = RigidParts(
-            indices=self.moving.astype(np.int32), Ts_world_part=np.stack([np.eye(4), T_world_part])
-        )
-        depth = _draw_depth(self.scene, camera, parts)
-        here, there = (_look(image, bare, depth, camera, at) for at in (points, places))
-        steepness = _steepness(self.normals @ T_world_part[:3, :3].T, places, camera)
-        faces = steepness > np.maximum(_TURNED_SHARE * _steepness(self.normals, points, camera), _TURNED_COS)
-        shown_here, shown_there = here.shown & self.seen.shown, there.shown & self.seen.shown & faces
-        if_moving = _log_likelihood(self.seen.colors, there.colors, shown_there & self.moving)
-        if_standing = _log_likelihood(self.seen.colors, here.colors, shown_here & ~self.moving)
-        apart = np.linalg.norm(there.pixels - here.pixels, axis=1) > _MIN_SHIFT_PX
+        parts = RigidParts(indices=moving.astype(np.int32), Ts_world_part=np.stack([np.eye(4), T_world_part]))
+        depth = _draw_depth(scene, camera, parts)
+        pixels_here, colors_here, shown_here = _look(image, bare, depth, camera, points)
+        pixels_there, colors_there, shown_there = _look(image, bare, depth, camera, places)
+        steepness = _steepness(normals @ T_world_part[:3, :3].T, places, camera)
+        faces = steepness > np.maximum(_TURNED_SHARE * _steepness(normals, points, camera), _TURNED_COS)
+        shown_here, shown_there = shown_here & shown, shown_there & shown & faces
+        if_moving = _log_likelihood(colors, colors_there, shown_there & moving)
+        if_standing = _log_likelihood(colors, colors_here, shown_here & ~moving)
+        apart = np.linalg.norm(pixels_there - pixels_here, axis=1) > _MIN_SHIFT_PX
         return np.where(shown_here & shown_there & apart, if_moving - if_standing, np.nan)
+
+    return compare
 
 
 def _look(
     image: NDArray, bare: NDArray[np.bool_], depth: NDArray[np.float32], camera: Camera, points: Array
-) -> _Appearance:
-    """Read points (N, 3) in an image (H, W, 3), 8 bit, from its robot-free pixels and depth (H, W)."""
+) -> tuple[Array, Array, NDArray[np.bool_]]:
+    """Read points (N, 3) in an image (H, W, 3), 8 bit, from its robot-free pixels and depth (H, W).
+
+    Returns:
+        Pixels (N, 2), colors (N, 3), 0..1, and visibility (N,) of the points.
+    """
     pixels, depths = camera.project(points)
     size = np.array([camera.width, camera.height])
     columns, rows = np.clip(pixels, 0, size - 1).astype(int).T
@@ -188,7 +181,7 @@ def _look(
     colors = [
         ndimage.map_coordinates(plane, at, order=1, mode="nearest") for plane in np.moveaxis(planes, -1, 0)
     ]
-    return _Appearance(pixels=pixels, colors=np.stack(colors, 1).astype(np.float64), shown=shown)
+    return pixels, np.stack(colors, 1).astype(np.float64), shown
 
 
 def _log_likelihood(first: Array, now: Array, which: NDArray[np.bool_]) -> Array:

@@ -129,8 +129,11 @@ def refine(seen: PhotometricFrames | None, prior: KinematicPrior) -> KinematicPr
     problem = _Problem.of(prior, seen.fitted)
     answer = problem.answer(*_solve(problem, seen.renderer, seen.bands))
     motions = (prior.joint, prior.thetas), (answer.joint, answer.thetas)
-    compared = compare_frames(seen, motions)
-    return answer if _confirms(compared) else None
+    gains, explained, _ = compare_frames(seen, motions)
+    if not _explains(explained[:, 1]):
+        return None
+    error = gains.std(ddof=1) / np.sqrt(len(gains))
+    return answer if float(gains.mean() / max(error, 1e-9)) >= _ACCEPT_SD else None
 
 
 def compute_type_margin(seen: PhotometricFrames | None, answers: tuple[JointMotion, JointMotion]) -> float:
@@ -146,32 +149,21 @@ def compute_type_margin(seen: PhotometricFrames | None, answers: tuple[JointMoti
     """
     if seen is None:
         return 0.0
-    compared = compare_frames(seen, (answers[1], answers[0]))
-    return compared.margin if _explains(compared, int(compared.margin > 0)) else 0.0
+    gains, explained, squares = compare_frames(seen, (answers[1], answers[0]))
+    # Each square counts once.
+    margin = OUTLIER_SD**2 * float(squares @ gains)
+    return margin if _explains(explained[:, int(margin > 0)]) else 0.0
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Comparison:
-    """Agreement of two estimates with F frames, over the pixels that both show.
+def compare_frames(
+    seen: PhotometricFrames, answers: tuple[JointMotion, JointMotion]
+) -> tuple[Array, Array, Array]:
+    """Compare two estimates at the F held-out frames that show enough of the part, over the pixels that both show.
 
-    Attributes:
-        gains: Mean robust cost of the first estimate less that of the second (F,), -1..1.
-        explained: Share of the video's detail that is explained (F, 2), 1 at best.
-        squares: Number of independent squares that were compared (F,).
+    Returns:
+        Mean robust cost of the first estimate less that of the second (F,), -1..1; share of the video's detail
+        that each estimate explains (F, 2), 1 at best; number of independent squares that were compared (F,).
     """
-
-    gains: Array
-    explained: Array
-    squares: Array
-
-    @property
-    def margin(self) -> float:
-        """Twice the log evidence of the second estimate over the first; each square counts once."""
-        return OUTLIER_SD**2 * float(self.squares @ self.gains)
-
-
-def compare_frames(seen: PhotometricFrames, answers: tuple[JointMotion, JointMotion]) -> Comparison:
-    """Compare two estimates at the held-out frames; those that show too little of the part do not count."""
     gains, explained, squares = [], [], []
     band = seen.bands[-1]
     for frame in seen.held_out:
@@ -190,23 +182,12 @@ def compare_frames(seen: PhotometricFrames, answers: tuple[JointMotion, JointMot
         explained.append(1 - (weights * squared).sum(1) / np.maximum((weights * detail).sum(1), 1e-12))
         squares.append(mask.sum() / band.shading_px)
     explained = np.reshape(explained, (len(squares), 2))
-    return Comparison(gains=np.array(gains), explained=explained, squares=np.array(squares))
+    return np.array(gains), explained, np.array(squares)
 
 
-def _explains(compared: Comparison, answer: int) -> bool:
-    """Check whether enough frames show the textured surface, and an estimate explains most of its detail."""
-    if len(compared.squares) < _MIN_FRAMES:
-        return False
-    return float(np.median(compared.explained[:, answer])) >= _MIN_EXPLAINED
-
-
-def _confirms(compared: Comparison) -> bool:
-    """Check whether frames clearly favor the second estimate."""
-    if not _explains(compared, 1):
-        return False
-    gains = compared.gains
-    error = gains.std(ddof=1) / np.sqrt(len(gains))
-    return float(gains.mean() / max(error, 1e-9)) >= _ACCEPT_SD
+def _explains(shares: Array) -> bool:
+    """Check whether enough frames were compared, and an estimate explains most of the detail: shares (F,)."""
+    return len(shares) >= _MIN_FRAMES and float(np.median(shares)) >= _MIN_EXPLAINED
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

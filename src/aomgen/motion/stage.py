@@ -14,15 +14,12 @@ from aomgen.core.values import Array
 from aomgen.errors import EstimationError
 from aomgen.io.artifact import save_artifact
 from aomgen.io.atomic import write_json
-from aomgen.motion.estimate import MotionParams, estimate_motion, first_motion
+from aomgen.motion.estimate import MotionParams, OnCurve, estimate_motion, first_motion
 from aomgen.motion.estimates_file import ESTIMATES, REFUSED_MOTION, describe_estimates
 from aomgen.motion.inputs import MotionInput
 from aomgen.motion.motion_detection import list_warnings
 from aomgen.motion.part_tracking import compute_log_likelihood_ratio
 from aomgen.results import Results
-
-# Callback that receives the motion score before any refusal that depends on it.
-OnCurve = Callable[[MotionCurve], None]
 
 
 def run(results: Results, folder: Path, progress: Progress) -> dict[str, Any]:

@@ -12,8 +12,9 @@ A segmenter that gives one mask a point does not have them.
 """
 
 import warnings
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Annotated
 
 import numpy as np
@@ -77,28 +78,26 @@ class SizedMasks:
     __post_init__ = freeze_arrays
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Affinity:
-    """Trained features of N Gaussians.
+# Function from a size, [m], to gated features (N, D), see `gate_features`.
+FeaturesAt = Callable[[float], NDArray[np.float32]]
 
-    Attributes:
-        gate_slopes, gate_offsets: (D,), of the gates over the relative size.
-        sizes_m: (K,), sizes of the masks it was trained with, ascending, [m]. The relative size is
+
+def gate_features(
+    features: NDArray[np.float32], gates: Array, known_m: Array, size_m: float
+) -> NDArray[np.float32]:
+    """Compute gated features (N, D) of unit length at a size; zero where a Gaussian has none.
+
+    Args:
+        features: Features of N Gaussians (N, D).
+        gates: Slopes and offsets (2, D) of the gates over the relative size.
+        known_m: Sizes of the masks (K,) of the training, ascending, [m]. The relative size is
             the rank among them, 0..1, so that gates do not depend on the scene's extent.
+        size_m: Size, [m].
     """
-
-    features: Annotated[NDArray[np.float32], "_ D"]
-    gate_slopes: Annotated[Array, "D"]
-    gate_offsets: Annotated[Array, "D"]
-    sizes_m: Annotated[Array, "_"]
-
-    __post_init__ = freeze_arrays
-
-    def at_size(self, size_m: float) -> NDArray[np.float32]:
-        """Gated features (N, D) of unit length; zero where a Gaussian has none."""
-        rank = relative_sizes(np.array([size_m]), self.sizes_m)[0]
-        gate = 1 / (1 + np.exp(-(self.gate_slopes * rank + self.gate_offsets)))
-        return unit(self.features * gate.astype(np.float32))
+    slopes, offsets = gates
+    rank = relative_sizes(np.array([size_m]), known_m)[0]
+    gate = 1 / (1 + np.exp(-(slopes * rank + offsets)))
+    return unit(features * gate.astype(np.float32))
 
 
 def relative_sizes(sizes_m: Array, known_m: Array) -> Array:
@@ -151,8 +150,8 @@ def train_affinity(
     progress: Progress,
     params: AffinityParams,
     rng: np.random.Generator,
-) -> Affinity:
-    """Features of all Gaussians, world frame, from the masks of some views.
+) -> FeaturesAt:
+    """Train features of all Gaussians, world frame, on the masks of some views.
 
     Raises:
         ReconstructionError: There are fewer than two masks.
@@ -195,12 +194,8 @@ def train_affinity(
             progress((step + 1) / params.iterations, f"affinity loss {loss.item():.3f}")
     with torch.no_grad():
         smooth = torch.sparse.mm(smoothing, normalize(features, dim=1, eps=1e-6))
-    return Affinity(
-        features=smooth.numpy(),
-        gate_slopes=slopes.detach().numpy(),
-        gate_offsets=offsets.detach().numpy(),
-        sizes_m=sizes,
-    )
+    learned = torch.stack([slopes, offsets]).detach().numpy().astype(np.float64)
+    return partial(gate_features, smooth.numpy(), learned, sizes)
 
 
 def _neighbor_mean(gaussians: Gaussians) -> Tensor:

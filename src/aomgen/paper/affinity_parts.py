@@ -25,8 +25,8 @@ from aomgen.io.artifact import npz_bytes, read_npz
 from aomgen.io.atomic import write_bytes
 from aomgen.io.reuse import reuse
 from aomgen.paper.affinity_features import (
-    Affinity,
     AffinityParams,
+    FeaturesAt,
     SizedMasks,
     at_resolution,
     measure_masks,
@@ -82,10 +82,10 @@ def affinity_evidence(
         item = measure_masks(gaussians, view.camera, found[view.name], params.width)
         kept = item.sizes_m <= largest_m
         sized.append(SizedMasks(camera=item.camera, masks=item.masks[kept], sizes_m=item.sizes_m[kept]))
-    affinity = train_affinity(gaussians, sized, part(progress, 0.0, 0.95), params, rng)
+    features_at = train_affinity(gaussians, sized, part(progress, 0.0, 0.95), params, rng)
     static, moving = ([item for item in prompted if item.part == value] for value in (STATIC, MOVING))
-    whole, _ = query_part(gaussians, affinity, static, params.width)
-    moves = _vote(query_part(gaussians, affinity, moving, params.width, whole > 0)[0])
+    whole, _ = query_part(gaussians, features_at, static, params.width)
+    moves = _vote(query_part(gaussians, features_at, moving, params.width, whole > 0)[0])
     # A prompt of the static part contains the whole object, including the moving part.
     stands = _vote(whole) * (1 - moves)
     progress(1.0, "parts queried")
@@ -95,7 +95,7 @@ def affinity_evidence(
 
 def query_part(
     gaussians: Gaussians,
-    affinity: Affinity,
+    features_at: FeaturesAt,
     prompted: Sequence[PromptedImage],
     width: int,
     within: NDArray[np.bool_] | None = None,
@@ -127,7 +127,7 @@ def query_part(
     ]
     if not shown:
         raise ReconstructionError("affinity", "the prompts show nothing of the scene", "check their boxes")
-    features = affinity.at_size(float(np.median([sized.sizes_m[0] for _, sized in shown])))
+    features = features_at(float(np.median([sized.sizes_m[0] for _, sized in shown])))
     seen, painted, rest = [], np.zeros(len(gaussians)), np.zeros(len(gaussians))
     for item, sized in shown:
         drawn, mask = render(gaussians, sized.camera, features=features), sized.masks[0]

@@ -32,7 +32,7 @@ def pair_costs(
     contact_world: Array,
     direction_world: Array,
     joint_type: JointType,
-    signs: Variant,
+    variant: Variant,
 ) -> Array:
     """Cost (12, 12) of every pair (static edge, moving edge) to lie along a joint of known type.
 
@@ -56,8 +56,8 @@ def pair_costs(
     reach = _line_distances(contact_world, edges) / boxes[1].diagonal_m
     score = score_edge_pairs(*boxes)
     if joint_type == "revolute":
-        return score + (along + reach if signs == "printed" else along - reach)[None]
-    return score - (along + reach if signs == "printed" else along)[None]
+        return score + (along - reach if variant == "repaired" else along + reach)[None]
+    return score - (along if variant == "repaired" else along + reach)[None]
 
 
 def box_joint(
@@ -65,7 +65,7 @@ def box_joint(
     contact_world: Array,
     direction_world: Array,
     joint_type: JointType,
-    signs: Variant = "printed",
+    variant: Variant = "printed",
 ) -> tuple[Joint, Array]:
     """Find the joint at the cheapest pair of edges, and the outward normal of the moving part's face.
 
@@ -74,7 +74,7 @@ def box_joint(
         contact_world: Contact point on the moving part (3,), [m].
         direction_world: Unit direction (3,) of the end effector, the paper's `v_ee`.
         joint_type: Known beforehand, as in the paper.
-        signs: See `pair_costs`.
+        variant: See `pair_costs`.
 
     Returns:
         The joint, world frame, whose axis has no sense of direction and no limits yet, and a unit normal (3,).
@@ -87,19 +87,19 @@ def box_joint(
     """
     axes = find_upright_axes(np.concatenate(points))
     static, moving = (fit_box(part, axes) for part in points)
-    costs = pair_costs((static, moving), contact_world, direction_world, joint_type, signs)
+    costs = pair_costs((static, moving), contact_world, direction_world, joint_type, variant)
     row, column = np.unravel_index(int(np.argmin(costs)), costs.shape)
     edge_static, edge_moving = static.edges()[row], moving.edges()[column]
     step = edge_moving[1] - edge_moving[0]
-    origin = find_pair_center(*points, edge_static, edge_moving, NEAREST_PAIRS)
+    origin = find_pair_center(*points, edge_static, edge_moving)
     joint = Joint(type=joint_type, axis=step / np.linalg.norm(step), origin=origin, lower=0.0, upper=0.0)
     return joint, find_face_normal(static, moving)
 
 
 def find_pair_center(
-    points_static: Array, points_moving: Array, edge_static: Array, edge_moving: Array, count: int
+    points_static: Array, points_moving: Array, edge_static: Array, edge_moving: Array
 ) -> Array:
-    """Mean midpoint (3,) of the `count` nearest point pairs near a pair of edges; the edges' middle without any.
+    """Mean midpoint (3,) of the nearest point pairs near a pair of edges; the edges' middle without any.
 
     Points (N, 3), (M, 3) and the end points (2, 3) of the edges share a frame, [m].
 
@@ -111,7 +111,7 @@ def find_pair_center(
     if not (len(close_moving) and len(close_static)):
         return np.concatenate([edge_static, edge_moving]).mean(0)
     distances, partners = cKDTree(close_static).query(close_moving)
-    chosen = np.argsort(distances)[:count]
+    chosen = np.argsort(distances)[:NEAREST_PAIRS]
     return ((close_moving[chosen] + close_static[partners[chosen]]) / 2).mean(0)
 
 

@@ -25,8 +25,9 @@ from aomgen.motion.inputs import MotionInput
 from aomgen.motion.keyframes import find_part_region, keep_touching, widen
 from aomgen.robots.silhouette import robot_masks
 
-# "printed": the formulas as printed. "repaired": with the smallest corrections that are necessary.
-Variant = Literal["printed", "repaired"]
+# "printed": the formulas as printed. "threshold": with the noise of the threshold repaired. "repaired": also with the
+# signs of the edge cost repaired.
+Variant = Literal["printed", "threshold", "repaired"]
 
 # The paper states the filter but not its size; eleven frames and third order are common values.
 SMOOTH_FRAMES, SMOOTH_ORDER = 11, 3
@@ -92,7 +93,7 @@ def score_threshold(scores: Array, smoothed: Array, variant: Variant) -> float:
 
     B is the 20th percentile of the scores (T,). In the variant "printed", sigma is the standard deviation of all
     scores, so a motion raises its own threshold: two levels are separated only if the higher one lasts for less than
-    one eighth or for more than seven eighths of the video. In the variant "repaired", sigma is the robust standard
+    one eighth or for more than seven eighths of the video. In the other variants, sigma is the robust standard
     deviation of the scores about their smoothed values (T,).
 
     Source: AOMGen, sec. 4.2, "Keyframe Extraction".
@@ -124,7 +125,7 @@ def flag_frames(smoothed: Array, threshold: float) -> tuple[int, int]:
     return int(flagged[0]), int(flagged[-1])
 
 
-def part_masks(capture: Recording, camera: DemoCamera, demonstration: MotionInput) -> PartMasks:
+def part_masks(capture: Recording, camera: DemoCamera, demo: MotionInput) -> PartMasks:
     """Compute the masks of moving part and robot in every frame.
 
     The masks of the part are the label images of the capture if there are any, else they are computed from changes in
@@ -133,7 +134,6 @@ def part_masks(capture: Recording, camera: DemoCamera, demonstration: MotionInpu
     Raises:
         InputError: See `read_demo_masks`.
     """
-    demo = demonstration
     count, height, width = demo.video.frames_srgb.shape[:3]
     labels = read_demo_masks(capture, camera, (count, height, width))
     if labels is None:

@@ -14,13 +14,13 @@ from aomgen.core.alignment import Alignment
 from aomgen.core.motion import MotionEstimate
 from aomgen.core.progress import Progress, part
 from aomgen.core.transforms import apply, invert
-from aomgen.motion.estimate import estimate_motion
-from aomgen.motion.stage import OnCurve, motion_input, recover_motion
+from aomgen.motion.estimate import OnCurve, estimate_motion
+from aomgen.motion.stage import motion_input, recover_motion
 from aomgen.paper.affinity_features import AffinityParams
 from aomgen.paper.affinity_parts import MASKS_FOLDER, affinity_evidence, segment_views
 from aomgen.paper.icp_alignment import align_as_paper
 from aomgen.paper.mask_keyframes import part_masks
-from aomgen.paper.motion_estimate import PaperMotionParams, estimate_motion_paper
+from aomgen.paper.motion_estimate import estimate_motion_paper
 from aomgen.parts import stage as parts_stage
 from aomgen.parts.label import SEED, MotionEvidence
 from aomgen.parts.likelihood import PartEvidence
@@ -124,7 +124,7 @@ def run_motion(results: Results, folder: Path, progress: Progress) -> dict[str, 
         demonstration = motion_input(results, results.scene, results.parts.labels)
         masks = part_masks(results.capture, results.capture.cameras[0], demonstration)
         ours = estimate_motion(demonstration, None, part(progress, 0.0, 0.7), on_curve)
-        params = PaperMotionParams(joint_type=ours.joint.type)
-        return estimate_motion_paper(demonstration, masks, params, part(progress, 0.7, 1.0), on_curve)
+        rest = part(progress, 0.7, 1.0)
+        return estimate_motion_paper(demonstration, masks, ours.joint.type, "printed", rest, on_curve)
 
     return recover_motion(results, folder, progress, estimate)

@@ -1,6 +1,5 @@
 """The paper's AOMotion from end to end, with a result that is scored like ours."""
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -14,6 +13,7 @@ from aomgen.core.recording import JointLog
 from aomgen.core.transforms import apply, invert
 from aomgen.core.values import Array, Vector3, freeze_arrays
 from aomgen.errors import InputError
+from aomgen.motion.estimate import OnCurve, ignore_curve
 from aomgen.motion.inputs import MotionInput, read_gripper_signals
 from aomgen.motion.motion_detection import MIN_ODDS
 from aomgen.motion.part_shape import infer_direction
@@ -32,22 +32,6 @@ from aomgen.robots.robot import RobotModel
 SPACING_M = 0.003
 # A plane that slides within itself by more than this share of a motion does not determine the motion.
 _MIN_ACROSS = 1e-3
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class PaperMotionParams:
-    """Inputs that the paper assumes, and which of its formulas are repaired.
-
-    Attributes:
-        joint_type: Known beforehand; the paper does not find it.
-        threshold: Noise in the keyframes' threshold, see `keyframes.score_threshold`.
-        signs: Signs of the edge cost, see `joint.pair_costs`; repaired also means that `v_ee` of a
-            prismatic joint is the end effector's displacement, where printed takes its approach.
-    """
-
-    joint_type: JointType
-    threshold: Variant = "printed"
-    signs: Variant = "printed"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -74,16 +58,13 @@ class NearestPair:
         return float(np.linalg.norm(self.on_part - self.on_robot))
 
 
-def _ignore_curve(curve: MotionCurve) -> None:
-    """Default callback; does nothing."""
-
-
 def estimate_motion_paper(
-    demonstration: MotionInput,
+    demo: MotionInput,
     masks: PartMasks,
-    params: PaperMotionParams,
+    joint_type: JointType,
+    variant: Variant = "printed",
     progress: Progress = silent,
-    on_curve: Callable[[MotionCurve], None] = _ignore_curve,
+    on_curve: OnCurve = ignore_curve,
 ) -> MotionEstimate:
     """Recover the part's motion as the paper does.
 
@@ -92,7 +73,12 @@ def estimate_motion_paper(
     without doubt; the axis points so that the motion ends at a positive value.
 
     Args:
+        demo: Video, log and scan.
         masks: Moving part and robot in every frame of its video, at any size.
+        joint_type: Known beforehand; the paper does not find it.
+        variant: Repaired formulas; `v_ee` of a prismatic joint is the end effector's displacement if "repaired",
+            and its approach otherwise.
+        progress: Receives the progress.
         on_curve: Receives the motion score before the demonstration is refused.
 
     Raises:
@@ -102,7 +88,7 @@ def estimate_motion_paper(
     Source: AOMGen, sec. 4.2, AOMotion. Not checked: prompts, contact, and whether the motion is long
     enough; the paper always returns an estimate.
     """
-    demo, frames = demonstration, demonstration.video.times_s
+    frames = demo.video.times_s
     if not len(masks.moving) == len(frames):
         raise InputError(
             "masks of the demonstration",
@@ -110,7 +96,7 @@ def estimate_motion_paper(
             "give one mask a frame",
         )
     progress(0.0, "keyframes")
-    curve = _measure_curve(demo, masks, params.threshold)
+    curve = _measure_curve(demo, masks, variant)
     on_curve(curve)
     interval = flag_frames(curve.smoothed, curve.threshold)
     held = frames[interval[0] : interval[1] + 1]
@@ -120,11 +106,11 @@ def estimate_motion_paper(
     T_world_ee = demo.robot.ee_poses(demo.log.at(held[:1])[0])[0]
     progress(0.6, "joint")
     direction = T_world_ee[:3, :3] @ demo.robot.approach_ee
-    if params.joint_type == "prismatic" and params.signs == "repaired":
+    if joint_type == "prismatic" and variant == "repaired":
         step = path[-1] - path[0]
         direction = step / max(float(np.linalg.norm(step)), 1e-9)
     points = (demo.points_static, demo.points_moving)
-    joint, face_normal = box_joint(points, pair.on_part, direction, params.joint_type, params.signs)
+    joint, face_normal = box_joint(points, pair.on_part, direction, joint_type, variant)
     progress(0.9, "joint values")
     thetas = recover_thetas(joint, pair.on_part, face_normal, path)
     sense = -1.0 if thetas[-1] < 0 else 1.0
@@ -176,7 +162,7 @@ def _assemble(
     )
 
 
-def _measure_curve(demo: MotionInput, masks: PartMasks, threshold: Variant) -> MotionCurve:
+def _measure_curve(demo: MotionInput, masks: PartMasks, variant: Variant) -> MotionCurve:
     """The paper's motion score; the last frame has no successor and repeats the one before."""
     signals = read_gripper_signals(demo, demo.video.times_s)
     scores = motion_scores(masks)
@@ -185,7 +171,7 @@ def _measure_curve(demo: MotionInput, masks: PartMasks, threshold: Variant) -> M
         times_s=demo.video.times_s,
         scores=np.append(scores, scores[-1]),
         smoothed=np.append(smoothed, smoothed[-1]),
-        threshold=score_threshold(scores, smoothed, threshold),
+        threshold=score_threshold(scores, smoothed, variant),
         distances_m=signals.distances_m,
         speeds_m_s=signals.speeds_m_s,
         gripper=signals.gripper,

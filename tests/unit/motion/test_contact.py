@@ -50,28 +50,28 @@ def bar(length_m: float, radius_m: float, along_m: float, lean: float = 0.0) -> 
 
 
 def find(robot: RobotModel, log: JointLog, points: np.ndarray, axes: np.ndarray = AXES) -> Contacts:
-    """Contacts of a hand that carries the part from 0.5 s on."""
+    """Patches and held point of a hand that carries the part from 0.5 s on."""
     times = 0.5 + np.linspace(0, 0.3, 4)
     demo = hand(robot, log)
     return find_contacts(demo, (points, axes), times, carry_part(demo, 0.5, times))
 
 
-def middle_ee(robot: RobotModel, contacts: Contacts) -> np.ndarray:
+def middle_ee(robot: RobotModel, patches: tuple[ContactPatch, ...]) -> np.ndarray:
     T_world_ee = robot.ee_poses(JOINTS[None])[0]
-    return apply(invert(T_world_ee), np.mean([patch.point for patch in contacts.patches], axis=0))
+    return apply(invert(T_world_ee), np.mean([patch.point for patch in patches], axis=0))
 
 
 @pytest.mark.parametrize("along_m", [0.0, 0.008])
 def test_both_fingers_touch_the_bar_where_it_is(robot: RobotModel, along_m: float) -> None:
     points = apply(robot.ee_poses(JOINTS[None])[0], bar(0.1, 0.006, along_m))
     log = still_log(robot, 0.857)
-    contacts = find(robot, log, points)
-    assert {patch.finger for patch in contacts.patches} == {"left", "right"}
-    assert middle_ee(robot, contacts) == pytest.approx([0, 0, along_m], abs=0.006)
-    assert contacts.grasp_ee == pytest.approx(middle_ee(robot, contacts), abs=1e-9)
-    assert all(0.004 < patch.spread_m < 0.014 for patch in contacts.patches)
-    middle = np.mean([patch.point for patch in contacts.patches], axis=0)
-    for patch in contacts.patches:
+    patches, grasp_ee = find(robot, log, points)
+    assert {patch.finger for patch in patches} == {"left", "right"}
+    assert middle_ee(robot, patches) == pytest.approx([0, 0, along_m], abs=0.006)
+    assert grasp_ee == pytest.approx(middle_ee(robot, patches), abs=1e-9)
+    assert all(0.004 < patch.spread_m < 0.014 for patch in patches)
+    middle = np.mean([patch.point for patch in patches], axis=0)
+    for patch in patches:
         assert patch.normal @ (middle - patch.point) > 0
         assert np.linalg.norm(patch.normal) == pytest.approx(1)
 
@@ -80,7 +80,7 @@ def test_a_leaning_bar_is_pressed_where_the_pads_come_nearest(robot: RobotModel)
     """Loaded in MuJoCo, this gripper's pads meet tips first: at (-10, 4) mm for a round bar leaning by 20 deg."""
     points = apply(robot.ee_poses(JOINTS[None])[0], bar(0.1, 0.006, 0.0, lean=-np.radians(20)))
     log = still_log(robot, 0.857)
-    middle = middle_ee(robot, find(robot, log, points))
+    middle = middle_ee(robot, find(robot, log, points)[0])
     assert middle[0] < -0.004
     assert middle[2] > 0.003
 
@@ -90,7 +90,7 @@ def test_a_bar_of_few_points_is_followed_across_the_pads(robot: RobotModel) -> N
     log, T_world_ee = still_log(robot, 0.857), robot.ee_poses(JOINTS[None])[0]
     sparse = bar(0.1, 0.003, 0.0, lean=-np.radians(20))[::120]
     sparse = sparse[np.abs(sparse[:, 0]) > 0.005]
-    middle = middle_ee(robot, find(robot, log, apply(T_world_ee, sparse)))
+    middle = middle_ee(robot, find(robot, log, apply(T_world_ee, sparse))[0])
     assert middle[0] < -0.003
     assert abs(middle[2] + np.tan(np.radians(20)) * middle[0]) < 0.005
 
@@ -105,8 +105,8 @@ def test_what_a_bar_is_mounted_on_is_not_taken_for_it(robot: RobotModel) -> None
     wall = np.stack([u, v, np.full(len(u), 0.035)], 1)
     points = apply(T_world_ee, np.concatenate([seen, wall]) @ lean.T)
     axes = (T_world_ee[:3, :3] @ lean).T
-    middle = middle_ee(robot, find(robot, log, points, axes))
-    bare = middle_ee(robot, find(robot, log, points[:9], axes))
+    middle = middle_ee(robot, find(robot, log, points, axes)[0])
+    bare = middle_ee(robot, find(robot, log, points[:9], axes)[0])
     assert middle == pytest.approx(bare, abs=1e-3)
     # Pressed where the pads come nearest: at the end and on the side of the bar that are nearest to the tips.
     assert middle[0] < -0.004
@@ -119,8 +119,8 @@ def test_a_bar_goes_on_where_it_was_not_seen(robot: RobotModel) -> None:
     lean = matrix_from_rotvec([0, np.radians(20), 0])
     half = np.stack([np.linspace(-0.001, 0.05, 30), np.zeros(30), np.zeros(30)], 1) @ lean.T
     axes = (T_world_ee[:3, :3] @ lean).T
-    contacts = find(robot, log, apply(T_world_ee, half), axes)
-    assert middle_ee(robot, contacts)[0] < -0.004
+    patches, _ = find(robot, log, apply(T_world_ee, half), axes)
+    assert middle_ee(robot, patches)[0] < -0.004
 
 
 def test_what_the_scan_did_not_see_is_held_all_over_the_pads(robot: RobotModel) -> None:
@@ -129,10 +129,10 @@ def test_what_the_scan_did_not_see_is_held_all_over_the_pads(robot: RobotModel) 
     part = np.random.default_rng(0).uniform([0.08, 0.05, -0.1], [0.3, 0.06, -0.05], (500, 3))
     away = transform(np.eye(3), T_world_ee[:3, :3] @ [-0.01, 0, 0])
     path = np.array([0.5, 0.6]), np.stack([np.eye(4), away])
-    contacts = find_contacts(hand(robot, log), (apply(T_world_ee, part), AXES), *path)
-    assert {patch.finger for patch in contacts.patches} == {"left", "right"}
-    assert middle_ee(robot, contacts) == pytest.approx([0, 0, 0], abs=0.01)
-    assert min(patch.spread_m for patch in contacts.patches) > 0.008
+    patches, _ = find_contacts(hand(robot, log), (apply(T_world_ee, part), AXES), *path)
+    assert {patch.finger for patch in patches} == {"left", "right"}
+    assert middle_ee(robot, patches) == pytest.approx([0, 0, 0], abs=0.01)
+    assert min(patch.spread_m for patch in patches) > 0.008
 
 
 def test_a_plate_between_the_pads_is_no_bar(robot: RobotModel) -> None:
@@ -141,9 +141,9 @@ def test_a_plate_between_the_pads_is_no_bar(robot: RobotModel) -> None:
     u, v, w = (grid.ravel() for grid in np.meshgrid(
         np.linspace(-0.1, 0.1, 81), [-0.006, 0.006], np.linspace(-0.008, 0.1, 44)
     ))  # fmt: skip
-    contacts = find(robot, log, apply(T_world_ee, np.stack([u, v, w], 1)))
-    assert middle_ee(robot, contacts)[:2] == pytest.approx([0, 0], abs=0.002)
-    assert middle_ee(robot, contacts)[2] > 0.005
+    patches, _ = find(robot, log, apply(T_world_ee, np.stack([u, v, w], 1)))
+    assert middle_ee(robot, patches)[:2] == pytest.approx([0, 0], abs=0.002)
+    assert middle_ee(robot, patches)[2] > 0.005
 
 
 def box_bar(
@@ -164,8 +164,8 @@ def touches_ee(robot: RobotModel, points_ee: np.ndarray, axes_ee: np.ndarray) ->
     """Where each finger touches, end-effector frame."""
     log, T_world_ee = still_log(robot, 0.857), robot.ee_poses(JOINTS[None])[0]
     axes = axes_ee @ T_world_ee[:3, :3].T
-    contacts = find(robot, log, apply(T_world_ee, points_ee), axes)
-    return {patch.finger: apply(invert(T_world_ee), patch.point) for patch in contacts.patches}
+    patches, _ = find(robot, log, apply(T_world_ee, points_ee), axes)
+    return {patch.finger: apply(invert(T_world_ee), patch.point) for patch in patches}
 
 
 @pytest.mark.parametrize("roll_deg", [-10.0, 10.0])
@@ -218,7 +218,7 @@ def test_strays_behind_the_bar_draw_nothing(robot: RobotModel) -> None:
     points = bar(0.1, 0.006, 0.0)
     strays = np.random.default_rng(1).uniform([-0.01, -0.004, 0.012], [0.01, 0.004, 0.018], (12, 3))
     clean, dirty = (
-        middle_ee(robot, find(robot, log, apply(T_world_ee, item)))
+        middle_ee(robot, find(robot, log, apply(T_world_ee, item))[0])
         for item in (points, np.concatenate([points, strays]))
     )
     assert dirty == pytest.approx(clean, abs=0.004)
@@ -231,9 +231,9 @@ def test_the_part_is_sought_where_it_is_and_not_where_it_was(robot: RobotModel) 
     gone = transform(np.eye(3), T_world_ee[:3, :3] @ [0, 0, -0.015])
     scanned = apply(invert(gone), apply(T_world_ee, bar(0.1, 0.006, 0.0)))
     path = np.array([0.5, 0.6]), np.stack([gone, gone])
-    contacts = find_contacts(hand(robot, log), (scanned, AXES), *path)
-    assert middle_ee(robot, contacts) == pytest.approx([0, 0, 0], abs=0.006)
-    held = find(robot, log, scanned)
+    patches, _ = find_contacts(hand(robot, log), (scanned, AXES), *path)
+    assert middle_ee(robot, patches) == pytest.approx([0, 0, 0], abs=0.006)
+    held, _ = find(robot, log, scanned)
     assert middle_ee(robot, held)[2] > 0.01
 
 
@@ -248,8 +248,8 @@ def test_a_hand_turned_in_the_world_takes_its_patches_along(robot: RobotModel) -
         )  # fmt: skip
         T_world_ee = robot.ee_poses(joints[None])[0]
         axes = axes_ee @ T_world_ee[:3, :3].T
-        contacts = find(robot, log, apply(T_world_ee, points), axes)
-        found.append([apply(invert(T_world_ee), patch.point) for patch in contacts.patches])
+        patches, _ = find(robot, log, apply(T_world_ee, points), axes)
+        found.append([apply(invert(T_world_ee), patch.point) for patch in patches])
     assert np.array(found[0]) == pytest.approx(np.array(found[1]), abs=1e-5)
 
 
@@ -273,10 +273,10 @@ def test_a_closed_gripper_pushes_with_its_tips(robot: RobotModel) -> None:
     tip = tip_m(robot)
     door = np.stack([u, v, np.full(len(u), tip + 0.002)], 1)
     log = moving_log(robot, 1.0, np.array([0, 0, 0.02]))
-    contacts = find(robot, log, apply(robot.ee_poses(JOINTS[None])[0], door))
-    assert {patch.finger for patch in contacts.patches} == {"left", "right"}
-    assert contacts.grasp_ee == pytest.approx([0, 0, tip], abs=0.006)
-    assert min(patch.gap_m for patch in contacts.patches) < 0.005
+    patches, grasp_ee = find(robot, log, apply(robot.ee_poses(JOINTS[None])[0], door))
+    assert {patch.finger for patch in patches} == {"left", "right"}
+    assert grasp_ee == pytest.approx([0, 0, tip], abs=0.006)
+    assert min(patch.gap_m for patch in patches) < 0.005
 
 
 def test_pushed_patches_are_where_a_denser_hand_has_them(
@@ -289,7 +289,7 @@ def test_pushed_patches_are_where_a_denser_hand_has_them(
     leans = [matrix_from_rotvec(0.15 * np.array([np.cos(a), np.sin(a), 0])) for a in np.arange(6)]
 
     def touched() -> np.ndarray:
-        return np.array([find(robot, log, apply(T_world_ee, door @ lean.T)).grasp_ee for lean in leans])
+        return np.array([find(robot, log, apply(T_world_ee, door @ lean.T))[1] for lean in leans])
 
     usual = touched()
     monkeypatch.setattr(gripper_surface, "POINTS", 16 * gripper_surface.POINTS)
@@ -315,10 +315,10 @@ def test_closed_fingers_hook_a_bar_with_their_side(robot: RobotModel, side: floa
     )
     points = np.concatenate([post, door + [0, 0, tip + 0.004]])
     points = apply(robot.ee_poses(JOINTS[None])[0], points)
-    contacts = find(robot, log, points)
-    assert {patch.finger for patch in contacts.patches} <= {"left", "right"}
-    assert contacts.grasp_ee == pytest.approx([side * 0.012, 0, tip - 0.012], abs=0.006)
-    normal_ee = robot.ee_poses(JOINTS[None])[0, :3, :3].T @ contacts.patches[0].normal
+    patches, grasp_ee = find(robot, log, points)
+    assert {patch.finger for patch in patches} <= {"left", "right"}
+    assert grasp_ee == pytest.approx([side * 0.012, 0, tip - 0.012], abs=0.006)
+    normal_ee = robot.ee_poses(JOINTS[None])[0, :3, :3].T @ patches[0].normal
     assert side * normal_ee[0] > 0.8
 
 
@@ -330,17 +330,17 @@ def test_a_hook_pulls_with_the_finger_that_faces_its_way(robot: RobotModel, way:
     T_ee_world = invert(robot.ee_poses(JOINTS[None])[0])
     faces = {pad.finger: apply(T_ee_world @ bodies[pad.body], pad.face_body)[1] for pad in robot.pads}
     posts = [bar(0.1, 0.005, 0.0) + [0, y + np.sign(y) * 0.03, 0] for y in faces.values()]
-    contacts = find(robot, log, apply(invert(T_ee_world), np.concatenate(posts)))
-    assert [patch.finger for patch in contacts.patches] == [finger]
+    patches, _ = find(robot, log, apply(invert(T_ee_world), np.concatenate(posts)))
+    assert [patch.finger for patch in patches] == [finger]
     assert np.sign(faces[finger]) == np.sign(way)
 
 
 def test_a_gap_shows_how_far_the_alignment_is_off(robot: RobotModel) -> None:
     far = apply(robot.ee_poses(JOINTS[None])[0], bar(0.1, 0.006, 0.06))
     log = still_log(robot, 0.857)
-    contacts = find(robot, log, far)
-    assert min(patch.gap_m for patch in contacts.patches) > 0.01
-    assert min(patch.spread_m for patch in contacts.patches) > 0.008
+    patches, _ = find(robot, log, far)
+    assert min(patch.gap_m for patch in patches) > 0.01
+    assert min(patch.spread_m for patch in patches) > 0.008
 
 
 def estimate() -> MotionEstimate:

@@ -5,10 +5,10 @@ import pytest
 
 from aomgen.core.joint import Joint
 from aomgen.core.transforms import matrix_from_rotvec, transform
+from aomgen.motion.inputs import TouchInterval
 from aomgen.motion.joint_value import (
     LEAVE_M,
     LEAVE_RAD,
-    TouchObservation,
     ValueTrajectory,
     compute_path_values,
     estimate_level_sd,
@@ -187,8 +187,9 @@ def push_course(
     along, aside = (np.zeros((len(TIMES), 3)) for _ in range(2))
     along[:, 0] = values
     aside[:, 2] = 0.0 if aside_m is None else aside_m
-    picture = TouchObservation(times_s=FRAMES, seen=ChangeFractions(left=left, ahead=ahead), noise=0.004)
-    return follow_pushed_part(TIMES, values, (along + aside, aside), seen_s, LEAVE_M, picture)
+    touch = TouchInterval(first=0, last=len(FRAMES) - 1, gripped=False)
+    seen = ChangeFractions(times_s=FRAMES, touch=touch, left=left, ahead=ahead)
+    return follow_pushed_part(TIMES, values, (along + aside, aside), seen_s, LEAVE_M, seen)
 
 
 @pytest.mark.parametrize("seen_s", [(2.0, 6.0), (1.0, 8.0)])

@@ -9,7 +9,6 @@ from aomgen.motion.ee_path import GripperPath
 from aomgen.motion.inputs import GripperSignals, TouchInterval, find_touch
 from aomgen.motion.keyframes import (
     ChangeFractions,
-    Interval,
     find_interval,
     find_part_region,
     measure_change_fractions,
@@ -53,8 +52,8 @@ def way(start_s: float, end_s: float, length_m: float = 0.2) -> GripperPath:
     return GripperPath(times_s=DENSE, points=points)
 
 
-def found(frames: Film, hand: GripperPath, touch: TouchInterval = WHOLE) -> Interval:
-    return find_interval(TIMES, measure_change_fractions(*frames, touch, 3), hand, touch, PIXEL_M)
+def found(frames: Film, hand: GripperPath) -> tuple[float, float]:
+    return find_interval(measure_change_fractions(TIMES, *frames, WHOLE), hand, PIXEL_M)
 
 
 @pytest.mark.parametrize(
@@ -63,24 +62,21 @@ def found(frames: Film, hand: GripperPath, touch: TouchInterval = WHOLE) -> Inte
 def test_start_and_end_are_found_for_short_and_long_motions(start: float, end: float) -> None:
     interval = found(film(moves(start, end)), way(start, end))
     pixel_s = (end - start) / 18
-    assert interval.start_s == pytest.approx(start, abs=0.1 + pixel_s / 2)
-    assert interval.end_s == pytest.approx(end, abs=0.1 + pixel_s / 2)
+    assert interval == pytest.approx((start, end), abs=0.1 + pixel_s / 2)
 
 
 def test_a_part_that_only_grows_is_seen() -> None:
     growth = np.interp(TIMES, [3.0, 6.0], [0, 15])
-    seen = measure_change_fractions(*film(np.full(COUNT, 22.0), growth=growth), WHOLE, 3)
+    seen = measure_change_fractions(TIMES, *film(np.full(COUNT, 22.0), growth=growth), WHOLE)
     assert seen.scores[45] > 0.1
-    interval = find_interval(TIMES, seen, way(3.0, 6.0), WHOLE, PIXEL_M)
-    assert interval.start_s == pytest.approx(3.0, abs=0.2)
-    assert interval.end_s == pytest.approx(6.0, abs=0.2)
+    assert find_interval(seen, way(3.0, 6.0), PIXEL_M) == pytest.approx((3.0, 6.0), abs=0.2)
 
 
 def test_the_film_backwards_gives_the_curves_exchanged() -> None:
     frames, robot, region = film(moves(3.0, 5.0))
     region = region | np.roll(region, 18, axis=1)
-    forwards = measure_change_fractions(frames, robot, region, WHOLE, 3)
-    backwards = measure_change_fractions(frames[::-1], robot[::-1], region, WHOLE, 3)
+    forwards = measure_change_fractions(TIMES, frames, robot, region, WHOLE)
+    backwards = measure_change_fractions(TIMES, frames[::-1], robot[::-1], region, WHOLE)
     assert backwards.left[::-1] == pytest.approx(forwards.ahead, abs=1e-6)
     assert backwards.scores[::-1] == pytest.approx(forwards.scores, abs=1e-6)
 
@@ -94,8 +90,7 @@ def test_the_film_backwards_gives_the_interval_backwards() -> None:
     )
     forwards = found((frames, robot, region), hand)
     backwards = found((frames[::-1], robot[::-1], region), back)
-    assert last - backwards.end_s == pytest.approx(forwards.start_s, abs=0.02)
-    assert last - backwards.start_s == pytest.approx(forwards.end_s, abs=0.02)
+    assert (last - backwards[1], last - backwards[0]) == pytest.approx(forwards, abs=0.02)
 
 
 def test_a_pause_in_the_middle_belongs_to_the_motion() -> None:
@@ -105,8 +100,7 @@ def test_a_pause_in_the_middle_belongs_to_the_motion() -> None:
     interval = found(
         film(22 + 18 * np.interp(TIMES, times, place)), GripperPath(times_s=DENSE, points=points)
     )
-    assert interval.start_s == pytest.approx(3.0, abs=0.1)
-    assert interval.end_s == pytest.approx(6.5, abs=0.1)
+    assert interval == pytest.approx((3.0, 6.5), abs=0.1)
 
 
 def test_single_bad_frames_do_not_move_the_interval() -> None:
@@ -115,22 +109,22 @@ def test_single_bad_frames_do_not_move_the_interval() -> None:
     bad[20, 15:45, 20:50] = 255
     bad[75] = frames[10]
     interval = found((bad, robot, region), way(4.0, 6.0))
-    assert interval.start_s == pytest.approx(4.0, abs=0.1)
-    assert interval.end_s == pytest.approx(6.0, abs=0.1)
+    assert interval == pytest.approx((4.0, 6.0), abs=0.1)
 
 
 def test_a_hand_that_slides_before_the_part_follows_does_not_start_the_motion() -> None:
     """The hand goes from 2 to 6 s, the part only from 4 s on."""
-    interval = found(film(moves(4.0, 6.0)), way(2.0, 6.0, 0.4))
-    assert interval.start_s == pytest.approx(4.0, abs=0.3)
+    start_s, _ = found(film(moves(4.0, 6.0)), way(2.0, 6.0, 0.4))
+    assert start_s == pytest.approx(4.0, abs=0.3)
 
 
 def test_the_moving_arm_alone_changes_nothing() -> None:
-    assert measure_change_fractions(*film(np.full(COUNT, 22.0)), WHOLE, 3).scores.max() < 0.02
+    assert measure_change_fractions(TIMES, *film(np.full(COUNT, 22.0)), WHOLE).scores.max() < 0.02
 
 
 def test_frames_outside_the_touch_score_nothing() -> None:
-    seen = measure_change_fractions(*film(moves(3.0, 5.0)), TouchInterval(first=25, last=70, gripped=True), 3)
+    touch = TouchInterval(first=25, last=70, gripped=True)
+    seen = measure_change_fractions(TIMES, *film(moves(3.0, 5.0)), touch)
     assert seen.scores[:25].max() == 0
     assert seen.scores[71:].max() == 0
     assert seen.scores[40] > 0.2
@@ -139,10 +133,7 @@ def test_frames_outside_the_touch_score_nothing() -> None:
 def test_noise_is_measured_about_the_smooth_course_and_not_about_the_mean() -> None:
     rng = np.random.default_rng(1)
     left = np.interp(TIMES, [2, 7], [0, 0.6]) + rng.normal(size=COUNT) * 0.004
-    interval = find_interval(
-        TIMES, ChangeFractions(left=left, ahead=left[::-1]), way(2.0, 7.0), WHOLE, PIXEL_M
-    )
-    assert interval.threshold < 0.02
+    assert ChangeFractions(times_s=TIMES, touch=WHOLE, left=left, ahead=left[::-1]).threshold < 0.02
 
 
 def signals(gripper: np.ndarray, distances: np.ndarray) -> GripperSignals:

@@ -89,7 +89,9 @@ def test_no_hinge_is_farther_away_than_the_object_reaches() -> None:
     shape = measure_shape(BODY, DOOR)
     farthest = np.linalg.norm(np.concatenate([BODY, DOOR]) - HANDLE, axis=1).max()
     assert shape.reach_m(HANDLE) == pytest.approx(farthest, rel=0.1)
-    path = EePath.of(np.repeat(np.eye(4)[None], 4, 0), GraspGuess(point_ee=np.zeros(3)))
+    Ts, still = np.repeat(np.eye(4)[None], 4, 0), np.zeros((4, 3))
+    hold = GraspGuess(point_ee=np.zeros(3))
+    path = EePath(Ts_world_ee=Ts, hold=hold, points_world=still, turns_world=still)
     door = Revolute(path=path, start=R[:, 2], reach_m=shape.reach_m(HANDLE))
     x = door.first()
     x[4] = 0.9 * door.reach_m

@@ -1,6 +1,7 @@
 """Automatic masks, affinity features and their queries on scenes with known answers."""
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -13,8 +14,8 @@ from aomgen.core.recording import Prompt
 from aomgen.errors import MalformedFileError, ReconstructionError
 from aomgen.io.artifact import npz_bytes
 from aomgen.paper.affinity_features import (
-    Affinity,
     AffinityParams,
+    gate_features,
     mask_size,
     measure_masks,
     pair_evidence,
@@ -186,7 +187,7 @@ def test_the_same_seed_gives_the_same_features():
     sized = measure_masks(gaussians, view.camera, true_masks(gaussians, labels, view.camera), 96)
     params = replace(TRAINING, iterations=3)
     runs = [train_affinity(gaussians, [sized], silent, params, np.random.default_rng(0)) for _ in range(2)]
-    assert np.array_equal(runs[0].features, runs[1].features)
+    assert np.array_equal(runs[0](0.1), runs[1](0.1))
 
 
 def test_masks_are_as_large_as_what_they_show_from_near_and_far():
@@ -274,14 +275,13 @@ def test_a_part_is_told_from_the_rest_of_its_thing():
     features = np.stack(
         [np.ones(len(labels)), np.where(labels == 2, 0.3, -0.3), rng.normal(size=len(labels))], 1
     ).astype(np.float32)
-    gates = {"gate_slopes": np.zeros(3), "gate_offsets": np.zeros(3), "sizes_m": np.array([0.1, 1.0])}
-    affinity = Affinity(features=features, **gates)
+    features_at = partial(gate_features, features, np.zeros((2, 3)), np.array([0.1, 1.0]))
     view = scan_views(gaussians)[1]
     lid, box = true_masks(gaussians, labels, view.camera)[1], np.array([0.0, 0, 128, 96])
     image = TrueSegmenter(gaussians, labels, [view]).prepare(view.name, view.image_srgb)
     prompt = PromptedImage(view=view, prepared=image, part=MOVING, box=box, masks=(lid,))
-    _, iou_alone = query_part(gaussians, affinity, [prompt], 96)
-    margins, iou = query_part(gaussians, affinity, [prompt], 96, labels >= 1)
+    _, iou_alone = query_part(gaussians, features_at, [prompt], 96)
+    margins, iou = query_part(gaussians, features_at, [prompt], 96, labels >= 1)
     assert iou_alone < 0.8
     assert iou > 0.9
     assert np.mean((margins > 0) == (labels == 2)) > 0.98
@@ -292,8 +292,8 @@ def test_similarity_does_not_depend_on_the_length_of_features():
     rng = np.random.default_rng(1)
     features = rng.normal(size=(20, 8)).astype(np.float32)
     lengths = rng.uniform(0.1, 5, (20, 1)).astype(np.float32)
-    common = {"gate_slopes": np.ones(8), "gate_offsets": np.zeros(8), "sizes_m": np.array([0.1, 1.0])}
-    one, other = (Affinity(features=f, **common).at_size(0.3) for f in (features, features * lengths))
+    gates, known = np.stack([np.ones(8), np.zeros(8)]), np.array([0.1, 1.0])
+    one, other = (gate_features(f, gates, known, 0.3) for f in (features, features * lengths))
     assert np.allclose(one, other, atol=1e-5)
 
 

@@ -14,7 +14,7 @@ from aomgen.errors import InputError, NoMotionError
 from aomgen.io.video import Video
 from aomgen.motion.inputs import MotionInput
 from aomgen.paper.mask_keyframes import PartMasks, change_masks
-from aomgen.paper.motion_estimate import PaperMotionParams, contact_path, estimate_motion_paper, nearest_pair
+from aomgen.paper.motion_estimate import contact_path, estimate_motion_paper, nearest_pair
 from aomgen.robots.robot import RobotModel
 
 # The hand points along -x at the door; then shoulder and elbow draw it back by some centimeters.
@@ -77,9 +77,7 @@ def sliding_masks(first: int = FIRST, last: int = LAST) -> PartMasks:
 
 
 def test_a_door_is_recovered_with_repaired_signs(demonstration: MotionInput) -> None:
-    found = estimate_motion_paper(
-        demonstration, sliding_masks(), PaperMotionParams(joint_type="revolute", signs="repaired")
-    )
+    found = estimate_motion_paper(demonstration, sliding_masks(), "revolute", "repaired")
     assert [found.start_s, found.end_s] == pytest.approx([TIMES_S[FIRST], TIMES_S[LAST]], abs=0.25)
     assert np.degrees(angle_between(found.joint.axis, [0, 0, 1])) < 1e-6
     assert found.joint.origin[1] == pytest.approx(HINGE_Y, abs=0.03)
@@ -99,7 +97,7 @@ def test_a_door_is_recovered_with_repaired_signs(demonstration: MotionInput) -> 
 
 
 def test_printed_signs_put_the_hinge_under_the_hand(demonstration: MotionInput) -> None:
-    found = estimate_motion_paper(demonstration, sliding_masks(), PaperMotionParams(joint_type="revolute"))
+    found = estimate_motion_paper(demonstration, sliding_masks(), "revolute")
     assert found.joint.origin[1] == pytest.approx(found.contacts[0].point[1], abs=0.06)
 
 
@@ -109,19 +107,16 @@ def test_half_a_film_of_motion_is_refused_as_printed_and_found_when_repaired(
     masks = sliding_masks(50, 150)
     curves: list[MotionCurve] = []
     with pytest.raises(NoMotionError, match="threshold"):
-        estimate_motion_paper(
-            demonstration, masks, PaperMotionParams(joint_type="revolute"), on_curve=curves.append
-        )
+        estimate_motion_paper(demonstration, masks, "revolute", on_curve=curves.append)
     assert curves[0].smoothed.max() < curves[0].threshold
-    params = PaperMotionParams(joint_type="revolute", threshold="repaired")
-    found = estimate_motion_paper(demonstration, masks, params)
+    found = estimate_motion_paper(demonstration, masks, "revolute", "threshold")
     assert [found.start_s, found.end_s] == pytest.approx([TIMES_S[50], TIMES_S[150]], abs=0.25)
 
 
 def test_masks_of_another_film_are_refused(demonstration: MotionInput) -> None:
     short = PartMasks(moving=np.zeros((5, 8, 8), bool), robot=np.zeros((5, 8, 8), bool))
     with pytest.raises(InputError, match="5 frames, the video has 200"):
-        estimate_motion_paper(demonstration, short, PaperMotionParams(joint_type="revolute"))
+        estimate_motion_paper(demonstration, short, "revolute")
 
 
 def test_the_nearest_pair_is_carried_by_its_link(demonstration: MotionInput, robot: RobotModel) -> None:
