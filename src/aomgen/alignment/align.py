@@ -252,15 +252,15 @@ def _refuse_unconfirmed(found: Confirmation, runner_up: float, configuration: Ro
 
 
 def _refuse_wrong_joints(evidence: list[ViewEvidence], configuration: RobotConfiguration) -> None:
-    found = joint_offsets(evidence)
-    sizes = np.abs(found.offsets_rad)
-    wrong = (sizes > MAX_JOINT_OFFSET_RAD) & (sizes > SIGNIFICANT_SDS * found.sds_rad)
-    wrong &= found.moves_px > MIN_JOINT_MOVE_PX
+    offsets_rad, sds_rad, moves_px = joint_offsets(evidence)
+    sizes = np.abs(offsets_rad)
+    wrong = (sizes > MAX_JOINT_OFFSET_RAD) & (sizes > SIGNIFICANT_SDS * sds_rad)
+    wrong &= moves_px > MIN_JOINT_MOVE_PX
     if wrong.any():
         worst = int(np.argmax(np.where(wrong, sizes, 0)))
-        sd_deg, limit_deg = np.degrees(found.sds_rad[worst]), np.degrees(MAX_JOINT_OFFSET_RAD)
+        sd_deg, limit_deg = np.degrees(sds_rad[worst]), np.degrees(MAX_JOINT_OFFSET_RAD)
         measured = f"+-{sd_deg:.1f}, limit {limit_deg:.0f}"
-        raise _make_joint_error(configuration.robot.joint_names[worst], found.offsets_rad[worst], measured)
+        raise _make_joint_error(configuration.robot.joint_names[worst], offsets_rad[worst], measured)
 
 
 def _make_joint_error(name: str, offset_rad: float, measured: str) -> AlignmentError:
