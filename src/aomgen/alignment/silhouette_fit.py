@@ -62,13 +62,8 @@ MIDDLE = (Level(width=320, reach=12, draws=2), Level(width=640, reach=8, draws=1
 FINE = (Level(width=640, reach=4, draws=3, edges=True, fine=True),)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class RenderedRobot:
-    """A rendered robot: its outline, its silhouette, and the body (C,) at each outline point."""
-
-    contour: Contour
-    mask: NDArray[np.bool_]
-    bodies: NDArray[np.int32]
+# A rendered robot: outline of C points, silhouette (H, W), and body (C,) at each outline point.
+RenderedRobot = tuple[Contour, NDArray[np.bool_], NDArray[np.int32]]
 
 
 def render_robot(
@@ -84,7 +79,7 @@ def render_robot(
         return None
     # The outline runs half a pixel outside the pixels it was found on.
     column, row = np.floor(contour.pixels - 0.5 * contour.normals).astype(int).T
-    return RenderedRobot(contour=contour, mask=mask, bodies=bodies[row, column])
+    return contour, mask, bodies[row, column]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -145,12 +140,10 @@ def _contour_term(
     for view in views:
         drawn = drawing.draw(camera_in_world(S, view.camera_recon), limit, fine=level.fine)
         if drawn is not None:
-            field = (
-                luma_from_srgb(view.image_srgb)
-                if level.edges
-                else color_ratio(view.image_srgb, drawn.mask, 2 * level.reach)
-            )
-            lines.append((view.camera_recon, drawn.contour, field))
+            contour, mask, _ = drawn
+            image = view.image_srgb
+            field = luma_from_srgb(image) if level.edges else color_ratio(image, mask, 2 * level.reach)
+            lines.append((view.camera_recon, contour, field))
     if not lines:
         return None
 
