@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass, field, replace
 from functools import partial
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,34 +40,6 @@ class GaussiansParams:
     near_share: float = 0.25
     min_psnr_db: float = 15.0
     seed: int = 0
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class HeldOut:
-    """A view that training never saw.
-
-    Attributes:
-        psnr_db, ssim: Whole image, no exposure fit.
-        rendered_srgb: (H, W, 3) uint8.
-    """
-
-    psnr_db: float
-    ssim: float
-    rendered_srgb: NDArray[np.uint8]
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class TrainedScene:
-    """Gaussians of a scan in the `recon` frame.
-
-    Attributes:
-        gaussians_recon: The scene, background included.
-        figures: Measured numbers for the manifest (JSON values).
-    """
-
-    gaussians_recon: Gaussians
-    heldout: dict[str, HeldOut]
-    figures: dict[str, object]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -117,13 +90,17 @@ def train_scene(
     progress: Progress,
     *,
     checkpoint: Checkpoint | None = None,
-) -> TrainedScene:
+) -> tuple[Gaussians, dict[str, NDArray[np.uint8]], dict[str, Any]]:
     """Train Gaussians on a scan and evaluate them on held-out images.
 
     Args:
         images_srgb: All scan images (H, W, 3) uint8 by name; those without a camera are ignored.
         checkpoint: File from which the training continues after a kill. One that cannot be used (damaged, or
             of other inputs) is left out: it is only saved time, and progress says so.
+
+    Returns:
+        The scene, background included, recon frame; renderings (H, W, 3) uint8 of the held-out images by name; and metrics
+        (JSON values).
 
     Raises:
         ReconstructionError: The held-out images are not reproduced at all.
@@ -146,22 +123,25 @@ def train_scene(
     evaluated = {
         name: evaluate_view(trained, structure.cameras_recon[name], images_srgb[name]) for name in views.test
     }
-    mean = float(np.mean([view.psnr_db for view in evaluated.values()])) if evaluated else float("nan")
-    if evaluated and not mean >= params.min_psnr_db:
+    scores = {name: {"psnr": db, "ssim": similarity} for name, (db, similarity, _) in evaluated.items()}
+    means = {
+        key: float(np.mean([item[key] for item in scores.values()])) for key in ("psnr", "ssim") if scores
+    }
+    if scores and not means["psnr"] >= params.min_psnr_db:
         raise ReconstructionError(
             "gaussians",
-            f"held-out images are reproduced with {mean:.1f} dB, at least {params.min_psnr_db:.1f} are needed",
+            f"held-out images are reproduced with {means['psnr']:.1f} dB, at least {params.min_psnr_db:.1f} are needed",
             "check for motion blur, changing light and moving objects in the scan",
         )
-    figures: dict[str, object] = {
-        "heldout_psnr": mean if evaluated else None,
-        "heldout_ssim": float(np.mean([view.ssim for view in evaluated.values()])) if evaluated else None,
+    figures = {
+        "heldout_psnr": means.get("psnr"),
+        "heldout_ssim": means.get("ssim"),
         "gaussians": len(trained),
         "initial_points": len(views.initial),
         "shell_points": int(views.dense.shell.sum()),
-        "heldout": {name: {"psnr": view.psnr_db, "ssim": view.ssim} for name, view in evaluated.items()},
+        "heldout": scores,
     }
-    return TrainedScene(gaussians_recon=trained, heldout=evaluated, figures=figures)
+    return trained, {name: rendered for name, (_, _, rendered) in evaluated.items()}, figures
 
 
 def initial_gaussians(dense: DensePoints) -> Gaussians:
@@ -212,15 +192,13 @@ def without_floaters(
     return gaussians.select(keep & ~(alone & inside & (gaussians.opacities < 0.1)))
 
 
-def evaluate_view(gaussians: Gaussians, camera: Camera, image_srgb: NDArray[np.uint8]) -> HeldOut:
-    """Compare a rendered view with its photograph; whole image, nothing fitted."""
+def evaluate_view(
+    gaussians: Gaussians, camera: Camera, image_srgb: NDArray[np.uint8]
+) -> tuple[float, float, NDArray[np.uint8]]:
+    """Compute PSNR [dB] and SSIM of a rendered view, of the whole image without exposure fit, and the view (H, W, 3)."""
     drawn = np.clip(render(gaussians, camera).rgb, 0.0, 1.0)
     photograph = image_srgb.astype(np.float32) / 255.0
-    return HeldOut(
-        psnr_db=psnr(drawn, photograph),
-        ssim=ssim(drawn, photograph),
-        rendered_srgb=np.round(drawn * 255).astype(np.uint8),
-    )
+    return psnr(drawn, photograph), ssim(drawn, photograph), np.round(drawn * 255).astype(np.uint8)
 
 
 def _frames(normals: Array) -> Array:

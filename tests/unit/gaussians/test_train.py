@@ -131,7 +131,7 @@ def test_the_runner_keeps_what_a_killed_stage_left(
     listed = next(stage for stage in STAGES if stage.name == "gaussians")
 
     def work(results: Results, folder: Path, progress: Progress) -> dict[str, object]:
-        return {"gaussians": len(train_in(folder, *scan, progress, PARAMS).gaussians_recon)}
+        return {"gaussians": train_in(folder, *scan, progress, PARAMS)["gaussians"]}
 
     def go(out: str, *, seed: int, stop: bool) -> list[str]:
         stage = replace(listed, needs=("capture",), settings=("seed",), function=work)
