@@ -113,10 +113,11 @@ def test_dominant_planes_are_found_in_clutter():
     rng = np.random.default_rng(2)
     floor = np.concatenate([rng.uniform(-2, 2, (3000, 2)), rng.normal(0, 0.004, (3000, 1))], 1)
     wall = np.stack([rng.uniform(-2, 2, 2000), rng.normal(2, 0.004, 2000), rng.uniform(0, 2, 2000)], 1)
-    planes = dominant_planes(np.concatenate([floor, wall, rng.uniform(-2, 2, (1500, 3))]))
-    assert abs(planes[0].normal[2]) > 0.9999
-    assert abs(planes[0].offset) < 0.005
-    assert abs(planes[1].normal[1]) > 0.9999
+    clutter = rng.uniform(-2, 2, (1500, 3))
+    (first, offset, _), (second, _, _), *_ = dominant_planes(np.concatenate([floor, wall, clutter]))
+    assert abs(first[2]) > 0.9999
+    assert abs(offset) < 0.005
+    assert abs(second[1]) > 0.9999
     assert dominant_planes(rng.normal(size=(2000, 3)), min_share=0.2) == []
 
 
