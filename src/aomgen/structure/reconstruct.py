@@ -12,13 +12,15 @@ from pathlib import Path
 
 import numpy as np
 
+from aomgen.core.camera import Camera
+from aomgen.core.lens import Lens
 from aomgen.core.progress import Progress
 from aomgen.core.recording import Intrinsics, Prompt
 from aomgen.core.structure import Figures, Structure
 from aomgen.core.values import Array
 from aomgen.errors import ReconstructionError
 from aomgen.io.images import read_image
-from aomgen.structure.fixed_cameras import DemoView, PlacedCamera, place_fixed_camera
+from aomgen.structure.fixed_cameras import DemoView, place_fixed_camera
 from aomgen.structure.given_poses import PoseCheck, check_poses, map_from_poses
 from aomgen.structure.lens_choice import choose_lens, fit_lens, lens_misfit_px, require_lens_fits
 from aomgen.structure.mapping import Workspace
@@ -220,7 +222,7 @@ def _gate(count: int, inliers: InlierModel) -> None:
 
 
 def _structure(
-    names: list[str], inliers: InlierModel, placed: dict[str, PlacedCamera], figures: Figures
+    names: list[str], inliers: InlierModel, placed: dict[str, tuple[Camera, Lens, Figures]], figures: Figures
 ) -> Structure:
     mapped = inliers.mapped
     lens = mapped.lens
@@ -236,9 +238,9 @@ def _structure(
     observations = [(p, order[name]) for p, name in mapped.observations]
     return Structure(
         cameras_recon=cameras,
-        demo_cameras_recon={name: item.camera_recon for name, item in placed.items()},
+        demo_cameras_recon={name: camera for name, (camera, _, _) in placed.items()},
         scan_lens=lens if lens.bends else None,
-        demo_lenses={name: item.lens for name, item in placed.items() if item.lens.bends},
+        demo_lenses={name: bent for name, (_, bent, _) in placed.items() if bent.bends},
         dropped=dropped,
         points_recon=mapped.points_recon,
         colors_srgb=mapped.colors_srgb,
@@ -251,7 +253,7 @@ def _structure(
             "reprojection_error_px": mapped.error_px,
             "worst_agreement": inliers.worst_agreement,
             "largest_shift_px": lens.largest_shift_px(),
-            "demo_cameras": {name: item.figures for name, item in placed.items()},
+            "demo_cameras": {name: measured for name, (_, _, measured) in placed.items()},
         }
         | figures,
     )
