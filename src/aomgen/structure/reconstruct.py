@@ -100,7 +100,8 @@ def reconstruct_structure(photographs: Photographs, params: StructureParams, pro
         same = duplicates(work.pairs("scan", work.lens("scan")), prompted)
         _require_images(len(names), len(same))
         work.leave_out("scan", set(same))
-        given = _check_given_poses(work, photographs.Ts_scan_cam, set(names) - set(same))
+        known = {name: T for name, T in photographs.Ts_scan_cam.items() if name in names and name not in same}
+        given = check_poses(work, known) if known else None
         inliers, figures = _solve(work, photographs.intrinsics, len(names) - len(same), given, progress)
         progress(0.99, "placing the fixed cameras")
         placed = {
@@ -132,11 +133,6 @@ def _extract(work: Workspace, photographs: Photographs, params: StructureParams,
         progress(0.2 * index / (1 + len(photographs.demo)), "finding features")
         stills = [("first", view.first_srgb), ("median", view.median_srgb)]
         work.extract(f"demo:{name}", stills, view.intrinsics, *effort)
-
-
-def _check_given_poses(work: Workspace, Ts_scan_cam: dict[str, Array], names: set[str]) -> PoseCheck | None:
-    known = {name: T for name, T in Ts_scan_cam.items() if name in names}
-    return check_poses(work, known) if known else None
 
 
 def _solve(
