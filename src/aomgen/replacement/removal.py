@@ -20,7 +20,7 @@ from aomgen.core.gaussians import SH_C0, Gaussians, gaussians_of
 from aomgen.core.transforms import apply, quat_from_matrix
 from aomgen.core.values import Array
 from aomgen.lighting.light_estimation import LitSamples
-from aomgen.lighting.table_shadow import ShadowedTable, select_lit_cells, shadow_gain
+from aomgen.lighting.table_shadow import select_lit_cells, shadow_gain
 from aomgen.replacement.table_texture import Photograph, continue_smoothly, photograph_surface
 from aomgen.robots.robot import RobotModel
 from aomgen.splatting.rasterizer import contribution_weights
@@ -113,11 +113,9 @@ def clear_object(
     of_foot = plan.lookup(other & near, remaining.gaussians, False)
     rest = of_foot & remaining.of_scene & on_surface(remaining.gaussians, support)
     remaining = remaining.select(~rest)
-    shadowed = ShadowedTable(
-        caster=world.select(of_object), T_world_plane=support.T_world_plane, low=plan.low, cell=CELL,
-        picture_srgb=picture, known=known,
-    )  # fmt: skip
-    table, gain = select_lit_cells(shadowed, np.random.default_rng(0)), shadow_gain(shadowed)
+    caster = world.select(of_object)
+    table = select_lit_cells(caster, plan, picture, known, np.random.default_rng(0))
+    gain = shadow_gain(caster, plan, picture, known)
     deep = known & (gain.max(-1) > MAX_LIFT)
     known = known & ~deep
     level = remaining.of_scene & on_surface(remaining.gaussians, support)
