@@ -75,11 +75,6 @@ class Cleared(NamedTuple):
     removed: int
     filled: int
 
-    @property
-    def surroundings(self) -> Gaussians:
-        """Static Gaussians, world frame."""
-        return self.twin.scene
-
 
 def clear_object(
     twin: TwinModel, robot: RobotModel, views: Sequence[Photograph], inpaint: Inpaint

@@ -60,7 +60,7 @@ def run(results: Results, folder: Path, progress: Progress) -> dict[str, Any]:
     (folder / BACKGROUND_FOLDER).mkdir()
     save_artifact(folder / BACKGROUND_FOLDER, "twin", background)
     obstacles = find_obstacles(
-        cleared.surroundings, cleared.support, longest_reach(results.robot), results.configuration
+        cleared.twin.scene, cleared.support, longest_reach(results.robot), results.configuration
     )
     fitted, rejected = fit_assets(results, describe_recorded_object(results, support))
     progress(0.4, "Gaussians of the assets")
