@@ -132,7 +132,7 @@ def _point(
     clock: Clock,
 ) -> dict[str, Any]:
     gaussians = finish_training(state, params.training)
-    gaussians = without_floaters(gaussians, views.cameras, views.dense, params.near_share)
+    gaussians = without_floaters(gaussians, views.cameras, views.surface, params.near_share)
     evaluated = [evaluate_view(gaussians, camera, image) for camera, image in held_out]
     fitted = [
         gain_fitted_psnr(rendered, image)

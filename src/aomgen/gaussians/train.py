@@ -15,7 +15,8 @@ from aomgen.core.structure import Structure, held_out
 from aomgen.core.transforms import quat_from_matrix
 from aomgen.core.values import Array
 from aomgen.errors import CorruptArtifactError, ReconstructionError
-from aomgen.gaussians.dense_points import DensePoints, DensifyParams, densify
+from aomgen.gaussians.dense_points import DensifyParams, densify
+from aomgen.gaussians.depth_fusion import Samples, join_samples
 from aomgen.splatting.checkpoint import Checkpoint
 from aomgen.splatting.metrics import psnr, ssim
 from aomgen.splatting.rasterizer import render
@@ -47,14 +48,14 @@ class TrainingViews:
     """Initial Gaussians and training images.
 
     Attributes:
-        dense: Points of the scene.
-        initial: A Gaussian for each.
+        surface: Points (P, 3) on surfaces, recon frame.
+        initial: A Gaussian for each of them, then one for each point of the far shell.
         cameras: Cameras of the training images, recon frame.
         images_srgb: (H, W, 3) uint8 each.
         test: Names of the images that are held out and have a camera.
     """
 
-    dense: DensePoints
+    surface: Array
     initial: Gaussians
     cameras: list[Camera]
     images_srgb: list[NDArray[np.uint8]]
@@ -73,10 +74,10 @@ def select_training_views(
     test = held_out(list(images_srgb))
     known = [name for name in structure.cameras_recon if name in images_srgb]
     learned = {name: images_srgb[name] for name in known if name not in test}
-    dense = densify(structure, learned, params, progress)
+    surface, shell = densify(structure, learned, params, progress)
     return TrainingViews(
-        dense=dense,
-        initial=initial_gaussians(dense),
+        surface=surface.points_recon,
+        initial=initial_gaussians(surface, shell),
         cameras=[structure.cameras_recon[name] for name in learned],
         images_srgb=list(learned.values()),
         test=[name for name in test if name in structure.cameras_recon],
@@ -119,7 +120,7 @@ def train_scene(
         progress(0.25, f"training starts over: {error.where} {error.problem}")
         checkpoint.path.unlink()
         trained = training(np.random.default_rng(params.seed), checkpoint=checkpoint)
-    trained = without_floaters(trained, views.cameras, views.dense, params.near_share)
+    trained = without_floaters(trained, views.cameras, views.surface, params.near_share)
     evaluated = {
         name: evaluate_view(trained, structure.cameras_recon[name], images_srgb[name]) for name in views.test
     }
@@ -138,21 +139,22 @@ def train_scene(
         "heldout_ssim": means.get("ssim"),
         "gaussians": len(trained),
         "initial_points": len(views.initial),
-        "shell_points": int(views.dense.shell.sum()),
+        "shell_points": len(views.initial) - len(views.surface),
         "heldout": scores,
     }
     return trained, {name: rendered for name, (_, _, rendered) in evaluated.items()}, figures
 
 
-def initial_gaussians(dense: DensePoints) -> Gaussians:
+def initial_gaussians(surface: Samples, shell: Samples) -> Gaussians:
     """One Gaussian a point: as wide as the distance to its neighbours, flat along a known normal."""
-    points = dense.points_recon
+    dense = join_samples([surface, shell])
+    points, of_shell = dense.points_recon, np.arange(len(dense.weights)) >= len(surface.weights)
     spacing = np.empty(len(points))
-    for which in (dense.shell, ~dense.shell):
+    for which in (of_shell, ~of_shell):
         if which.sum() > 3:
             distances, _ = cKDTree(points[which]).query(points[which], k=4)
             spacing[which] = np.sqrt((distances[:, 1:] ** 2).mean(1))
-    spacing = np.clip(spacing, 0.4 * dense.sizes, 1.6 * dense.sizes)
+    spacing = np.clip(spacing, 0.4 * dense.footprints, 1.6 * dense.footprints)
     known = np.linalg.norm(dense.normals_recon, axis=1) > 0.5
     scales = np.repeat(0.6 * spacing[:, None], 3, axis=1)
     scales[known, 2] *= 0.3
@@ -169,16 +171,15 @@ def initial_gaussians(dense: DensePoints) -> Gaussians:
 
 
 def without_floaters(
-    gaussians: Gaussians, cameras: list[Camera], dense: DensePoints, near_share: float
+    gaussians: Gaussians, cameras: list[Camera], surface: Array, near_share: float
 ) -> Gaussians:
     """Without Gaussians that hang before a camera or far from anything.
 
     Args:
-        dense: The points it started from; they determine the distance of the scene from each camera.
+        surface: Points (P, 3) on surfaces, which determine the distance of the scene from each camera.
         near_share: See `GaussiansParams`.
     """
     keep = np.ones(len(gaussians), bool)
-    surface = dense.points_recon[~dense.shell]
     tree = cKDTree(surface)
     for camera in cameras:
         nearest, _ = tree.query(camera.center)
