@@ -92,10 +92,8 @@ def clear_object(
     """
     world = pose_twin(twin, robot, twin.scan_state)
     of_object = np.isin(twin.labels, (STATIC, MOVING))
-    scene = twin.of_scene
-    support = find_support(
-        world.means[of_object], world.opacities[of_object], world.select(scene), twin.T_world_object
-    )
+    caster, scene = world.select(of_object), twin.of_scene
+    support = find_support(caster, world.select(scene), twin.T_world_object)
     leftover = scene & (_leftover(world, support) | _hardly_seen(world, of_object, views))
     remaining = twin.select(~of_object & ~leftover)
     plan = PlanView(support=support, low=support.low - RING, high=support.high + RING, cell=CELL)
@@ -108,7 +106,6 @@ def clear_object(
     of_foot = plan.lookup(other & near, remaining.gaussians, False)
     rest = of_foot & remaining.of_scene & on_surface(remaining.gaussians, support)
     remaining = remaining.select(~rest)
-    caster = world.select(of_object)
     table = select_lit_cells(caster, plan, picture, known, np.random.default_rng(0))
     gain = shadow_gain(caster, plan, picture, known)
     deep = known & (gain.max(-1) > MAX_LIFT)
