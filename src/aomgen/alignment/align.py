@@ -160,17 +160,18 @@ def _likeliest(
     """
     best: list[tuple[Confirmation, Array]] = []
     for number, guesses in enumerate(params.start_poses):
-        found = search_poses(
+        starts, scores = search_poses(
             scan,
             drawing.configuration,
             rng,
             guesses=guesses,
             view_count=params.search_views,
             width=params.search_width,
-        ).at_least(FINALIST_SHARE)
+        )
+        starts = starts[scores >= FINALIST_SHARE * scores.max()]
         now = part(progress, number / len(params.start_poses), (number + 1) / len(params.start_poses))
         now(0.5, "searched for likely poses")
-        ranked = _refine_starts(found.Ss_world_recon, scan.views, drawing, part(now, 0.5, 1.0))
+        ranked = _refine_starts(starts, scan.views, drawing, part(now, 0.5, 1.0))
         best = max(best, ranked, key=lambda poses: poses[0][0].lift if poses else -1.0)
         if best and best[0][0].lift >= MIN_LIFT:
             break
