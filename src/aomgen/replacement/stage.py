@@ -143,7 +143,8 @@ def _remove_wall_shadow(results: Results, cleared: Cleared, light: SceneLight) -
     body = pose_twin(recorded, results.robot, recorded.scan_state).select(
         np.isin(recorded.labels, (STATIC, MOVING))
     )
-    scene, lamp, eyes = twin.scene, recorded.directional_light, _eyes(results)
+    scene, lamp = twin.scene, recorded.directional_light
+    eyes = np.stack([camera.center for camera in results.scan_cameras.values()])
     received = np.ones((len(twin.gaussians), 1))
     received[twin.of_scene] = cast_wall_shadow(
         scene, body, light.shown, lamp, eyes, T_world_plane, len(scene)
@@ -156,11 +157,6 @@ def _middle(cleared: Cleared) -> Array:
     support = cleared.support
     middle = np.append((support.low + support.high) / 2, support.top / 2)
     return apply(support.T_world_plane, middle)
-
-
-def _eyes(results: Results) -> Array:
-    """Centers of the scan's cameras (K, 3)."""
-    return np.stack([camera.center for camera in results.scan_cameras.values()])
 
 
 def describe_recorded_object(results: Results, support: SupportPlane) -> RecordedObject:
