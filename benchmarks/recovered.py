@@ -139,8 +139,6 @@ def _support(given: MotionInput, demo: Demonstration) -> SupportPlane:
     of_object = np.isin(labels, (STATIC, MOVING))
     points: list[Array] = [surface_points(scene, labels, label) for label in (STATIC, MOVING)]
     frame = object_frame(points[0], demo.joint, points[1])
-    found = find_support(
-        scene.means[of_object], scene.opacities[of_object], scene.select(labels == BACKGROUND), frame
-    )
+    found = find_support(scene.select(of_object), scene.select(labels == BACKGROUND), frame)
     unknown = np.full(2, np.inf)
     return SupportPlane(height=float(found.T_world_plane[2, 3]), low_xy=-unknown, high_xy=unknown)

@@ -132,20 +132,20 @@ def _point(
     clock: Clock,
 ) -> dict[str, Any]:
     gaussians = finish_training(state, params.training)
-    gaussians = without_floaters(gaussians, views.cameras, views.dense, params.near_share)
+    gaussians = without_floaters(gaussians, views.cameras, views.surface, params.near_share)
     evaluated = [evaluate_view(gaussians, camera, image) for camera, image in held_out]
     fitted = [
-        gain_fitted_psnr(view.rendered_srgb, image)
-        for view, (_, image) in zip(evaluated, held_out, strict=True)
+        gain_fitted_psnr(rendered, image)
+        for (_, _, rendered), (_, image) in zip(evaluated, held_out, strict=True)
     ]
     return {
         "seconds": round(clock.wall, 2),
         "cpu_seconds": round(clock.cpu, 2),
         "iteration": state.iteration,
         "gaussians": len(gaussians),
-        "psnr": float(np.mean([view.psnr_db for view in evaluated])),
+        "psnr": float(np.mean([psnr_db for psnr_db, _, _ in evaluated])),
         "psnr_gain_fitted": float(np.mean(fitted)),
-        "ssim": float(np.mean([view.ssim for view in evaluated])),
+        "ssim": float(np.mean([similarity for _, similarity, _ in evaluated])),
     }
 
 

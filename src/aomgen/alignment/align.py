@@ -160,17 +160,18 @@ def _likeliest(
     """
     best: list[tuple[Confirmation, Array]] = []
     for number, guesses in enumerate(params.start_poses):
-        found = search_poses(
+        starts, scores = search_poses(
             scan,
             drawing.configuration,
             rng,
             guesses=guesses,
             view_count=params.search_views,
             width=params.search_width,
-        ).at_least(FINALIST_SHARE)
+        )
+        starts = starts[scores >= FINALIST_SHARE * scores.max()]
         now = part(progress, number / len(params.start_poses), (number + 1) / len(params.start_poses))
         now(0.5, "searched for likely poses")
-        ranked = _refine_starts(found.Ss_world_recon, scan.views, drawing, part(now, 0.5, 1.0))
+        ranked = _refine_starts(starts, scan.views, drawing, part(now, 0.5, 1.0))
         best = max(best, ranked, key=lambda poses: poses[0][0].lift if poses else -1.0)
         if best and best[0][0].lift >= MIN_LIFT:
             break
@@ -252,15 +253,15 @@ def _refuse_unconfirmed(found: Confirmation, runner_up: float, configuration: Ro
 
 
 def _refuse_wrong_joints(evidence: list[ViewEvidence], configuration: RobotConfiguration) -> None:
-    found = joint_offsets(evidence)
-    sizes = np.abs(found.offsets_rad)
-    wrong = (sizes > MAX_JOINT_OFFSET_RAD) & (sizes > SIGNIFICANT_SDS * found.sds_rad)
-    wrong &= found.moves_px > MIN_JOINT_MOVE_PX
+    offsets_rad, sds_rad, moves_px = joint_offsets(evidence)
+    sizes = np.abs(offsets_rad)
+    wrong = (sizes > MAX_JOINT_OFFSET_RAD) & (sizes > SIGNIFICANT_SDS * sds_rad)
+    wrong &= moves_px > MIN_JOINT_MOVE_PX
     if wrong.any():
         worst = int(np.argmax(np.where(wrong, sizes, 0)))
-        sd_deg, limit_deg = np.degrees(found.sds_rad[worst]), np.degrees(MAX_JOINT_OFFSET_RAD)
+        sd_deg, limit_deg = np.degrees(sds_rad[worst]), np.degrees(MAX_JOINT_OFFSET_RAD)
         measured = f"+-{sd_deg:.1f}, limit {limit_deg:.0f}"
-        raise _make_joint_error(configuration.robot.joint_names[worst], found.offsets_rad[worst], measured)
+        raise _make_joint_error(configuration.robot.joint_names[worst], offsets_rad[worst], measured)
 
 
 def _make_joint_error(name: str, offset_rad: float, measured: str) -> AlignmentError:

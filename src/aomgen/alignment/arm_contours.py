@@ -135,13 +135,14 @@ def trace(
         drawn = render_robot(arm.renderer, configuration, camera, points)
         if drawn is None:
             continue
-        own, moves = drawn.contour.points, motions[k][drawn.bodies]
+        contour, _, bodies = drawn
+        own, moves = contour.points, motions[k][bodies]
         contours.append(
             ArmContour(
                 index=k,
                 gray=frames.grays[k],
-                contour=drawn.contour,
-                turns=configuration.turns(own, drawn.bodies),
+                contour=contour,
+                turns=configuration.turns(own, bodies),
                 velocities=np.einsum("cij,cj->ci", moves[:, :3, :3], own) + moves[:, :3, 3],
                 zeros_rad=arm.zeros_rad,
                 log_time_s=float(times[k]),
@@ -164,13 +165,14 @@ def trace_scan(
         camera = camera_in_world(S_world_recon, view.camera_recon)
         drawn = render_robot(drawing.fine, configuration, camera, _SCAN_POINTS)
         if drawn is not None:
+            contour, _, bodies = drawn
             contours.append(
                 ArmContour(
                     index=index,
                     gray=grays[index],
-                    contour=drawn.contour,
-                    turns=configuration.turns(drawn.contour.points, drawn.bodies),
-                    velocities=np.zeros_like(drawn.contour.points),
+                    contour=contour,
+                    turns=configuration.turns(contour.points, bodies),
+                    velocities=np.zeros_like(contour.points),
                     zeros_rad=zeros_rad,
                 )
             )

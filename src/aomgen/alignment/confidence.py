@@ -24,14 +24,11 @@ from aomgen.alignment.contours import (
     shift_gradient,
     shift_jacobian,
 )
-from aomgen.alignment.silhouette_fit import (
-    EDGE_KERNEL,
-    RenderedRobot,
-    RobotDrawing,
-)
+from aomgen.alignment.silhouette_fit import EDGE_KERNEL, RenderedRobot, RobotDrawing
 from aomgen.conventions import luma_from_srgb
 from aomgen.core.camera import camera_in_world
 from aomgen.core.values import Array, freeze_arrays
+from aomgen.robots.robot import RobotConfiguration
 
 # Largest distance and least strength of an edge that confirms a point, and largest distance of a color border.
 NEAR_EDGE_PX, MIN_STEP, NEAR_BORDER_PX = 2.0, 0.02, 3.0
@@ -87,34 +84,34 @@ def collect_evidence(
     for number, view in enumerate(views):
         drawn = drawing.draw(camera_in_world(S, view.camera_recon), contour_points)
         if drawn is not None:
-            found.append(_evidence(S, number, view, drawn, drawing))
+            found.append(_evidence(S, number, view, drawn, drawing.configuration))
     return found
 
 
 def _evidence(
-    S: Array, number: int, view: AlignmentImage, drawn: RenderedRobot, drawing: RobotDrawing
+    S: Array, number: int, view: AlignmentImage, drawn: RenderedRobot, configuration: RobotConfiguration
 ) -> ViewEvidence:
     camera = camera_in_world(S, view.camera_recon)
     gray = luma_from_srgb(view.image_srgb)
-    contour = drawn.contour
+    contour, mask, bodies = drawn
     edges, strength = edge_shifts(contour, gray, REACH_PX)
-    ratio = color_ratio(view.image_srgb, drawn.mask, 2 * BORDER_REACH_PX)
+    ratio = color_ratio(view.image_srgb, mask, 2 * BORDER_REACH_PX)
     borders, border_sds = region_shifts(contour, ratio, BORDER_REACH_PX)
-    aside = _move_aside(drawn, number, camera.width)
+    aside, mask_aside = _move_aside(contour, mask, number)
     size = np.array([camera.width, camera.height])
-    inside = np.all((aside.contour.pixels > 3) & (aside.contour.pixels < size - 3), axis=1)
+    inside = np.all((aside.pixels > 3) & (aside.pixels < size - 3), axis=1)
     gradient = shift_gradient(camera, contour)
-    turns = drawing.configuration.turns(contour.points, drawn.bodies)
+    turns = configuration.turns(contour.points, bodies)
     return ViewEvidence(
         name=view.name,
-        segments=drawing.configuration.segments()[drawn.bodies],
-        confirmed=_find_confirmed(contour, drawn.mask, view, gray),
-        by_chance=_find_confirmed(aside.contour, aside.mask, view, gray)[inside],
+        segments=configuration.segments()[bodies],
+        confirmed=_find_confirmed(contour, mask, view, gray),
+        by_chance=_find_confirmed(aside, mask_aside, view, gray)[inside],
         edge_px=edges,
         edge_weights=EDGE_KERNEL.weights(edges) / edge_sds(strength) ** 2,
         border_px=borders,
         border_weights=border_kernel(BORDER_REACH_PX).weights(borders) / border_sds**2,
-        jacobian=shift_jacobian(camera, contour, drawing.configuration.ee_world),
+        jacobian=shift_jacobian(camera, contour, configuration.ee_world),
         joint_jacobian=np.einsum("cd,cjd->cj", gradient, turns),
         camera_jacobian=np.asarray(
             np.concatenate([gradient, np.cross(contour.points - camera.center, gradient)], axis=1), np.float64
@@ -131,13 +128,12 @@ def _find_confirmed(
     return (np.abs(edge) <= NEAR_EDGE_PX) & (strength > MIN_STEP) & (np.abs(border) <= NEAR_BORDER_PX)
 
 
-def _move_aside(drawn: RenderedRobot, number: int, width: int) -> RenderedRobot:
-    """Shift an outline within the image; the direction of the shift differs between views."""
+def _move_aside(contour: Contour, mask: NDArray[np.bool_], number: int) -> tuple[Contour, NDArray[np.bool_]]:
+    """Shift an outline and its silhouette (H, W); the direction of the shift differs between views."""
     golden = number * np.pi * (3 - np.sqrt(5))
-    shift = np.round(ASIDE * width * np.array([np.cos(golden), np.sin(golden)]))
-    contour = replace(drawn.contour, pixels=drawn.contour.pixels + shift)
-    mask = np.roll(drawn.mask, (int(shift[1]), int(shift[0])), (0, 1))
-    return replace(drawn, contour=contour, mask=mask)
+    shift = np.round(ASIDE * mask.shape[1] * np.array([np.cos(golden), np.sin(golden)]))
+    moved = replace(contour, pixels=contour.pixels + shift)
+    return moved, np.roll(mask, (int(shift[1]), int(shift[0])), (0, 1))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -17,7 +17,7 @@ from scipy.cluster.vq import kmeans, vq
 
 from aomgen.alignment.contours import AlignmentImage
 from aomgen.alignment.silhouette_fit import far_apart, limit_width
-from aomgen.alignment.starting_poses import PoseCandidates, RobotBox, find_starting_poses, up_candidates
+from aomgen.alignment.starting_poses import RobotBox, find_starting_poses, up_candidates
 from aomgen.alignment.uncertainty import CameraErrors
 from aomgen.core.camera import camera_in_world
 from aomgen.core.transforms import apply, matrix_from_rotvec, transform
@@ -108,49 +108,54 @@ def search_poses(
     guesses: int = 2400,
     view_count: int = 8,
     width: int = 80,
-) -> PoseCandidates:
+) -> tuple[Array, Array]:
     """Find likely poses of the robot, best first and far from one another.
 
     Args:
         guesses: Poses scored first.
         view_count, width: Number of the small images, and their width, [px].
+
+    Returns:
+        `S_world_recon` (H, 4, 4) and their scores (H,), see `ColorScore`.
     """
     vertices = configuration.points_world()
     probe = vertices[rng.choice(len(vertices), 16, replace=False)]
     ups = up_candidates([view.camera_recon for view in scan.views], scan.points_recon, rng)
-    starts = find_starting_poses(scan.boxes, vertices, ups, scan.points_recon, rng, guesses)
-    Ss = starts.Ss_world_recon[starts.scores >= starts.scores.max() - MAX_MISFIT]
+    Ss, scores = find_starting_poses(scan.boxes, vertices, ups, scan.points_recon, rng, guesses)
+    Ss = Ss[scores >= scores.max() - MAX_MISFIT]
     Ss_recon_world = np.asarray(np.linalg.inv(Ss[:200]), np.float64)
     chosen = _views_on(scan.views, apply(Ss_recon_world, probe.mean(0)), view_count)
     first = ColorScore([limit_width(view, FIRST_WIDTH) for view in chosen], configuration, rng)
     score = ColorScore([limit_width(view, width) for view in chosen], configuration, rng)
     begin = GENERATIONS[0]
-    found = PoseCandidates(Ss_world_recon=Ss, scores=first(Ss))
-    found = select_distinct(found, probe, begin.apart, begin.parents)
-    found = replace(found, scores=score(found.Ss_world_recon))
+    Ss, _ = select_distinct(Ss, first(Ss), probe, begin.apart, begin.parents)
+    scores = score(Ss)
     for generation in GENERATIONS:
-        parents = select_distinct(found, probe, generation.apart, generation.parents)
-        children = _near(parents.Ss_world_recon, probe, generation, rng)
-        found = PoseCandidates(
-            Ss_world_recon=np.concatenate([found.Ss_world_recon, children]),
-            scores=np.concatenate([found.scores, score(children)]),
-        )
-    return select_distinct(found, probe, KEPT_APART, KEPT)
+        parents, _ = select_distinct(Ss, scores, probe, generation.apart, generation.parents)
+        children = _near(parents, probe, generation, rng)
+        Ss, scores = np.concatenate([Ss, children]), np.concatenate([scores, score(children)])
+    return select_distinct(Ss, scores, probe, KEPT_APART, KEPT)
 
 
-def select_distinct(found: PoseCandidates, points_world: Array, apart: float, count: int) -> PoseCandidates:
-    """Select the best poses, at most `count`, no two nearer than a share of the robot's size."""
-    Ss = found.Ss_world_recon
+def select_distinct(
+    Ss: Array, scores: Array, points_world: Array, apart: float, count: int
+) -> tuple[Array, Array]:
+    """Select the best poses with their scores, at most `count`, no two nearer than a share of the robot's size.
+
+    Args:
+        Ss, scores: Poses `S_world_recon` (H, 4, 4) and their scores (H,), larger is better.
+        points_world: Points (P, 3) on the robot, [m].
+    """
     placed = _transform_points(np.asarray(np.linalg.inv(Ss), np.float64), points_world)
     sizes = np.linalg.norm(placed - placed.mean(1, keepdims=True), axis=2).mean(1)
-    left = np.argsort(-found.scores, kind="stable")
+    left = np.argsort(-scores, kind="stable")
     kept = []
     while len(left) and len(kept) < count:
         best, left = left[0], left[1:]
         kept.append(best)
         distances = np.linalg.norm(placed[left] - placed[best], axis=2).mean(1)
         left = left[distances > apart * np.sqrt(sizes[left] * sizes[best])]
-    return PoseCandidates(Ss_world_recon=Ss[kept], scores=found.scores[kept])
+    return Ss[kept], scores[kept]
 
 
 def _near(Ss: Array, points_world: Array, generation: Generation, rng: np.random.Generator) -> Array:

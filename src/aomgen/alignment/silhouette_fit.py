@@ -47,28 +47,21 @@ class Level:
         width: Image width, [px].
         reach: Search range across the outline, [px].
         draws: Number of times that the robot is rendered again.
-        edges: Pull to image edges; else to the border between two colors.
-        fine: Render the finer meshes.
+        fine: Render the finer meshes and fit to image edges; otherwise to the border between two colors.
     """
 
     width: int
     reach: int
     draws: int
-    edges: bool = False
     fine: bool = False
 
 
 MIDDLE = (Level(width=320, reach=12, draws=2), Level(width=640, reach=8, draws=1))
-FINE = (Level(width=640, reach=4, draws=3, edges=True, fine=True),)
+FINE = (Level(width=640, reach=4, draws=3, fine=True),)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class RenderedRobot:
-    """A rendered robot: its outline, its silhouette, and the body (C,) at each outline point."""
-
-    contour: Contour
-    mask: NDArray[np.bool_]
-    bodies: NDArray[np.int32]
+# A rendered robot: outline of C points, silhouette (H, W), and body (C,) at each outline point.
+RenderedRobot = tuple[Contour, NDArray[np.bool_], NDArray[np.int32]]
 
 
 def render_robot(
@@ -84,7 +77,7 @@ def render_robot(
         return None
     # The outline runs half a pixel outside the pixels it was found on.
     column, row = np.floor(contour.pixels - 0.5 * contour.normals).astype(int).T
-    return RenderedRobot(contour=contour, mask=mask, bodies=bodies[row, column])
+    return contour, mask, bodies[row, column]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -145,17 +138,15 @@ def _contour_term(
     for view in views:
         drawn = drawing.draw(camera_in_world(S, view.camera_recon), limit, fine=level.fine)
         if drawn is not None:
-            field = (
-                luma_from_srgb(view.image_srgb)
-                if level.edges
-                else color_ratio(view.image_srgb, drawn.mask, 2 * level.reach)
-            )
-            lines.append((view.camera_recon, drawn.contour, field))
+            contour, mask, _ = drawn
+            image = view.image_srgb
+            field = luma_from_srgb(image) if level.fine else color_ratio(image, mask, 2 * level.reach)
+            lines.append((view.camera_recon, contour, field))
     if not lines:
         return None
 
     def search(S: Array) -> tuple[Array, Array]:
-        find = edge_shifts if level.edges else region_shifts
+        find = edge_shifts if level.fine else region_shifts
         found = [find(_seen(contour, S, camera), field, level.reach) for camera, contour, field in lines]
         shifts, certainty = (np.concatenate(part) for part in zip(*found, strict=True))
         return shifts, certainty
@@ -172,8 +163,8 @@ def _contour_term(
     return ResidualTerm(
         name="contours",
         residual=lambda S: search(S)[0],
-        sd=edge_sds(certainty) if level.edges else certainty,
-        kernel=EDGE_KERNEL if level.edges else border_kernel(level.reach),
+        sd=edge_sds(certainty) if level.fine else certainty,
+        kernel=EDGE_KERNEL if level.fine else border_kernel(level.reach),
         jacobian=jacobian,
     )
 

@@ -46,21 +46,6 @@ class RobotBox:
     __post_init__ = freeze_arrays
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class PoseCandidates:
-    """Candidate poses of the robot: `S_world_recon` (H, 4, 4) and their scores (H,), larger is better."""
-
-    Ss_world_recon: Annotated[Array, "N 4 4"]
-    scores: Annotated[Array, "N"]
-
-    __post_init__ = freeze_arrays
-
-    def at_least(self, share: float) -> "PoseCandidates":
-        """Candidates whose score is at least this share of the best one's."""
-        good = self.scores >= share * self.scores.max()
-        return PoseCandidates(Ss_world_recon=self.Ss_world_recon[good], scores=self.scores[good])
-
-
 def find_starting_poses(
     boxes: list[RobotBox],
     vertices_world: Array,
@@ -68,7 +53,7 @@ def find_starting_poses(
     points_recon: Array,
     rng: np.random.Generator,
     count: int,
-) -> PoseCandidates:
+) -> tuple[Array, Array]:
     """Guess heading, depth and size, then move and scale each guess until it fills the boxes.
 
     Every guess but the first few has its own boxes, perturbed by the error of manually drawn boxes.
@@ -79,8 +64,8 @@ def find_starting_poses(
         points_recon: Sparse points (P, 3); those seen in a box give likely depths.
 
     Returns:
-        Poses; their scores are minus the root mean square gap between box sides and the robot's extent, as a
-        share of the box's size.
+        Poses `S_world_recon` (H, 4, 4) and their scores (H,): minus the root mean square gap between box sides and
+        the robot's extent, as a share of the box's size.
 
     Source: own; the box sides are what a projected convex hull must touch.
     """
@@ -114,7 +99,7 @@ def find_starting_poses(
         similarity(1 / s, R, middle - R @ p / s)
         for s, R, p in zip(scales_recon, Rs_world_recon, places, strict=True)
     ]
-    return PoseCandidates(Ss_world_recon=np.array(Ss), scores=-np.sqrt(np.mean(gaps**2, axis=1)))
+    return np.array(Ss), -np.sqrt(np.mean(gaps**2, axis=1))
 
 
 def up_candidates(cameras_recon: list[Camera], points_recon: Array, rng: np.random.Generator) -> list[Array]:

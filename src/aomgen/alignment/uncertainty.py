@@ -175,28 +175,16 @@ def covariance_from_cameras(evidence: list[ViewEvidence], errors: CameraErrors) 
     return np.asarray(max(1.0, float(ratio)) * K @ errors.covariance @ K.T, np.float64)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class JointOffsets:
-    """Estimated offsets of J joint values.
-
-    Attributes:
-        offsets_rad, sds_rad: Offsets (J,) and their standard deviations (J,).
-        moves_px: Root mean square (J,) of how far each offset moves the outline, where no motion of
-            the whole robot does the same: a turn about the axis of a round base moves next to nothing.
-    """
-
-    offsets_rad: Annotated[Array, "_"]
-    sds_rad: Annotated[Array, "_"]
-    moves_px: Annotated[Array, "_"]
-
-    __post_init__ = freeze_arrays
-
-
-def joint_offsets(evidence: list[ViewEvidence]) -> JointOffsets:
+def joint_offsets(evidence: list[ViewEvidence]) -> tuple[Array, Array, Array]:
     """Estimate joint offsets from at least one view.
 
     Joints and similarity are solved together, linearly about the drawn state, so that offsets of
     more than some ten degrees are only recognised as large.
+
+    Returns:
+        Offsets (J,) and their standard deviations (J,), [rad]; and the root mean square (J,), [px], of how far each offset
+        moves the outline where no motion of the whole robot does the same: a turn about the axis of a round base moves
+        next to nothing.
     """
     offsets = _joint_step(evidence)[7:]
     covariance = _jackknife(evidence, _joint_step, 7 + len(offsets))
@@ -205,11 +193,8 @@ def joint_offsets(evidence: list[ViewEvidence]) -> JointOffsets:
     )
     same = np.linalg.lstsq(np.sqrt(weights)[:, None] * whole, np.sqrt(weights)[:, None] * own, rcond=None)[0]
     left = own - whole @ same
-    return JointOffsets(
-        offsets_rad=offsets,
-        sds_rad=np.sqrt(np.diag(covariance)[7:]),
-        moves_px=np.abs(offsets) * np.sqrt(weights @ left**2 / weights.sum()),
-    )
+    moves_px = np.abs(offsets) * np.sqrt(weights @ left**2 / weights.sum())
+    return offsets, np.sqrt(np.diag(covariance)[7:]), moves_px
 
 
 def _jackknife(

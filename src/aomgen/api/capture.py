@@ -54,7 +54,7 @@ class Capture:
             >>> ag.Capture.load("my_capture").check()
             ()
         """
-        return check_capture(self.recording).warnings + category_warnings(self.recording)
+        return check_capture(self.recording)[2] + category_warnings(self.recording)
 
     @property
     def folder(self) -> Path:

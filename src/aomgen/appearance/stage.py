@@ -122,11 +122,8 @@ def _lamp(twin: TwinModel, robot: RobotModel, view: PosedImages) -> DirectionalL
     """The directional light that casts shadows on the object's support; None when there is none or it has no support."""
     world = pose_twin(twin, robot, twin.scan_state)
     of_object = np.isin(twin.labels, (STATIC, MOVING))
-    scene = twin.of_scene
     try:
-        support = find_support(
-            world.means[of_object], world.opacities[of_object], world.select(scene), twin.T_world_object
-        )
+        support = find_support(world.select(of_object), world.select(twin.of_scene), twin.T_world_object)
     except ReconstructionError:
         return None
     return find_directional_light(twin, robot, view, support.T_world_plane)

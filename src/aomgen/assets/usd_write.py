@@ -22,7 +22,7 @@ from aomgen.assets.mjcf import (
 from aomgen.conventions import linear_from_srgb
 from aomgen.core.asset import ArticulatedAsset, AssetLink, BoxCollider
 from aomgen.core.mesh import NORMAL_MAP, NUMBERS, Mesh
-from aomgen.core.transforms import quat_from_matrix
+from aomgen.core.transforms import make_tangent_basis, quat_from_matrix
 from aomgen.core.values import Array
 from aomgen.errors import ConfigError
 from aomgen.io.atomic import write_bytes
@@ -284,10 +284,7 @@ def set_attribute(prim: Any, name: str, value: float | bool | Sequence[float]) -
 
 def quat_from_x(axis: Array) -> Array:
     """Compute a quaternion wxyz (4,) that rotates the x axis to a unit direction (3,)."""
-    other = np.eye(3)[np.argmin(np.abs(axis))]
-    second = np.cross(axis, other)
-    second /= np.linalg.norm(second)
-    return quat_from_matrix(np.stack([axis, second, np.cross(axis, second)], 1))
+    return quat_from_matrix(np.stack([axis, *make_tangent_basis(axis)], 1))
 
 
 def _vector(values: Array) -> Any:

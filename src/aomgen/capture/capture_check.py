@@ -1,6 +1,6 @@
 """Checks that need every file decoded or the robot loaded."""
 
-from dataclasses import dataclass
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
@@ -11,10 +11,10 @@ from aomgen.capture.label_images import check_masks, read_demo_masks
 from aomgen.capture.prompts import prompt_warnings
 from aomgen.capture.scan_images import check_scan
 from aomgen.capture.scan_poses import SCAN_POSES_FILE
-from aomgen.core.recording import JointLog, Recording
+from aomgen.core.recording import Recording
 from aomgen.core.values import Array
 from aomgen.errors import UnitsError
-from aomgen.io.video import probe_video
+from aomgen.io.video import Video, probe_video
 from aomgen.robots.description import FILE_NAME, find_description
 from aomgen.robots.loading import choose_robot
 from aomgen.robots.robot import RobotModel
@@ -25,51 +25,12 @@ LIMIT_SLACK = 0.05
 IMPOSSIBLE = 0.3
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class CheckedCapture:
-    """Result of the check of a capture.
-
-    Attributes:
-        scan_count: Stills, or frames of the scan video.
-        videos_s: Length of every demonstration video by camera, [s].
-        frames: Their numbers of frames.
-        warnings: Sentences about doubtful properties, their consequences and remedies.
-    """
-
-    robot: RobotModel
-    scan_count: int
-    videos_s: dict[str, float]
-    frames: dict[str, int]
-    warnings: tuple[str, ...]
-
-    def summary(self, capture: Recording) -> str:
-        """Lines about robot, scan, videos and log."""
-        fingers = "two fingers" if self.robot.pads else "no fingers: it can be followed, but not verified"
-        scan = f"video of {self.scan_count} frames" if capture.scan_video else f"{self.scan_count} images"
-        log = capture.joint_log
-        lines = [
-            f"robot  {self.robot.name}, {len(self.robot.joint_names)} joints, {fingers}",
-            f"scan   {scan}, {capture.scan_size[0]} x {capture.scan_size[1]}{_describe_poses(capture)}",
-            *(
-                f"video  {name}: {self.frames[name]} frames, {length:.1f} s"
-                for name, length in self.videos_s.items()
-            ),
-            f"log    {len(log.times_s)} rows, {log.times_s[-1] - log.times_s[0]:.1f} s, "
-            f"{len(log.joint_names)} joints",
-            self._describe_gripper(log),
-        ]
-        return "\n".join(f"  {line}" for line in lines)
-
-    def _describe_gripper(self, log: JointLog) -> str:
-        """Line that states how the gripper's column is read, so that a wrong unit is noticed."""
-        low, high = float(log.gripper.min()), float(log.gripper.max())
-        distances = 1000 * self.robot.pad_distances([low, high])
-        fingers = f", fingers {distances[0]:.0f} to {distances[1]:.0f} mm apart" if len(distances) else ""
-        return f"grip   {low:.2f} to {high:.2f} (0 open, 1 closed){fingers}"
-
-
-def check_capture(capture: Recording) -> CheckedCapture:
+def check_capture(capture: Recording) -> tuple[RobotModel, str, tuple[str, ...]]:
     """Check everything that can be known of a capture before work starts.
+
+    Returns:
+        The robot; lines about robot, scan, videos and log; and sentences about doubtful properties, their consequences and
+        remedies.
 
     Raises:
         ConfigError, InputError: The first problem that would stop a run, in one sentence.
@@ -94,13 +55,28 @@ def check_capture(capture: Recording) -> CheckedCapture:
         + check_masks(capture)
         + prompt_warnings(capture.prompts)
     )
-    return CheckedCapture(
-        robot=robot,
-        scan_count=count,
-        videos_s=lengths,
-        frames={name: len(video.times_s) for name, video in videos.items()},
-        warnings=(*doubts, *warnings),
-    )
+    return robot, _describe(capture, robot, count, videos), (*doubts, *warnings)
+
+
+def _describe(capture: Recording, robot: RobotModel, scan_count: int, videos: Mapping[str, Video]) -> str:
+    """Return lines about robot, scan, videos and log, and how the gripper's column is read, so that a wrong unit is noticed."""
+    fingers = "two fingers" if robot.pads else "no fingers: it can be followed, but not verified"
+    scan = f"video of {scan_count} frames" if capture.scan_video else f"{scan_count} images"
+    log = capture.joint_log
+    low, high = float(log.gripper.min()), float(log.gripper.max())
+    distances = 1000 * robot.pad_distances([low, high])
+    apart = f", fingers {distances[0]:.0f} to {distances[1]:.0f} mm apart" if len(distances) else ""
+    lines = [
+        f"robot  {robot.name}, {len(robot.joint_names)} joints, {fingers}",
+        f"scan   {scan}, {capture.scan_size[0]} x {capture.scan_size[1]}{_describe_poses(capture)}",
+        *(
+            f"video  {name}: {len(video.times_s)} frames, {video.times_s[-1] - video.times_s[0]:.1f} s"
+            for name, video in videos.items()
+        ),
+        f"log    {len(log.times_s)} rows, {log.times_s[-1] - log.times_s[0]:.1f} s, {len(log.joint_names)} joints",
+        f"grip   {low:.2f} to {high:.2f} (0 open, 1 closed){apart}",
+    ]
+    return "\n".join(f"  {line}" for line in lines)
 
 
 def _guess_robot(capture: Recording) -> list[str]:

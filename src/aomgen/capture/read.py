@@ -135,15 +135,12 @@ def measure_scan(images: tuple[Path, ...], video: Path | None) -> tuple[tuple[in
     Raises:
         InputError: Images of several sizes, a file that cannot be read, or a video that is too short.
     """
-    return _video_frames(video) if video else (common_size(images), {item.name for item in images})
-
-
-def _video_frames(scan: Path) -> tuple[tuple[int, int], set[str]]:
-    """Size of a scan video and the names its frames would have, from its header."""
-    info = probe_video(scan)
+    if video is None:
+        return common_size(images), {item.name for item in images}
+    info = probe_video(video)
     if not info.frames >= MIN_SCAN_FRAMES:
         raise IncompleteCaptureError(
-            scan,
+            video,
             f"has {info.frames} frames, at least {MIN_SCAN_FRAMES} are needed",
             "walk around robot and object for 20 to 60 s",
         )

@@ -121,9 +121,8 @@ def check(
         print(f"{path}: ok")
     else:
         capture = read_capture(path.parent if path.name == "capture.toml" else path)
-        checked = check_capture(capture)
-        warnings = checked.warnings + category_warnings(capture) + machine_warnings("auto", capture)
-        facts = checked.summary(capture)
+        _, facts, doubts = check_capture(capture)
+        warnings = doubts + category_warnings(capture) + machine_warnings("auto", capture)
         if capture.scan_images:
             from aomgen.capture.scan_images import read_grey
             from aomgen.report.capture_page import write_capture_page

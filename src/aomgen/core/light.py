@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from aomgen.core.sh import sh_basis, sh_rotation, sphere_directions
+from aomgen.core.transforms import make_tangent_basis
 from aomgen.core.values import Array, Matrix4, Vector3, freeze_arrays
 
 # Factors that convert radiance coefficients of bands 0, 1, 2 to irradiance coefficients.
@@ -105,10 +106,8 @@ def spread_directions(direction: ArrayLike, width: float) -> Array:
     center = np.asarray(direction, np.float64)
     if not width:
         return center[None]
-    side = np.cross(center, np.eye(3)[np.argmin(np.abs(center))])
-    side /= np.linalg.norm(side)
     turns = np.arange(RING) * 2 * np.pi / RING
-    ring = np.stack([np.cos(turns), np.sin(turns)], 1) @ np.stack([side, np.cross(center, side)])
+    ring = np.stack([np.cos(turns), np.sin(turns)], 1) @ make_tangent_basis(center)
     # Ring and center together have the second moment of the disc.
     spread = np.concatenate([center[None], center + np.tan(width) * np.sqrt((RING + 1) / (2 * RING)) * ring])
     return spread / np.linalg.norm(spread, axis=1, keepdims=True)

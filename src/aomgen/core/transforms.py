@@ -83,6 +83,20 @@ def skew(vectors: ArrayLike) -> Array:
     return K - np.swapaxes(K, -1, -2)
 
 
+def cross(a: Array, b: Array) -> Array:
+    """Compute cross products (..., 3); for few vectors several times faster than numpy's."""
+    ax, ay, az = a[..., 0], a[..., 1], a[..., 2]
+    bx, by, bz = b[..., 0], b[..., 1], b[..., 2]
+    return np.stack([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx], axis=-1)
+
+
+def make_tangent_basis(axis: Array) -> Array:
+    """Compute two unit vectors (2, 3) that complete a unit vector (3,) to a right-handed frame."""
+    first = cross(axis, np.eye(3)[int(np.argmin(np.abs(axis)))])
+    first /= np.linalg.norm(first)
+    return np.stack([first, cross(axis, first)])
+
+
 def matrix_from_quat(quats_wxyz: ArrayLike) -> Array:
     """Convert quaternions (..., 4), which need not be normalized, to rotations (..., 3, 3)."""
     q = np.asarray(quats_wxyz, np.float64)

@@ -121,7 +121,8 @@ class SimulatorViews:
         return {name: self._before(walls[name], camera, qpos) for name, camera in cameras.items()}
 
     def _wall(self, layer: StaticLayer) -> NDArray[np.uint8]:
-        return layer.session.picture(self._twin.gaussians.select(np.zeros(0, np.int64))).image_srgb
+        image_srgb, _ = layer.session.picture(self._twin.gaussians.select(np.zeros(0, np.int64)))
+        return image_srgb
 
     def _before(self, wall: NDArray[np.uint8], camera: Camera, qpos: Array) -> NDArray[np.uint8]:
         shown, depth = self._renderer.draw(camera, qpos), self._renderer.depths(camera, qpos)

@@ -5,8 +5,6 @@ of planes that were found in other pixels, or infinity. Each ambiguous pixel get
 neighboring views show the same color.
 """
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
@@ -48,13 +46,8 @@ EXPLAINED_WEIGHT, OPEN_WEIGHT = 1.5, 0.01
 RAYS_A_POINT = 6
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Plane:
-    """A plane `normal . x = offset` and points (M, 3) on it."""
-
-    normal: Array
-    offset: float
-    support: Array
+# Unit normal (3,), offset in `normal . x = offset`, and points (M, 3) on the plane.
+Plane = tuple[Array, float, Array]
 
 
 def dominant_planes(points: Array, *, min_share: float = 0.03) -> list[Plane]:
@@ -78,7 +71,7 @@ def dominant_planes(points: Array, *, min_share: float = 0.03) -> list[Plane]:
         inliers = np.abs((rest - center) @ normal) < tolerance
         if inliers.sum() < wanted:
             break
-        planes.append(Plane(normal=normal, offset=float(normal @ center), support=rest[inliers]))
+        planes.append((normal, float(normal @ center), rest[inliers]))
         rest = rest[~inliers]
     return planes
 
@@ -98,8 +91,9 @@ def explain(
         unexplained pixels.
     """
     blurred = [ndimage.uniform_filter(m.image_srgb.astype(np.float32), (3, 3, 1)) for m in maps]  # pyright: ignore[reportArgumentType]
-    trees = [cKDTree(plane.support) for plane in planes]
-    reach = np.median([np.linalg.norm(p.support - p.support.mean(0), axis=1).mean() for p in planes] or [1.0])
+    trees = [cKDTree(support) for _, _, support in planes]
+    extents = [np.linalg.norm(support - support.mean(0), axis=1).mean() for _, _, support in planes]
+    reach = np.median(extents or [1.0])
     on_planes, far = [], []
     for index, depth_map in enumerate(maps):
         grid = np.zeros(votes[index].shape, bool)
@@ -109,8 +103,8 @@ def explain(
         rays = depth_map.camera.directions()[rows, columns]
         own = blurred[index][rows, columns]
         costs, depths = [], []
-        for plane, tree in zip(planes, trees, strict=True):
-            depth = _depth_on(plane, depth_map, rays)
+        for (normal, offset, _), tree in zip(planes, trees, strict=True):
+            depth = _depth_on(normal, offset, depth_map, rays)
             points = depth_map.camera.center + rays * depth[:, None]
             near = tree.query(points, distance_upper_bound=1.5 * reach)[0] < np.inf
             cost = _differences(points, own, depth_map, maps, blurred, votes)
@@ -132,7 +126,7 @@ def explain(
         )
         beyond = undecided & (known[nearest[0], nearest[1]].reshape(-1) == 2)
         depth = np.where(on_plane, depth, 1.0)
-        normals = np.stack([p.normal for p in planes] + [np.zeros(3)])[best]
+        normals = np.stack([normal for normal, _, _ in planes] + [np.zeros(3)])[best]
         facing = (normals * rays).sum(1, keepdims=True) > 0
         unit = rays / np.linalg.norm(rays, axis=1, keepdims=True)
         samples = Samples(
@@ -148,10 +142,10 @@ def explain(
     return join_samples(on_planes), join_samples(far)
 
 
-def _depth_on(plane: Plane, depth_map: DepthMap, rays: Array) -> Array:
-    """Compute the depth (R,) at which rays from the camera intersect the plane; negative behind or almost parallel."""
-    slope = rays @ plane.normal
-    distance = plane.offset - float(plane.normal @ depth_map.camera.center)
+def _depth_on(normal: Array, offset: float, depth_map: DepthMap, rays: Array) -> Array:
+    """Compute the depth (R,) at which rays from the camera intersect a plane; negative behind or almost parallel."""
+    slope = rays @ normal
+    distance = offset - float(normal @ depth_map.camera.center)
     steep = np.abs(slope) > 0.02 * np.linalg.norm(rays, axis=1)
     return np.where(steep, distance / np.where(steep, slope, 1.0), -1.0)
 

@@ -2,7 +2,6 @@
 
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,7 +10,7 @@ from aomgen.conventions import luma_from_srgb
 from aomgen.core.camera import Camera
 from aomgen.core.progress import Progress
 from aomgen.core.structure import Structure
-from aomgen.core.values import Array, freeze_arrays
+from aomgen.core.values import Array
 from aomgen.errors import ReconstructionError
 from aomgen.gaussians.background import dominant_planes, explain, far_shell
 from aomgen.gaussians.depth_fusion import (
@@ -48,40 +47,21 @@ class DensifyParams:
     threads: int = 2
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class DensePoints:
-    """Colored surface points, and a far shell after them.
-
-    Attributes:
-        normals_recon: (P, 3) unit, towards the cameras; zero where unknown.
-        sizes: Width of what each point stands for (P,), recon units.
-        shell: (P,) True for points of the far shell.
-    """
-
-    points_recon: Annotated[Array, "P 3"]
-    normals_recon: Annotated[Array, "P 3"]
-    colors_srgb: Annotated[NDArray[np.uint8], "P 3"]
-    sizes: Annotated[Array, "P"]
-    shell: Annotated[NDArray[np.bool_], "P"]
-
-    __post_init__ = freeze_arrays
-
-
 def densify(
     structure: Structure,
     images_srgb: dict[str, NDArray[np.uint8]],
     params: DensifyParams,
     progress: Progress,
-) -> DensePoints:
+) -> tuple[Samples, Samples]:
     """Dense points from plane sweeps that neighbouring views confirm.
 
     Args:
         images_srgb: The images to use, (H, W, 3) uint8, by name; a subset of the structure's.
 
     Returns:
-        Points on surfaces, thinned by their size in the nearest view and more where the image has
-        detail, the sparse points, large planes continued where stereo is undecided, and a far shell where the
-        views agree on infinity.
+        Points on surfaces, which are thinned by their size in the nearest view and more where the image has
+        detail, with the sparse points and with large planes continued where stereo is undecided; and points of a
+        far shell where the views agree on infinity. Normals are towards the cameras, or zero where unknown.
 
     Not checked: mirrors and glass, which give points at the mirrored place.
     """
@@ -126,14 +106,7 @@ def densify(
     view_depths = [confirm_depth(one, own) for one, own in zip(maps, votes, strict=True)]
     kept = kept.select(~in_free_space(kept.points_recon, view_depths))
     centers = np.array([camera.center for camera, _ in views])
-    shell = far_shell(rays, kept.points_recon, centers, params.shell_points)
-    return DensePoints(
-        points_recon=np.concatenate([kept.points_recon, shell.points_recon]),
-        normals_recon=np.concatenate([kept.normals_recon, shell.normals_recon]),
-        colors_srgb=np.concatenate([kept.colors_srgb, shell.colors_srgb]),
-        sizes=np.concatenate([kept.footprints, shell.footprints]),
-        shell=np.arange(len(kept.points_recon) + len(shell.points_recon)) >= len(kept.points_recon),
-    )
+    return kept, far_shell(rays, kept.points_recon, centers, params.shell_points)
 
 
 def choose_neighbours(structure: Structure, names: list[str], count: int) -> list[list[int]]:

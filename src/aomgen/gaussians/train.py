@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass, field, replace
 from functools import partial
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +15,8 @@ from aomgen.core.structure import Structure, held_out
 from aomgen.core.transforms import quat_from_matrix
 from aomgen.core.values import Array
 from aomgen.errors import CorruptArtifactError, ReconstructionError
-from aomgen.gaussians.dense_points import DensePoints, DensifyParams, densify
+from aomgen.gaussians.dense_points import DensifyParams, densify
+from aomgen.gaussians.depth_fusion import Samples, join_samples
 from aomgen.io.reuse import warn_of_file
 from aomgen.splatting.checkpoint import Checkpoint
 from aomgen.splatting.metrics import psnr, ssim
@@ -43,46 +45,18 @@ class GaussiansParams:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class HeldOut:
-    """A view that training never saw.
-
-    Attributes:
-        psnr_db, ssim: Whole image, no exposure fit.
-        rendered_srgb: (H, W, 3) uint8.
-    """
-
-    psnr_db: float
-    ssim: float
-    rendered_srgb: NDArray[np.uint8]
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class TrainedScene:
-    """Gaussians of a scan in the `recon` frame.
-
-    Attributes:
-        gaussians_recon: The scene, background included.
-        figures: Measured numbers for the manifest (JSON values).
-    """
-
-    gaussians_recon: Gaussians
-    heldout: dict[str, HeldOut]
-    figures: dict[str, object]
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
 class TrainingViews:
     """Initial Gaussians and training images.
 
     Attributes:
-        dense: Points of the scene.
-        initial: A Gaussian for each.
+        surface: Points (P, 3) on surfaces, recon frame.
+        initial: A Gaussian for each of them, then one for each point of the far shell.
         cameras: Cameras of the training images, recon frame.
         images_srgb: (H, W, 3) uint8 each.
         test: Names of the images that are held out and have a camera.
     """
 
-    dense: DensePoints
+    surface: Array
     initial: Gaussians
     cameras: list[Camera]
     images_srgb: list[NDArray[np.uint8]]
@@ -101,10 +75,10 @@ def select_training_views(
     test = held_out(list(images_srgb))
     known = [name for name in structure.cameras_recon if name in images_srgb]
     learned = {name: images_srgb[name] for name in known if name not in test}
-    dense = densify(structure, learned, params, progress)
+    surface, shell = densify(structure, learned, params, progress)
     return TrainingViews(
-        dense=dense,
-        initial=initial_gaussians(dense),
+        surface=surface.points_recon,
+        initial=initial_gaussians(surface, shell),
         cameras=[structure.cameras_recon[name] for name in learned],
         images_srgb=list(learned.values()),
         test=[name for name in test if name in structure.cameras_recon],
@@ -118,13 +92,17 @@ def train_scene(
     progress: Progress,
     *,
     checkpoint: Checkpoint | None = None,
-) -> TrainedScene:
+) -> tuple[Gaussians, dict[str, NDArray[np.uint8]], dict[str, Any]]:
     """Train Gaussians on a scan and evaluate them on held-out images.
 
     Args:
         images_srgb: All scan images (H, W, 3) uint8 by name; those without a camera are ignored.
         checkpoint: File from which the training continues after a kill. If it cannot be used (damaged, or of other
             inputs), the training starts over with a warning.
+
+    Returns:
+        The scene, background included, recon frame; renderings (H, W, 3) uint8 of the held-out images by name; and metrics
+        (JSON values).
 
     Raises:
         ReconstructionError: The held-out images are not reproduced at all.
@@ -143,37 +121,41 @@ def train_scene(
         warn_of_file(error.where, error.problem, "the training starts over")
         checkpoint.path.unlink()
         trained = training(np.random.default_rng(params.seed), checkpoint=checkpoint)
-    trained = without_floaters(trained, views.cameras, views.dense, params.near_share)
+    trained = without_floaters(trained, views.cameras, views.surface, params.near_share)
     evaluated = {
         name: evaluate_view(trained, structure.cameras_recon[name], images_srgb[name]) for name in views.test
     }
-    mean = float(np.mean([view.psnr_db for view in evaluated.values()])) if evaluated else float("nan")
-    if evaluated and not mean >= params.min_psnr_db:
+    scores = {name: {"psnr": db, "ssim": similarity} for name, (db, similarity, _) in evaluated.items()}
+    means = {
+        key: float(np.mean([item[key] for item in scores.values()])) for key in ("psnr", "ssim") if scores
+    }
+    if scores and not means["psnr"] >= params.min_psnr_db:
         raise ReconstructionError(
             "gaussians",
-            f"held-out images are reproduced with {mean:.1f} dB, at least {params.min_psnr_db:.1f} are needed",
+            f"held-out images are reproduced with {means['psnr']:.1f} dB, at least {params.min_psnr_db:.1f} are needed",
             "check for motion blur, changing light and moving objects in the scan",
         )
-    figures: dict[str, object] = {
-        "heldout_psnr": mean if evaluated else None,
-        "heldout_ssim": float(np.mean([view.ssim for view in evaluated.values()])) if evaluated else None,
+    figures = {
+        "heldout_psnr": means.get("psnr"),
+        "heldout_ssim": means.get("ssim"),
         "gaussians": len(trained),
         "initial_points": len(views.initial),
-        "shell_points": int(views.dense.shell.sum()),
-        "heldout": {name: {"psnr": view.psnr_db, "ssim": view.ssim} for name, view in evaluated.items()},
+        "shell_points": len(views.initial) - len(views.surface),
+        "heldout": scores,
     }
-    return TrainedScene(gaussians_recon=trained, heldout=evaluated, figures=figures)
+    return trained, {name: rendered for name, (_, _, rendered) in evaluated.items()}, figures
 
 
-def initial_gaussians(dense: DensePoints) -> Gaussians:
+def initial_gaussians(surface: Samples, shell: Samples) -> Gaussians:
     """One Gaussian a point: as wide as the distance to its neighbours, flat along a known normal."""
-    points = dense.points_recon
+    dense = join_samples([surface, shell])
+    points, of_shell = dense.points_recon, np.arange(len(dense.weights)) >= len(surface.weights)
     spacing = np.empty(len(points))
-    for which in (dense.shell, ~dense.shell):
+    for which in (of_shell, ~of_shell):
         if which.sum() > 3:
             distances, _ = cKDTree(points[which]).query(points[which], k=4)
             spacing[which] = np.sqrt((distances[:, 1:] ** 2).mean(1))
-    spacing = np.clip(spacing, 0.4 * dense.sizes, 1.6 * dense.sizes)
+    spacing = np.clip(spacing, 0.4 * dense.footprints, 1.6 * dense.footprints)
     known = np.linalg.norm(dense.normals_recon, axis=1) > 0.5
     scales = np.repeat(0.6 * spacing[:, None], 3, axis=1)
     scales[known, 2] *= 0.3
@@ -190,16 +172,15 @@ def initial_gaussians(dense: DensePoints) -> Gaussians:
 
 
 def without_floaters(
-    gaussians: Gaussians, cameras: list[Camera], dense: DensePoints, near_share: float
+    gaussians: Gaussians, cameras: list[Camera], surface: Array, near_share: float
 ) -> Gaussians:
     """Without Gaussians that hang before a camera or far from anything.
 
     Args:
-        dense: The points it started from; they determine the distance of the scene from each camera.
+        surface: Points (P, 3) on surfaces, which determine the distance of the scene from each camera.
         near_share: See `GaussiansParams`.
     """
     keep = np.ones(len(gaussians), bool)
-    surface = dense.points_recon[~dense.shell]
     tree = cKDTree(surface)
     for camera in cameras:
         nearest, _ = tree.query(camera.center)
@@ -213,15 +194,13 @@ def without_floaters(
     return gaussians.select(keep & ~(alone & inside & (gaussians.opacities < 0.1)))
 
 
-def evaluate_view(gaussians: Gaussians, camera: Camera, image_srgb: NDArray[np.uint8]) -> HeldOut:
-    """Compare a rendered view with its photograph; whole image, nothing fitted."""
+def evaluate_view(
+    gaussians: Gaussians, camera: Camera, image_srgb: NDArray[np.uint8]
+) -> tuple[float, float, NDArray[np.uint8]]:
+    """Compute PSNR [dB] and SSIM of a rendered view, of the whole image without exposure fit, and the view (H, W, 3)."""
     drawn = np.clip(render(gaussians, camera).rgb, 0.0, 1.0)
     photograph = image_srgb.astype(np.float32) / 255.0
-    return HeldOut(
-        psnr_db=psnr(drawn, photograph),
-        ssim=ssim(drawn, photograph),
-        rendered_srgb=np.round(drawn * 255).astype(np.uint8),
-    )
+    return psnr(drawn, photograph), ssim(drawn, photograph), np.round(drawn * 255).astype(np.uint8)
 
 
 def _frames(normals: Array) -> Array:

@@ -16,7 +16,7 @@ from aomgen.conventions import linear_from_srgb
 from aomgen.core.camera import Camera
 from aomgen.core.light import DirectionalLight, spread_directions
 from aomgen.core.sh import sphere_directions
-from aomgen.core.transforms import apply, invert
+from aomgen.core.transforms import apply, invert, make_tangent_basis
 from aomgen.core.values import Array
 from aomgen.lighting.plane_shadow import HEIGHTS, intersect_surface, measure_blocked_light, select_casters
 from aomgen.robots.robot import RobotModel
@@ -126,9 +126,7 @@ def find_directional_light(
 
 def _refine_direction(direction: Array, observed: SurfaceObservations) -> Array:
     """Refine a direction (3,) by a simplex search in its tangent plane."""
-    side = np.cross(direction, np.eye(3)[np.argmin(np.abs(direction))])
-    side /= np.linalg.norm(side)
-    across = np.stack([side, np.cross(direction, side)])
+    across = make_tangent_basis(direction)
 
     def turn(tangents: Array) -> Array:
         turned = direction + tangents @ across

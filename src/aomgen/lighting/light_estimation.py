@@ -58,7 +58,7 @@ MIN_ALBEDO, BRIGHT = 0.05, 0.1
 MEAN_ALBEDO: Final = 0.4
 # Largest image value, relative to the maximum of a tone curve, that is inverted to light.
 BRIGHTEST: Final = 0.95
-# Limits of the brightness of a white, horizontal surface, linear, 1 = image white.
+# Limits of the shown brightness of a white, horizontal surface, linear, 1 = image white.
 LIMITS: Final = (0.3, 1.6)
 
 
@@ -161,8 +161,9 @@ def estimate_light(
     unseen, tone = fit_unseen(
         samples, probe_light(world.select(twin.labels != ROBOT), middle, views), table, here
     )
-    radiance = radiance_around(here, unseen, tone)
-    return limit_light(SceneLight(light_from_harmonics(radiance), tone, "robot"))
+    light = SceneLight(light_from_harmonics(radiance_around(here, unseen, tone)), tone, "robot")
+    shown = np.clip(tone.show(np.full(3, _up(light))), *LIMITS)
+    return _with_level(light, float(tone.undo(shown)[0]))
 
 
 def scene_light(world: Gaussians, labels: NDArray[np.uint8]) -> Light:
@@ -236,12 +237,6 @@ def radiance_around(around: Probe, unseen: Array, tone: ToneCurve) -> Array:
     rest = np.maximum(sh_basis(around.directions, 2) @ unseen, 0)
     seen = around.seen[:, None]
     return around.project(seen * tone.undo(around.radiance_linear) + (1 - seen) * rest)
-
-
-def limit_light(light: SceneLight) -> SceneLight:
-    """Limit the shown brightness of a horizontal white surface to `LIMITS`."""
-    shown = np.clip(light.tone.show(np.full(3, _up(light))), *LIMITS)
-    return _with_level(light, float(light.tone.undo(shown)[0]))
 
 
 def light_of_map(around: EnvironmentMap, scan: SceneLight, source: str) -> SceneLight:

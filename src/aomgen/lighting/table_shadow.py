@@ -4,8 +4,6 @@ For every cell of the table and every direction, the visibility past the object 
 is fitted to the observed brightness. Division by the resulting irradiance removes the shadow, whether soft or sharp.
 """
 
-from dataclasses import dataclass
-from functools import cached_property
 from typing import Final
 
 import numpy as np
@@ -21,6 +19,7 @@ from aomgen.core.values import Array
 from aomgen.lighting.light_estimation import LitSamples
 from aomgen.lighting.plane_shadow import PlaneGrid, project_shadow
 from aomgen.lighting.visibility import BODY_CELLS, Occluders, estimate_transfer
+from aomgen.twin.plan_view import PlanView
 
 # Number of cells of the top view per cell of the shadow, along each side; a shadow is smoother than the grain of wood.
 COARSER: Final = 3
@@ -39,42 +38,18 @@ GRAIN: Final = 1.1
 SURE, MIN_CELLS, MAX_CELLS = 0.5, 200, 1500
 
 
-@dataclass(frozen=True, kw_only=True)
-class ShadowedTable:
-    """Top view of a table, and the object that stood on it during the scan.
-
-    Attributes:
-        caster: The object, world frame.
-        T_world_plane: Pose of the table (4, 4), on which z = 0.
-        low: Lower corner of the top view (2,), plane frame, [m].
-        cell: Side of its cells, [m].
-        picture_srgb: Top view of the table (H, W, 3).
-        known: Mask (H, W) of the cells that show the table.
-    """
-
-    caster: Gaussians
-    T_world_plane: Array
-    low: Array
-    cell: float
-    picture_srgb: Array
-    known: NDArray[np.bool_]
-
-    @cached_property
-    def coarse(self) -> tuple[PlaneGrid, Array, Array]:
-        """Cells of the shadow, their linear colors (h, w, 3) times their known share, and the known share (h, w)."""
-        rows, columns = (-(-side // COARSER) for side in self.known.shape)
-        grid = PlaneGrid(low=self.low, cell=COARSER * self.cell, columns=columns, rows=rows)
-        linear = np.asarray(linear_from_srgb(self.picture_srgb), np.float64)
-        colors = _pool(linear * self.known[..., None], rows, columns)
-        return grid, colors, _pool(self.known.astype(float), rows, columns)
-
-
-def shadow_gain(table: ShadowedTable) -> Array:
+def shadow_gain(caster: Gaussians, plan: PlanView, picture_srgb: Array, known: NDArray[np.bool_]) -> Array:
     """Compute factors (H, W, 3), >= 1, on the linear colors of a table that remove the shadow of its object.
+
+    Args:
+        caster: Object that stood on the table during the scan, world frame.
+        plan: Cells of the top view of the table.
+        picture_srgb: Top view (H, W, 3).
+        known: Mask (H, W) of the cells that show the table.
 
     Not checked: whether the table has a uniform mean color. A linear change of its brightness across the table is preserved.
     """
-    known, (grid, colors, weight) = table.known, table.coarse
+    grid, colors, weight = _coarsen(plan, picture_srgb, known)
     gain = np.ones((*known.shape, 3))
     sure = weight > SURE
     if not sure.sum() >= MIN_CELLS:
@@ -84,8 +59,8 @@ def shadow_gain(table: ShadowedTable) -> Array:
     # Under a uniform sky, the irradiance from a direction is proportional to the sine of its elevation.
     sines = directions[:, 2]
     # `passed` is the visibility of each direction past the object.
-    T_plane_world = invert(table.T_world_plane)[None, None]
-    passed = 1.0 - project_shadow(table.caster, None, T_plane_world, directions, grid)[0].astype(np.float64)
+    T_plane_world = invert(plan.support.T_world_plane)[None, None]
+    passed = 1.0 - project_shadow(caster, None, T_plane_world, directions, grid)[0].astype(np.float64)
     middle = grid.points()[..., :2] - grid.points()[..., :2][sure].mean(0)
     slopes = [sign * middle[..., k] for k in range(2) for sign in (1, -1)]
     A = np.stack([*passed, *slopes], -1)[sure]
@@ -107,21 +82,36 @@ def shadow_gain(table: ShadowedTable) -> Array:
     return gain
 
 
-def select_lit_cells(table: ShadowedTable, rng: np.random.Generator) -> LitSamples:
-    """Sample table cells inside and outside the object's shadow; their albedo is unknown and set to 1."""
-    grid, colors, weight = table.coarse
+def select_lit_cells(
+    caster: Gaussians, plan: PlanView, picture_srgb: Array, known: NDArray[np.bool_], rng: np.random.Generator
+) -> LitSamples:
+    """Sample table cells inside and outside the object's shadow; their albedo is unknown and set to 1.
+
+    See `shadow_gain` for the arguments.
+    """
+    grid, colors, weight = _coarsen(plan, picture_srgb, known)
     sure = np.argwhere(weight > SURE)
     if not len(sure) >= MIN_CELLS:
         sure = sure[:0]
     sure = tuple(rng.permutation(sure)[:MAX_CELLS].T)
-    points = apply(table.T_world_plane, grid.points()[sure])
-    up = np.tile(table.T_world_plane[:3, 2], (len(points), 1))
-    occluders = Occluders(table.caster.means.astype(np.float64), BODY_CELLS)
+    T_world_plane = plan.support.T_world_plane
+    points = apply(T_world_plane, grid.points()[sure])
+    up = np.tile(T_world_plane[:3, 2], (len(points), 1))
+    occluders = Occluders(caster.means.astype(np.float64), BODY_CELLS)
     return LitSamples(
         transfer=estimate_transfer(points, up, occluders)[0],
         albedo=np.ones((len(points), 3)),
         seen=colors[sure] / weight[sure][:, None],
     )
+
+
+def _coarsen(plan: PlanView, picture_srgb: Array, known: NDArray[np.bool_]) -> tuple[PlaneGrid, Array, Array]:
+    """Return cells of the shadow, their linear colors (h, w, 3) times their known share, and the known share (h, w)."""
+    rows, columns = (-(-side // COARSER) for side in known.shape)
+    grid = PlaneGrid(low=plan.low, cell=COARSER * plan.cell, columns=columns, rows=rows)
+    linear = np.asarray(linear_from_srgb(picture_srgb), np.float64)
+    colors = _pool(linear * known[..., None], rows, columns)
+    return grid, colors, _pool(known.astype(float), rows, columns)
 
 
 def _pool(image: Array, rows: int, columns: int) -> Array:

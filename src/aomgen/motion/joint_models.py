@@ -6,6 +6,7 @@ from typing import ClassVar, Self
 
 import numpy as np
 
+from aomgen.core.transforms import cross, make_tangent_basis
 from aomgen.core.values import Array
 from aomgen.motion.ee_path import EePath
 
@@ -82,7 +83,7 @@ class JointModel:
         axis = axis / np.linalg.norm(axis, axis=-1, keepdims=True)
         first = tangents[0] - (axis @ tangents[0])[..., None] * axis
         first = first / np.linalg.norm(first, axis=-1, keepdims=True)
-        return self.middle + x[..., 2:4] @ tangents, axis, first, _cross(axis, first)
+        return self.middle + x[..., 2:4] @ tangents, axis, first, cross(axis, first)
 
     def _coordinates(
         self, points: Array, frame: tuple[Array, Array, Array, Array]
@@ -194,20 +195,6 @@ class Prismatic(JointModel):
     def first(self) -> Array:
         """Compute initial unknowns (4,)."""
         return np.zeros(4)
-
-
-def make_tangent_basis(axis: Array) -> Array:
-    """Compute two unit vectors (2, 3) that complete a unit vector (3,) to a right-handed frame."""
-    first = _cross(axis, np.eye(3)[int(np.argmin(np.abs(axis)))])
-    first /= np.linalg.norm(first)
-    return np.stack([first, _cross(axis, first)])
-
-
-def _cross(a: Array, b: Array) -> Array:
-    """Compute the cross product (..., 3); for few vectors several times faster than numpy's."""
-    ax, ay, az = a[..., 0], a[..., 1], a[..., 2]
-    bx, by, bz = b[..., 0], b[..., 1], b[..., 2]
-    return np.stack([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx], axis=-1)
 
 
 def make_models(path: EePath, reach_m: float) -> tuple[list[Revolute], Prismatic]:

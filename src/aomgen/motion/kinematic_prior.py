@@ -7,10 +7,9 @@ import numpy as np
 
 from aomgen.core.joint import Joint
 from aomgen.core.motion import MotionEstimate
-from aomgen.core.transforms import apply
+from aomgen.core.transforms import apply, make_tangent_basis
 from aomgen.core.values import Array, Vector3, freeze_arrays
 from aomgen.motion.inputs import MotionInput
-from aomgen.motion.joint_models import make_tangent_basis
 
 # Regularization far below any error of a joint, so that a covariance can be inverted, [rad^2], [m^2].
 _LEAST_VARIANCE = 1e-10

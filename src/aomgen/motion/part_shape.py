@@ -17,9 +17,8 @@ from scipy.spatial import cKDTree
 from aomgen.core.boxes import MIN_POINTS, OrientedBox, find_upright_axes, fit_box
 from aomgen.core.joint import Joint
 from aomgen.core.motion import Direction
-from aomgen.core.transforms import apply, matrix_from_rotvec
+from aomgen.core.transforms import apply, make_tangent_basis, matrix_from_rotvec
 from aomgen.core.values import Array, Vector3, freeze_arrays
-from aomgen.motion.joint_models import make_tangent_basis
 
 # Prior probability that a joint lies along a side of the part; is parallel to
 # its edges, but elsewhere; neither.

@@ -162,7 +162,8 @@ def _without_support(points: Array, up: Array, rng: np.random.Generator) -> Arra
 
 def _starts(scan: Scan, configuration: RobotConfiguration, rng: np.random.Generator) -> Array:
     """Similarities (H, 4, 4) that colors make likely, best first; those that `align` starts from."""
-    return search_poses(scan, configuration, rng).at_least(_START_SHARE).Ss_world_recon
+    Ss, scores = search_poses(scan, configuration, rng)
+    return Ss[scores >= _START_SHARE * scores.max()]
 
 
 def rigid_icp(source: Array, target: Array, kernel_m: float) -> Array:

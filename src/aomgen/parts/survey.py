@@ -79,13 +79,8 @@ def compute_coverage(points: Array, views: list[ViewDepth], normals: Array | Non
     return Coverage(views=seen.sum(0), spread_deg=2 * np.degrees(np.arccos(np.clip(cosines, -1, 1))))
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Side:
-    """One side of an object: its name, points (M, 3) [m] on it and outward normals (M, 3), world frame."""
-
-    name: str
-    points: Array
-    normals: Array
+# One side of an object: its name, points (M, 3) [m] on it and outward normals (M, 3), world frame.
+Side = tuple[str, Array, Array]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -148,12 +143,12 @@ def survey(
     forward = _forward(points)
     sides = [*list_object_sides(points, forward), *list_table_sides(points, forward)]
     sides += list_robot_sides(configuration, forward, rng)
-    points = np.concatenate([side.points for side in sides])
-    normals = np.concatenate([side.normals for side in sides])
+    points = np.concatenate([own for _, own, _ in sides])
+    normals = np.concatenate([own for _, _, own in sides])
     return Survey(
-        names=tuple(side.name for side in sides),
+        names=tuple(name for name, _, _ in sides),
         points_world=points,
-        sides=np.repeat(np.arange(len(sides)), [len(side.points) for side in sides]),
+        sides=np.repeat(np.arange(len(sides)), [len(own) for _, own, _ in sides]),
         coverage=compute_coverage(points, views, normals),
     )
 
@@ -174,7 +169,7 @@ def list_object_sides(points: Array, forward: Array) -> list[Side]:
         word = "top" if axis == 2 else words[_bearing(normal[:2], forward)]
         points = apply(box.T_world_box, np.insert(grid, axis, sign, axis=1) * box.half_extents)
         normals = np.tile(normal, (len(grid), 1))
-        sides.append(Side(name=f"the {word} of the object", points=points, normals=normals))
+        sides.append((f"the {word} of the object", points, normals))
     return sides
 
 
@@ -191,9 +186,7 @@ def list_table_sides(points: Array, forward: Array) -> list[Side]:
         local[:, 1 - axis] = half[1 - axis] * across
         word = words[_bearing(sign * box.T_world_box[:2, axis], forward)]
         normals = np.tile([0.0, 0.0, 1.0], (len(local), 1))
-        sides.append(
-            Side(name=f"the table {word} the object", points=apply(box.T_world_box, local), normals=normals)
-        )
+        sides.append((f"the table {word} the object", apply(box.T_world_box, local), normals))
     return sides
 
 
@@ -222,9 +215,7 @@ def list_robot_sides(
     sides = [("top", steep & (directions[:, 2] > 0))]
     sides += [(word, ~steep & (kinds == kind)) for kind, word in words.items()]
     return [
-        Side(name=f"the {word} of the robot", points=points[which], normals=directions[which])
-        for word, which in sides
-        if which.any()
+        (f"the {word} of the robot", points[which], directions[which]) for word, which in sides if which.any()
     ]
 
 

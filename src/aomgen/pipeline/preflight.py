@@ -48,10 +48,10 @@ def check_project(project: Project, capture: Recording) -> tuple[str, ...]:
     _check_light(project.light)
     _check_networks(project.networks)
     require_room(project.out)
-    checked = check_capture(capture)
-    _check_robot_cameras(project, checked.robot)
+    robot, _, warnings = check_capture(capture)
+    _check_robot_cameras(project, robot)
     return (
-        *checked.warnings,
+        *warnings,
         *_warn_of_distortion(project, capture),
         *_doubtful_joints(capture.category, assets),
     )

@@ -166,11 +166,9 @@ def _train(results: Results, folder: Path, progress: Progress) -> dict[str, Any]
     images = _list_images(results, scan)
     if results.structure.scan_lens is not None:
         images = {name: results.folders["structure"] / IMAGES_FOLDER / name for name in images}
-    scene = train_in(folder, results.structure, images, progress, GaussiansParams())
-    figures = {key: scene.figures[f"heldout_{key}"] for key in ("psnr", "ssim")}
-    return {"gaussians": len(scene.gaussians_recon)} | {
-        f"heldout_{key}": value for key, value in figures.items() if value is not None
-    }
+    figures = train_in(folder, results.structure, images, progress, GaussiansParams())
+    names = ("gaussians", "heldout_psnr", "heldout_ssim")
+    return {name: figures[name] for name in names if figures[name] is not None}
 
 
 def _list_images(results: Results, scan: WrittenScan) -> dict[str, Path]:

@@ -1,18 +1,16 @@
 """Estimate the body of an object behind its moving front as a 3D box; segments of scan images determine its depth."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from itertools import product
-from typing import Annotated, Final
+from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from aomgen.core.boxes import fit_plane
-from aomgen.core.values import Array, freeze_arrays
+from aomgen.core.values import Array
 from aomgen.errors import ReconstructionError
 from aomgen.io.images import fill_hull
 from aomgen.parts.panel_terms import iou
@@ -38,22 +36,6 @@ MIN_SUPPORT: Final = 30
 STRAYS: Final = 0.02
 # Tested depths of a body, [m], in steps of about 10 %.
 DEPTHS_M: Final = np.geomspace(0.08, 0.8, 25)
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class BodyView:
-    """The static part in one scan image.
-
-    Attributes:
-        mask: Mask (H, W) without the visible moving part.
-        agreement: IoU of the segment and the projected box, 0..1.
-    """
-
-    view: ScanView
-    mask: Annotated[NDArray[np.bool_], "H W"]
-    agreement: float
-
-    __post_init__ = freeze_arrays
 
 
 def find_object_points(points_world: Array, front: Front, rng: np.random.Generator) -> tuple[Array, float]:
@@ -115,14 +97,15 @@ def find_body(
     front: Front,
     views: Sequence[ScanView],
     segmenter: Segmenter,
-) -> list[BodyView]:
+) -> list[tuple[ScanView, Mask, float]]:
     """Segment the body in views that show it, and choose the depth whose outline agrees best with the segments.
 
     Args:
         points_world, support_z: See `find_object_points`.
 
     Returns:
-        Views from different sides, best first.
+        Views from different sides, each with the mask (H, W) of the body without the visible moving part and the IoU of
+        segment and projected box, 0..1; largest IoU first.
 
     Raises:
         ReconstructionError: No view shows the whole body.
@@ -151,7 +134,7 @@ def find_body(
         if not best or np.mean([share for share, _ in found]) > np.mean([share for share, _ in best]):
             best = found
     result = []
-    for view, (share, mask) in zip(chosen, best, strict=True):
+    for view, (agreement, mask) in zip(chosen, best, strict=True):
         covered = fill_hull(view.camera.project(front.handle_space)[0], view.camera.width, view.camera.height)
-        result.append(BodyView(view=view, mask=mask & ~covered & ~view.robot, agreement=share))
-    return sorted(result, key=lambda item: -item.agreement)
+        result.append((view, mask & ~covered & ~view.robot, agreement))
+    return sorted(result, key=lambda item: -item[2])

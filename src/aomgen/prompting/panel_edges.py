@@ -1,6 +1,6 @@
 """Refine the rectangle of the moving part with its edges in scan images that show it from the front."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Final
 
 import numpy as np
@@ -10,14 +10,7 @@ from aomgen.conventions import luma_from_srgb
 from aomgen.core.values import Array
 from aomgen.errors import ReconstructionError
 from aomgen.parts.scan_views import ScanView
-from aomgen.prompting.moved_panel import (
-    Front,
-    Grip,
-    Model,
-    RegionAgreement,
-    improve,
-    place_corners,
-)
+from aomgen.prompting.moved_panel import Front, Grip, Model, RegionAgreement, improve, place_corners
 from aomgen.prompting.video_regions import REMEDY
 from aomgen.prompting.view_choice import choose_front_views
 
@@ -35,37 +28,33 @@ DRAWS, SPREAD = 6000, (0.04, 0.04, 0.03, 0.03, 0.02, 0.05, 0.05)
 STEPS: Final = (0.02, 0.02, 0.02, 0.02, 0.01, 0.03, 0.03)
 
 
-class EdgeClearness:
-    """Contrast of the edges in scan images at the sides of rectangles."""
+def measure_edges(views: Sequence[ScanView], grip: Grip) -> Callable[[Array], float]:
+    """Return a function that computes the mean contrast, 0..1, of edges in scan images at the sides of a rectangle (7,).
 
-    def __init__(self, views: Sequence[ScanView], grip: Grip) -> None:
-        """Compute the luma gradients of the blurred views, which have one size; gradients on the robot are zero."""
-        self._grip = grip
-        cameras = [view.camera for view in views]
-        self._size = np.array([cameras[0].width, cameras[0].height])
-        self._Ps = np.stack([camera.K @ camera.T_cam_world[:3] for camera in cameras])
-        slopes = [_measure_gradients(view) for view in views]
-        self._slopes = np.stack(slopes)
+    Signed gradients are averaged along a side, so that texture cancels out. The views have one size; gradients on the
+    robot are zero.
+    """
+    size = np.array([views[0].camera.width, views[0].camera.height])
+    Ps = np.stack([view.camera.K @ view.camera.T_cam_world[:3] for view in views])
+    gradients = np.stack([_measure_gradients(view) for view in views])
 
-    def measure(self, x: Array) -> float:
-        """Compute the mean contrast of the edges at the sides of a rectangle (7,), 0..1.
-
-        Signed gradients are averaged along a side, so that texture cancels out.
-        """
-        corners = place_corners(self._grip, x)
+    def measure(x: Array) -> float:
+        corners = place_corners(grip, x)
         ends = np.roll(corners, -1, axis=0)
         points = (corners[:, None] + SAMPLES[:, None] * (ends - corners)[:, None]).reshape(-1, 3)
-        cams = points @ np.swapaxes(self._Ps[:, :, :3], 1, 2) + self._Ps[:, None, :, 3]
+        cams = points @ np.swapaxes(Ps[:, :, :3], 1, 2) + Ps[:, None, :, 3]
         pixels = cams[..., :2] / np.maximum(cams[..., 2:], 1e-6)
-        columns, rows = np.moveaxis(np.clip(pixels, 0, self._size - 1).astype(np.int64), -1, 0)
+        columns, rows = np.moveaxis(np.clip(pixels, 0, size - 1).astype(np.int64), -1, 0)
         at = np.arange(len(pixels))[:, None]
-        slopes = self._slopes[at, rows, columns].reshape(len(pixels), 4, -1, 2)
+        slopes = gradients[at, rows, columns].reshape(len(pixels), 4, -1, 2)
         pixels = pixels.reshape(len(pixels), 4, -1, 2)
         along = pixels[:, :, -1] - pixels[:, :, 0]
         normals = np.stack([-along[..., 1], along[..., 0]], -1)
         normals /= np.maximum(np.linalg.norm(normals, axis=-1, keepdims=True), 1e-6)
         across = np.einsum("vsnk,vsk->vsn", slopes, normals)
         return float(np.abs(np.clip(across, -CLEAR_EDGE, CLEAR_EDGE).mean(-1)).mean() / CLEAR_EDGE)
+
+    return measure
 
 
 def _measure_gradients(view: ScanView) -> Array:
@@ -95,12 +84,12 @@ def refine_front(
             "no scan image shows the moving part from the front without the robot before it",
             REMEDY,
         )
-    edges = EdgeClearness(chosen, grip)
+    measure = measure_edges(chosen, grip)
 
     def score(candidate: Array) -> float:
-        return agreement.score(candidate, model) + EDGE_WEIGHT * edges.measure(candidate)
+        return agreement.score(candidate, model) + EDGE_WEIGHT * measure(candidate)
 
     draws = np.vstack([x, x + rng.normal(size=(DRAWS, len(x))) * SPREAD])
     _, best = improve(score, draws, STEPS)
-    confidence = agreement.measure(best, model) * edges.measure(best)
+    confidence = agreement.measure(best, model) * measure(best)
     return Front(corners_world=place_corners(grip, best), confidence=confidence)

@@ -174,13 +174,12 @@ def propose_prompts(
         points = apply(results.alignment.S_world_recon, results.structure.points_recon)
         points = points[nearest_links(points, results.configuration, rng, ROBOT_M)[0] < 0]
         own, support_z = find_object_points(points, front, rng)
-        bodies = [item for item in find_body(own, support_z, front, views, segmenter) if item.mask.any()]
-        proposals += [
-            Proposal(
-                part="static", view=item.view, box=np.array(box_of_mask(item.mask)), confidence=item.agreement
-            )
-            for item in bodies[:WANTED_IMAGES]
+        bodies = [
+            Proposal(part="static", view=view, box=np.array(box_of_mask(mask)), confidence=agreement)
+            for view, mask, agreement in find_body(own, support_z, front, views, segmenter)
+            if mask.any()
         ]
+        proposals += bodies[:WANTED_IMAGES]
     if "moving" in parts:
         proposals += _propose_moving(front, views)
     return proposals
@@ -212,11 +211,11 @@ def find_front(
         )
     with robot_masks(results.robot, camera, log) as masks_at:
         robot = masks_at(times, camera.width, camera.height)
-    change = compare_states(video.frames_srgb, robot, touch.first, touch.last)
+    after_srgb, changed, seen = compare_states(video.frames_srgb, robot, touch.first, touch.last)
     grip = Grip(T_world_first=Ts_world_ee[touch.first], T_world_last=Ts_world_ee[touch.last])
     gripper_px = camera.project(grip.T_world_last[None, :3, 3])[0][0]
-    image = segmenter.prepare("after the motion", change.after_srgb)
-    region = find_moved_region(image, change, gripper_px)
+    image = segmenter.prepare("after the motion", after_srgb)
+    region = find_moved_region(image, changed, seen, gripper_px)
     agreement = RegionAgreement(region, np.asarray(robot[touch.last :].all(0)), camera, grip)
     x, model = fit_region(agreement, rng)
     return refine_front(x, model, agreement, views, rng)

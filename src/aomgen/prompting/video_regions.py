@@ -1,14 +1,13 @@
 """Find changing regions of a demonstration video: the robot in the first frame, and the part that it has moved."""
 
-from dataclasses import dataclass
-from typing import Annotated, Final
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
 from aomgen.core.robust import compute_masked_median
-from aomgen.core.values import Array, freeze_arrays
+from aomgen.core.values import Array
 from aomgen.errors import NoMotionError
 from aomgen.segmentation.interface import Mask, PreparedImage, bound_mask
 
@@ -34,23 +33,6 @@ SIZES: Final = (0.002, 0.4)
 # Largest distance of a part from the gripper that holds it, as a share of the image's width (half a handle's length).
 NEAR: Final = 1 / 20
 REMEDY: Final = "mark the parts with `aomgen prompts`"
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class VideoChange:
-    """Image of the scene after the motion, without the robot where possible, and the changed pixels.
-
-    Attributes:
-        after_srgb: Image (H, W, 3) uint8.
-        changed: Mask (H, W) of the pixels that changed between the states before and after the motion.
-        seen: Mask (H, W) of the pixels at which the robot hides neither state.
-    """
-
-    after_srgb: Annotated[NDArray[np.uint8], "H W 3"]
-    changed: Annotated[NDArray[np.bool_], "H W"]
-    seen: Annotated[NDArray[np.bool_], "H W"]
-
-    __post_init__ = freeze_arrays
 
 
 def find_robot_boxes(frames_srgb: NDArray[np.uint8]) -> list[Array]:
@@ -87,12 +69,16 @@ def find_robot_boxes(frames_srgb: NDArray[np.uint8]) -> list[Array]:
 
 def compare_states(
     frames_srgb: NDArray[np.uint8], robot: NDArray[np.bool_], first: int, last: int
-) -> VideoChange:
+) -> tuple[NDArray[np.uint8], Mask, Mask]:
     """Compare the scene before the first frame with that after the last frame of a motion, without the robot.
 
     Args:
         frames_srgb, robot: Frames (T, H, W, 3) and the robot's masks (T, H, W) in them.
         first, last: First and last frame of the motion.
+
+    Returns:
+        Image (H, W, 3) uint8 of the scene after the motion, without the robot where possible; mask (H, W) of the pixels
+        that changed; and mask (H, W) of the pixels at which the robot hides neither state.
     """
     cross = ndimage.generate_binary_structure(2, 1)[None]
     (before, before_seen), (after, after_seen) = (
@@ -102,11 +88,8 @@ def compare_states(
         for chosen in (_spread(0, first + 1), _spread(last, len(frames_srgb)))
     )
     seen = before_seen & after_seen
-    return VideoChange(
-        after_srgb=np.where(after_seen[..., None], after, frames_srgb[-1]).astype(np.uint8),
-        changed=_differ(before, after) & seen,
-        seen=seen,
-    )
+    after_srgb = np.where(after_seen[..., None], after, frames_srgb[-1]).astype(np.uint8)
+    return after_srgb, _differ(before, after) & seen, seen
 
 
 def _spread(first: int, end: int) -> NDArray[np.int64]:
@@ -118,25 +101,26 @@ def _differ(a: NDArray[np.float32], b: NDArray[np.float32]) -> Mask:
     return np.asarray(ndimage.uniform_filter(np.abs(a - b).max(2), WINDOW) > CHANGED, bool)
 
 
-def find_moved_region(image: PreparedImage, change: VideoChange, gripper_px: Array) -> Mask:
+def find_moved_region(image: PreparedImage, changed: Mask, seen: Mask, gripper_px: Array) -> Mask:
     """Choose the segment (H, W) at the gripper with the largest likelihood, given the change of the video.
 
     The part is searched at its final position, where it covers the background; at its initial position, a door may
     reveal an interior as dark as itself.
 
     Args:
-        image: `change.after_srgb`, encoded.
+        image: Image after the motion, encoded.
+        changed, seen: Masks (H, W), see `compare_states`.
         gripper_px: Pixel (2,) of the end effector after the motion.
 
     Raises:
         NoMotionError: No segment at the gripper has changed.
     """
-    height, width = change.seen.shape
+    height, width = seen.shape
     offsets = np.arange(-REACH * width, REACH * width + 1, STEP * width)
     points = gripper_px + np.stack(np.meshgrid(offsets, offsets), -1).reshape(-1, 2)
     points = points[np.all((points >= 0) & (points < [width, height]), axis=1)]
     found = [mask for mask in image.at_points(points).masks if _fits(mask, gripper_px)]
-    gains = [_log_likelihood_ratio(mask, change) for mask in found]
+    gains = [_log_likelihood_ratio(mask, changed, seen) for mask in found]
     if not (gains and max(gains) > 0):
         raise NoMotionError(
             "demonstration video", "nothing at the gripper looks different after it has moved", REMEDY
@@ -153,8 +137,8 @@ def _fits(mask: Mask, gripper_px: Array) -> bool:
     return bool(nearest <= NEAR * mask.shape[1])
 
 
-def _log_likelihood_ratio(mask: Mask, change: VideoChange) -> float:
+def _log_likelihood_ratio(mask: Mask, changed: Mask, seen: Mask) -> float:
     """Compute the log-likelihood ratio of the hypotheses that a segment is the moved part and that it is unchanged."""
-    changed = int((mask & change.changed).sum())
-    same = int((mask & change.seen).sum()) - changed
-    return float(changed * np.log(CAME / STAYED) + same * np.log((1 - CAME) / (1 - STAYED)))
+    differ = int((mask & changed).sum())
+    same = int((mask & seen).sum()) - differ
+    return float(differ * np.log(CAME / STAYED) + same * np.log((1 - CAME) / (1 - STAYED)))

@@ -20,7 +20,7 @@ from aomgen.core.gaussians import SH_C0, Gaussians, gaussians_of
 from aomgen.core.transforms import apply, quat_from_matrix
 from aomgen.core.values import Array
 from aomgen.lighting.light_estimation import LitSamples
-from aomgen.lighting.table_shadow import ShadowedTable, select_lit_cells, shadow_gain
+from aomgen.lighting.table_shadow import select_lit_cells, shadow_gain
 from aomgen.replacement.table_texture import Photograph, continue_smoothly, photograph_surface
 from aomgen.robots.robot import RobotModel
 from aomgen.splatting.rasterizer import contribution_weights
@@ -75,11 +75,6 @@ class Cleared(NamedTuple):
     removed: int
     filled: int
 
-    @property
-    def surroundings(self) -> Gaussians:
-        """Static Gaussians, world frame."""
-        return self.twin.scene
-
 
 def clear_object(
     twin: TwinModel, robot: RobotModel, views: Sequence[Photograph], inpaint: Inpaint
@@ -97,10 +92,8 @@ def clear_object(
     """
     world = pose_twin(twin, robot, twin.scan_state)
     of_object = np.isin(twin.labels, (STATIC, MOVING))
-    scene = twin.of_scene
-    support = find_support(
-        world.means[of_object], world.opacities[of_object], world.select(scene), twin.T_world_object
-    )
+    caster, scene = world.select(of_object), twin.of_scene
+    support = find_support(caster, world.select(scene), twin.T_world_object)
     leftover = scene & (_leftover(world, support) | _hardly_seen(world, of_object, views))
     remaining = twin.select(~of_object & ~leftover)
     plan = PlanView(support=support, low=support.low - RING, high=support.high + RING, cell=CELL)
@@ -113,11 +106,8 @@ def clear_object(
     of_foot = plan.lookup(other & near, remaining.gaussians, False)
     rest = of_foot & remaining.of_scene & on_surface(remaining.gaussians, support)
     remaining = remaining.select(~rest)
-    shadowed = ShadowedTable(
-        caster=world.select(of_object), T_world_plane=support.T_world_plane, low=plan.low, cell=CELL,
-        picture_srgb=picture, known=known,
-    )  # fmt: skip
-    table, gain = select_lit_cells(shadowed, np.random.default_rng(0)), shadow_gain(shadowed)
+    table = select_lit_cells(caster, plan, picture, known, np.random.default_rng(0))
+    gain = shadow_gain(caster, plan, picture, known)
     deep = known & (gain.max(-1) > MAX_LIFT)
     known = known & ~deep
     level = remaining.of_scene & on_surface(remaining.gaussians, support)

@@ -60,7 +60,7 @@ def run(results: Results, folder: Path, progress: Progress) -> dict[str, Any]:
     (folder / BACKGROUND_FOLDER).mkdir()
     save_artifact(folder / BACKGROUND_FOLDER, "twin", background)
     obstacles = find_obstacles(
-        cleared.surroundings, cleared.support, longest_reach(results.robot), results.configuration
+        cleared.twin.scene, cleared.support, longest_reach(results.robot), results.configuration
     )
     fitted, rejected = fit_assets(results, describe_recorded_object(results, support))
     progress(0.4, "Gaussians of the assets")
@@ -143,7 +143,8 @@ def _remove_wall_shadow(results: Results, cleared: Cleared, light: SceneLight) -
     body = pose_twin(recorded, results.robot, recorded.scan_state).select(
         np.isin(recorded.labels, (STATIC, MOVING))
     )
-    scene, lamp, eyes = twin.scene, recorded.directional_light, _eyes(results)
+    scene, lamp = twin.scene, recorded.directional_light
+    eyes = np.stack([camera.center for camera in results.scan_cameras.values()])
     received = np.ones((len(twin.gaussians), 1))
     received[twin.of_scene] = cast_wall_shadow(
         scene, body, light.shown, lamp, eyes, T_world_plane, len(scene)
@@ -156,11 +157,6 @@ def _middle(cleared: Cleared) -> Array:
     support = cleared.support
     middle = np.append((support.low + support.high) / 2, support.top / 2)
     return apply(support.T_world_plane, middle)
-
-
-def _eyes(results: Results) -> Array:
-    """Centers of the scan's cameras (K, 3)."""
-    return np.stack([camera.center for camera in results.scan_cameras.values()])
 
 
 def describe_recorded_object(results: Results, support: SupportPlane) -> RecordedObject:

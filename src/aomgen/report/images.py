@@ -11,7 +11,7 @@ from aomgen.conventions import MOVING, ROBOT, STATIC
 from aomgen.core.camera import Camera
 from aomgen.core.motion import MotionEstimate
 from aomgen.core.structure import held_out
-from aomgen.core.transforms import apply
+from aomgen.core.transforms import apply, make_tangent_basis
 from aomgen.core.values import Array
 from aomgen.io.artifact import load_artifact
 from aomgen.io.images import fill_hull, read_image, resize
@@ -103,10 +103,9 @@ def map_from_above(
 
 def draw_circles(centers: Array, radii: Array, axis: Array) -> Array:
     """Compute points (K, SIDES, 3) on circles about a unit axis (3,), with centers (K, 3) and radii (K,)."""
-    first = np.cross(axis, np.eye(3)[int(np.argmin(np.abs(axis)))])
-    first /= np.linalg.norm(first)
+    first, second = make_tangent_basis(axis)
     turns = np.linspace(0, 2 * np.pi, SIDES, endpoint=False)
-    ring = np.outer(np.cos(turns), first) + np.outer(np.sin(turns), np.cross(axis, first))
+    ring = np.outer(np.cos(turns), first) + np.outer(np.sin(turns), second)
     return centers[:, None] + radii[:, None, None] * ring
 
 

@@ -144,23 +144,17 @@ class CpuRasterizer:
         if T_cam_world is None:
             T_cam_world = torch.tensor(camera.T_cam_world, dtype=torch.float32)
         Ts = T_cam_world[None] if parts is None else T_cam_world @ parts.Ts_world_part
-        call = _Call(
-            camera=camera,
-            options=options,
-            context=self.context,
-            parts=None if parts is None else parts.indices.to(torch.int32).contiguous(),
-        )
+        indices = None if parts is None else parts.indices.to(torch.int32).contiguous()
         count = len(gaussians.means)
-        if call.parts is not None and call.parts.shape != (count,):
-            raise ValueError(f"part indices have shape {tuple(call.parts.shape)}, expected ({count},)")
+        if indices is not None and indices.shape != (count,):
+            raise ValueError(f"part indices have shape {tuple(indices.shape)}, expected ({count},)")
         if Ts.ndim != 3 or Ts.shape[1:] != (4, 4) or Ts.dtype != torch.float32 or Ts.device.type != "cpu":
             raise ValueError(
                 f"poses are {tuple(Ts.shape)} {Ts.dtype} on {Ts.device}, expected (P, 4, 4) float32 on cpu"
             )
         g = gaussians
-        images = _Rasterize.apply(
-            g.means, g.quats, g.log_scales, g.logit_opacities, g.sh, g.features, Ts[:, :3], call
-        )
+        tensors = (g.means, g.quats, g.log_scales, g.logit_opacities, g.sh, Ts[:, :3])
+        images = _Rasterize.apply(self.context, camera, options, indices, g.features, *tensors)
         rgb, depth, alpha, features, median, max_id = images  # type: ignore[misc]
         return TensorRendering(
             rgb=rgb, depth=depth, alpha=alpha, features=features, median_depth=median, max_id=max_id
@@ -170,50 +164,42 @@ class CpuRasterizer:
 _NAMES = ("means", "quats", "scales", "opacities", "sh")
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Call:
-    """Arguments of a rasterization that have no gradient."""
-
-    camera: Camera
-    options: RasterOptions
-    context: native.Context
-    parts: Tensor | None
-
-    def view(self, cam_from_part: Tensor) -> native.NativeView:
-        options = self.options
-        return native_view(
-            self.camera,
-            cam_from_part.numpy(),
+class _Rasterize(torch.autograd.Function):
+    @staticmethod
+    def forward(  # type: ignore[override]
+        ctx: Any,
+        context: native.Context,
+        camera: Camera,
+        options: RasterOptions,
+        parts: Tensor | None,
+        features: Tensor | None,
+        *tensors: Tensor,
+    ) -> tuple[Tensor | None, ...]:
+        *inputs, poses = (tensor.detach().contiguous() for tensor in tensors)
+        features = None if features is None else features.detach().contiguous()
+        height, width = image_shape(camera)
+        rgb = torch.empty((3, height, width))
+        depth, alpha = torch.empty((height, width)), torch.empty((height, width))
+        drawn = None if features is None else torch.empty((height, width, features.shape[1]))
+        median = torch.empty((height, width)) if options.with_ids else None
+        max_id = torch.empty((height, width), dtype=torch.int32) if options.with_ids else None
+        scene = native.NativeScene(
+            count=len(inputs[0]),
+            sh_coefficients=inputs[4].shape[1],
+            sh_degree=options.sh_degree,
+            encoded=1,
+            feature_count=0 if features is None else features.shape[1],
+            features=_address(features),
+            parts=_address(parts),
+            **{name: tensor.data_ptr() for name, tensor in zip(_NAMES, inputs, strict=True)},
+        )
+        view = native_view(
+            camera,
+            poses.numpy(),
             background=options.background,
             antialiased=options.antialiased,
             near_depth=options.near_depth,
         )
-
-    def scene(self, inputs: list[Tensor], features: Tensor | None) -> native.NativeScene:
-        return native.NativeScene(
-            count=len(inputs[0]),
-            sh_coefficients=inputs[4].shape[1],
-            sh_degree=self.options.sh_degree,
-            encoded=1,
-            feature_count=0 if features is None else features.shape[1],
-            features=_address(features),
-            parts=_address(self.parts),
-            **{name: tensor.data_ptr() for name, tensor in zip(_NAMES, inputs, strict=True)},
-        )
-
-
-class _Rasterize(torch.autograd.Function):
-    @staticmethod
-    def forward(ctx: Any, *arguments: Any) -> tuple[Tensor | None, ...]:  # type: ignore[override]
-        call: _Call = arguments[7]
-        *inputs, poses = (tensor.detach().contiguous() for tensor in (*arguments[:5], arguments[6]))
-        features = None if arguments[5] is None else arguments[5].detach().contiguous()
-        height, width = image_shape(call.camera)
-        rgb = torch.empty((3, height, width))
-        depth, alpha = torch.empty((height, width)), torch.empty((height, width))
-        drawn = None if features is None else torch.empty((height, width, features.shape[1]))
-        median = torch.empty((height, width)) if call.options.with_ids else None
-        max_id = torch.empty((height, width), dtype=torch.int32) if call.options.with_ids else None
         images = native.Images(
             rgb=rgb.data_ptr(),
             differentiable=1,
@@ -223,10 +209,11 @@ class _Rasterize(torch.autograd.Function):
             max_id=_address(max_id),
             features=_address(drawn),
         )
-        call.context.forward(call.scene(inputs, features), call.view(poses), images)
-        ctx.call, ctx.forward_number = call, call.context.forward_number
+        context.forward(scene, view, images)
+        ctx.context, ctx.forward_number = context, context.forward_number
         # The engine reads these arrays again in the backward pass, so they must stay alive even if hooks replace saved tensors.
-        ctx.arrays_of_scene = (inputs, features)
+        ctx.arrays_of_scene = (inputs, features, parts)
+        ctx.shape_of_rgb = rgb.shape
         ctx.set_materialize_grads(False)
         ctx.mark_non_differentiable(*(image for image in (median, max_id) if image is not None))
         ctx.save_for_backward(*inputs, poses, features, drawn)
@@ -240,9 +227,9 @@ class _Rasterize(torch.autograd.Function):
             None if grad is None else grad.contiguous() for grad in grads[:4]
         )
         if by_rgb is None:
-            by_rgb = torch.zeros((3, ctx.call.camera.height, ctx.call.camera.width))
+            by_rgb = torch.zeros(ctx.shape_of_rgb)
         results = [torch.empty_like(tensor) for tensor in inputs]
-        by_poses = torch.empty_like(poses) if ctx.needs_input_grad[6] else None
+        by_poses = torch.empty_like(poses) if ctx.needs_input_grad[-1] else None
         # The engine requires this array also for constant features, which still affect the gradients of the Gaussians.
         result_features = None if features is None else torch.empty_like(features)
         images = native.ImageGradients(
@@ -257,8 +244,8 @@ class _Rasterize(torch.autograd.Function):
             cam_from_part=_address(by_poses),
             **{name: result.data_ptr() for name, result in zip(_NAMES, results, strict=True)},
         )
-        ctx.call.context.backward(images, gradients, ctx.forward_number)
-        return *results, result_features, by_poses, None
+        ctx.context.backward(images, gradients, ctx.forward_number)
+        return None, None, None, None, result_features, *results, by_poses
 
 
 def check_tensors(gaussians: GaussianTensors, device: torch.device) -> None:

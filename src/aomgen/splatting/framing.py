@@ -7,6 +7,7 @@ from numpy.typing import ArrayLike
 
 from aomgen.core.camera import Camera, look_at
 from aomgen.core.gaussians import Gaussians
+from aomgen.core.transforms import make_tangent_basis
 from aomgen.core.values import Array
 from aomgen.splatting.rasterizer import render
 
@@ -104,8 +105,7 @@ def _direction(up: Array, angles_deg: tuple[float, float]) -> Array:
     if not length > 0:
         raise ValueError("the up direction has length zero")
     up = up / length
-    first = np.cross(up, np.eye(3)[np.argmin(np.abs(up))])
-    first /= np.linalg.norm(first)
+    first, second = make_tangent_basis(up)
     azimuth, elevation = np.radians([angles_deg[0], np.clip(angles_deg[1], -89, 89)])
-    level = np.cos(azimuth) * first + np.sin(azimuth) * np.cross(up, first)
+    level = np.cos(azimuth) * first + np.sin(azimuth) * second
     return np.cos(elevation) * level + np.sin(elevation) * up

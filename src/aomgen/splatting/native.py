@@ -123,7 +123,6 @@ _SIGNATURES = {
     "aomgen_stage_times": (c_int32, (c_void_p, POINTER(c_double))),
     "aomgen_count_pairs": (c_int32, (c_void_p, POINTER(c_int64), POINTER(c_int64))),
     "aomgen_vector_throughput": (c_int32, (c_void_p, POINTER(c_double))),
-    "aomgen_counts": (c_int32, (c_void_p, POINTER(c_int64), POINTER(c_int64))),
 }
 
 
@@ -263,12 +262,6 @@ class Context:
         self._check(self._library.aomgen_stage_times(self._handle, times))
         names = ("project", "sort", "bin", "blend", "blend_backward", "project_backward")
         return dict(zip(names, times, strict=True))
-
-    def counts(self) -> tuple[int, int]:
-        """Return the numbers of visible Gaussians and of (Gaussian, tile) pairs of the last forward pass."""
-        visible, intersections = c_int64(), c_int64()
-        self._check(self._library.aomgen_counts(self._handle, visible, intersections))
-        return visible.value, intersections.value
 
     def count_pairs(self) -> tuple[int, int]:
         """Count the (Gaussian, pixel) pairs that the last differentiable forward pass evaluated and blended; slow."""

@@ -53,20 +53,6 @@ class Motion:
         return len(self.Ts_world_part)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class RenderedFrame:
-    """An image of a session, whose arrays a later frame can reuse.
-
-    Attributes:
-        image_srgb: Image (H, W, 3) uint8.
-        changed: Flags (ceil(H / 16), ceil(W / 16)) uint8: 1 for the tiles of 16 x 16 pixels that differ from the rendering
-            of the static Gaussians.
-    """
-
-    image_srgb: NDArray[np.uint8]
-    changed: NDArray[np.uint8]
-
-
 class RenderSession:
     """Rendering of static Gaussians by a static camera; it is immutable, and any number of threads may share it.
 
@@ -138,16 +124,20 @@ class RenderSession:
         parts: RigidParts | None = None,
         *,
         shade: NDArray[np.float32] | None = None,
-        into: RenderedFrame | None = None,
-    ) -> RenderedFrame:
+        into: tuple[NDArray[np.uint8], NDArray[np.uint8]] | None = None,
+    ) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
         """Render one 8-bit image with all threads.
 
         Args:
             moving: See `draw`.
             parts: See `draw`.
             shade: See `draw`.
-            into: Image of this session to overwrite. Only changed tiles are written, which is faster than rendering to a
-                new image.
+            into: Earlier result of this session to overwrite. Only changed tiles are written, which is faster than
+                rendering to a new image.
+
+        Returns:
+            Image (H, W, 3), and flags (ceil(H / 16), ceil(W / 16)): 1 for the tiles of 16 x 16 pixels that differ from the
+            rendering of the static Gaussians.
 
         Raises:
             BackendError: The engine refuses the Gaussians.
@@ -155,13 +145,14 @@ class RenderSession:
         """
         shape = (self.camera.height, self.camera.width, 3)
         if into is None:
-            into = RenderedFrame(image_srgb=np.empty(shape, np.uint8), changed=self._unknown_tiles(1)[0])
-        for array, want in ((into.image_srgb, shape), (into.changed, self._unknown_tiles(1).shape[1:])):
+            into = np.empty(shape, np.uint8), self._unknown_tiles(1)[0]
+        image_srgb, changed = into
+        for array, want in ((image_srgb, shape), (changed, self._unknown_tiles(1).shape[1:])):
             if array.shape != want or array.dtype != np.uint8 or not array.flags.c_contiguous:
                 raise ValueError(
                     f"the image has shape {array.shape} of {array.dtype}, expected {want} of uint8"
                 )
-        self._draw_one(moving, parts, shade, {"rgb8": into.image_srgb, "tiles": into.changed})
+        self._draw_one(moving, parts, shade, {"rgb8": image_srgb, "tiles": changed})
         return into
 
     def draw_many(

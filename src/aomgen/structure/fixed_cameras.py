@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from aomgen.core.camera import Camera
 from aomgen.core.lens import Lens
 from aomgen.core.recording import Intrinsics
+from aomgen.core.structure import Figures
 from aomgen.core.transforms import rotvec_from_matrix
 from aomgen.core.values import Array
 from aomgen.errors import ReconstructionError
@@ -59,20 +60,6 @@ class DemoView:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class PlacedCamera:
-    """A placed camera.
-
-    Attributes:
-        camera_recon: Optics of its undistorted frames, and pose.
-        figures: Metrics of the registration and name of the used still image (JSON values).
-    """
-
-    camera_recon: Camera
-    lens: Lens
-    figures: dict[str, object]
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
 class Resection:
     """A placed camera.
 
@@ -97,10 +84,14 @@ class Resection:
 
 def place_fixed_camera(
     work: Workspace, mapped: SparseModel, name: str, view: DemoView, scan_intrinsics: Intrinsics | None
-) -> PlacedCamera:
+) -> tuple[Camera, Lens, Figures]:
     """Find a fixed camera and its lens.
 
     A camera with the scan's image size and statement, or with none, may be the one that scanned.
+
+    Returns:
+        Optics of the undistorted frames and pose, recon frame; the lens; and metrics of the registration with the name of
+        the used still image (JSON values).
 
     Raises:
         ReconstructionError: Neither still can be placed, or they contradict each other and
@@ -110,7 +101,7 @@ def place_fixed_camera(
     stated, lens = view.intrinsics, work.lens(group)
     focal_known = stated is not None
     found = _to_fixed_camera(work, mapped, group, lens, focal_known=focal_known)
-    figures: dict[str, object] = {}
+    figures: Figures = {}
     if found:
         still, best = max(found.items(), key=lambda item: item[1].count)
         same = (lens.width, lens.height) == (mapped.lens.width, mapped.lens.height)
@@ -125,13 +116,12 @@ def place_fixed_camera(
     best = found[used[0]]
     if len(used) == 2:
         best = resect(work.links(group, used, mapped), lens, focal_known=focal_known, seed=work.seed) or best
-    camera = best.camera_recon
     figures |= {f"{still}_inliers": placed.count for still, placed in found.items()}
     figures |= {"used": list(used), "reason": reason}
     if len(found) == 2:
         angle_deg, share = difference(found["first"], found["median"])
         figures |= {"disagreement_deg": angle_deg, "disagreement_share": share}
-    return PlacedCamera(camera_recon=camera, lens=lens, figures=figures)
+    return best.camera_recon, lens, figures
 
 
 def _to_fixed_camera(

@@ -60,8 +60,8 @@ def check_poses(work: Workspace, Ts_scan_cam: dict[str, Array]) -> PoseCheck:
     limit_px = np.tan(np.radians(MAX_POSE_ERROR_DEG)) * K[0, 0]
     verdicts = check_registration(Ts_scan_cam, K, work.pairs("scan", lens), max_error_px=limit_px)
     return PoseCheck(
-        Ts_scan_cam={name: T for name, T in Ts_scan_cam.items() if verdicts[name].accepted},
-        contradicted={name: verdict.reason for name, verdict in verdicts.items() if not verdict.accepted},
+        Ts_scan_cam={name: T for name, T in Ts_scan_cam.items() if not verdicts[name][1]},
+        contradicted={name: reason for name, (_, reason) in verdicts.items() if reason},
     )
 
 

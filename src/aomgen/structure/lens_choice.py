@@ -76,7 +76,7 @@ def choose_lens(model: pycolmap.Reconstruction, stated: Intrinsics | None, *, se
             _adjust_lens(fit, kind)
             _copy_cameras(fit, check)
             adjust(check, points_only=True)
-            errors[kind] = compute_squared_errors(check)
+            errors[kind] = [(shifts**2).sum(1) for _, shifts in residuals(check)]
         return errors[kind]
 
     chosen, gain, significance = climb(held_out_errors, stated)
@@ -155,11 +155,6 @@ def compare(before: list[Array], after: list[Array]) -> tuple[float, float]:
     level = float(np.mean([np.minimum(b, limit).mean() for b, _ in pairs]))
     spread = gains.std(ddof=1) / np.sqrt(len(gains)) if len(gains) > 1 else np.inf
     return float(gains.mean() / max(level, 1e-12)), float(gains.mean() / max(spread, 1e-12))
-
-
-def compute_squared_errors(model: pycolmap.Reconstruction) -> list[Array]:
-    """Compute the squared reprojection errors of each registered image, [px^2]."""
-    return [(shifts**2).sum(1) for _, shifts in residuals(model)]
 
 
 def residuals(model: pycolmap.Reconstruction) -> list[tuple[Array, Array]]:

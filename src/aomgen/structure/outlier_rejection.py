@@ -39,31 +39,6 @@ SPLITS = 6
 SAME_PX = 1.0
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Agreement:
-    """Consistency of an image's pose with its matches.
-
-    Attributes:
-        share: Weighted share of verified matches that fit the poses, 0..1.
-        pairs: Number of pairs that were tested.
-    """
-
-    share: float
-    pairs: int
-
-    @property
-    def accepted(self) -> bool:
-        """At least half of the evidence supports the pose."""
-        return self.pairs > 0 and self.share >= MIN_SHARE
-
-    @property
-    def reason(self) -> str:
-        """One sentence for the report."""
-        if not self.pairs:
-            return f"no other image shares {MIN_MATCHES} verified matches with it"
-        return f"misregistered: {self.share:.0%} of its matches in {self.pairs} pairs fit its pose"
-
-
 @dataclass(frozen=True, kw_only=True)
 class InlierModel:
     """A model and the images that were rejected from it.
@@ -104,10 +79,10 @@ def reject_outliers(work: Workspace, mapped: SparseModel) -> InlierModel:
         dropped |= dict.fromkeys(group, reason)
     poses = {name: T for name, T in mapped.Ts_recon_cam.items() if name not in dropped}
     verdicts = check_registration(poses, mapped.K, pairs)
-    dropped |= {name: verdict.reason for name, verdict in verdicts.items() if not verdict.accepted}
+    dropped |= {name: reason for name, (_, reason) in verdicts.items() if reason}
     if dropped and len(dropped) < len(mapped.Ts_recon_cam):
         mapped = work.remap(mapped, set(dropped))
-    shares = [verdict.share for verdict in verdicts.values() if verdict.accepted]
+    shares = [share for share, reason in verdicts.values() if not reason]
     return InlierModel(mapped=mapped, dropped=dropped, worst_agreement=min(shares, default=0.0))
 
 
@@ -239,7 +214,7 @@ def epipolar_errors_px(pair: Pair, T_recon_a: Array, T_recon_b: Array, K: Array)
 
 def check_registration(
     Ts_recon_cam: dict[str, Array], K: Array, pairs: list[Pair], *, max_error_px: float = MAX_ERROR_PX
-) -> dict[str, Agreement]:
+) -> dict[str, tuple[float, str]]:
     """Check every registered image by the verified matches it has with the accepted ones.
 
     The worst image is dropped first and the rest checked again without it, so that a wrong image
@@ -250,7 +225,8 @@ def check_registration(
         max_error_px: Epipolar error of a match that agrees, [px].
 
     Returns:
-        Agreement by image name; those not `accepted` should be dropped.
+        By image name, the weighted share of its matches that fit the poses, 0..1, and the reason to drop the image; the
+        reason is empty if at least half of the evidence supports the pose.
 
     Not checked: a group of images that is wrong as a whole and agrees with itself; the largest
     group wins.
@@ -260,26 +236,31 @@ def check_registration(
         if pair.a in Ts_recon_cam and pair.b in Ts_recon_cam and len(pair.pixels_a) >= MIN_MATCHES:
             errors = epipolar_errors_px(pair, Ts_recon_cam[pair.a], Ts_recon_cam[pair.b], K)
             shares[pair.a, pair.b] = (float((errors <= max_error_px).mean()), len(errors))
-    verdicts: dict[str, Agreement] = {}
+    verdicts: dict[str, tuple[float, str]] = {}
     alive = set(Ts_recon_cam)
     while alive:
         current = {name: _agreement(name, alive, shares) for name in sorted(alive)}
-        worst = min(current, key=lambda name: current[name].share)
-        if current[worst].accepted:
+        worst = min(current, key=lambda name: current[name][0])
+        if not current[worst][1]:
             return verdicts | current
         verdicts[worst] = current[worst]
         alive.remove(worst)
     return verdicts
 
 
-def _agreement(name: str, alive: set[str], shares: dict[tuple[str, str], tuple[float, int]]) -> Agreement:
+def _agreement(
+    name: str, alive: set[str], shares: dict[tuple[str, str], tuple[float, int]]
+) -> tuple[float, str]:
     own = [
         value for (a, b), value in shares.items() if (a == name and b in alive) or (b == name and a in alive)
     ]
     if not own:
-        return Agreement(share=0.0, pairs=0)
+        return 0.0, f"no other image shares {MIN_MATCHES} verified matches with it"
     counts = np.array([count for _, count in own])
     weights = np.maximum(counts - FALSE_MATCHES, 0)
     if not weights.any():
         weights = counts
-    return Agreement(share=float(np.average([share for share, _ in own], weights=weights)), pairs=len(own))
+    mean = float(np.average([share for share, _ in own], weights=weights))
+    if mean >= MIN_SHARE:
+        return mean, ""
+    return mean, f"misregistered: {mean:.0%} of its matches in {len(own)} pairs fit its pose"

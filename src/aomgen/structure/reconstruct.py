@@ -12,13 +12,15 @@ from pathlib import Path
 
 import numpy as np
 
+from aomgen.core.camera import Camera
+from aomgen.core.lens import Lens
 from aomgen.core.progress import Progress
 from aomgen.core.recording import Intrinsics, Prompt
 from aomgen.core.structure import Figures, Structure
 from aomgen.core.values import Array
 from aomgen.errors import ReconstructionError
 from aomgen.io.images import read_image
-from aomgen.structure.fixed_cameras import DemoView, PlacedCamera, place_fixed_camera
+from aomgen.structure.fixed_cameras import DemoView, place_fixed_camera
 from aomgen.structure.given_poses import PoseCheck, check_poses, map_from_poses
 from aomgen.structure.lens_choice import choose_lens, fit_lens, lens_misfit_px, require_lens_fits
 from aomgen.structure.mapping import Workspace
@@ -98,7 +100,8 @@ def reconstruct_structure(photographs: Photographs, params: StructureParams, pro
         same = duplicates(work.pairs("scan", work.lens("scan")), prompted)
         _require_images(len(names), len(same))
         work.leave_out("scan", set(same))
-        given = _check_given_poses(work, photographs.Ts_scan_cam, set(names) - set(same))
+        known = {name: T for name, T in photographs.Ts_scan_cam.items() if name in names and name not in same}
+        given = check_poses(work, known) if known else None
         inliers, figures = _solve(work, photographs.intrinsics, len(names) - len(same), given, progress)
         progress(0.99, "placing the fixed cameras")
         placed = {
@@ -130,11 +133,6 @@ def _extract(work: Workspace, photographs: Photographs, params: StructureParams,
         progress(0.2 * index / (1 + len(photographs.demo)), "finding features")
         stills = [("first", view.first_srgb), ("median", view.median_srgb)]
         work.extract(f"demo:{name}", stills, view.intrinsics, *effort)
-
-
-def _check_given_poses(work: Workspace, Ts_scan_cam: dict[str, Array], names: set[str]) -> PoseCheck | None:
-    known = {name: T for name, T in Ts_scan_cam.items() if name in names}
-    return check_poses(work, known) if known else None
 
 
 def _solve(
@@ -220,7 +218,7 @@ def _gate(count: int, inliers: InlierModel) -> None:
 
 
 def _structure(
-    names: list[str], inliers: InlierModel, placed: dict[str, PlacedCamera], figures: Figures
+    names: list[str], inliers: InlierModel, placed: dict[str, tuple[Camera, Lens, Figures]], figures: Figures
 ) -> Structure:
     mapped = inliers.mapped
     lens = mapped.lens
@@ -236,9 +234,9 @@ def _structure(
     observations = [(p, order[name]) for p, name in mapped.observations]
     return Structure(
         cameras_recon=cameras,
-        demo_cameras_recon={name: item.camera_recon for name, item in placed.items()},
+        demo_cameras_recon={name: camera for name, (camera, _, _) in placed.items()},
         scan_lens=lens if lens.bends else None,
-        demo_lenses={name: item.lens for name, item in placed.items() if item.lens.bends},
+        demo_lenses={name: bent for name, (_, bent, _) in placed.items() if bent.bends},
         dropped=dropped,
         points_recon=mapped.points_recon,
         colors_srgb=mapped.colors_srgb,
@@ -251,7 +249,7 @@ def _structure(
             "reprojection_error_px": mapped.error_px,
             "worst_agreement": inliers.worst_agreement,
             "largest_shift_px": lens.largest_shift_px(),
-            "demo_cameras": {name: item.figures for name, item in placed.items()},
+            "demo_cameras": {name: measured for name, (_, _, measured) in placed.items()},
         }
         | figures,
     )

@@ -97,7 +97,8 @@ def extract_frames(video: Path, forced: set[str], folder: Path, progress: Progre
         if index in written or frame_name(index) in forced:
             written.add(index)
             later(index / total, "writing frames")
-            write_image(folder / FRAMES_FOLDER / frame_name(index), _rgb(frame))
+            image_srgb = np.asarray(frame.to_ndarray(format="rgb24", threads=1), np.uint8)
+            write_image(folder / FRAMES_FOLDER / frame_name(index), image_srgb)
     write_json(folder / LISTING, {"frames": sorted(written), "of": total, "looked_at": len(candidates)})
     return _paths(folder, sorted(written))
 
@@ -211,10 +212,6 @@ def _gray(frame: VideoFrame, width: int) -> NDArray[np.uint8]:
     height = round(frame.height * width / frame.width / 2) * 2
     small = frame.reformat(width=width, height=height, format="gray8", interpolation="AREA", threads=1)
     return np.asarray(small.to_ndarray(), np.uint8)
-
-
-def _rgb(frame: VideoFrame) -> NDArray[np.uint8]:
-    return np.asarray(frame.to_ndarray(format="rgb24", threads=1), np.uint8)
 
 
 def _paths(folder: Path, indices: list[int]) -> dict[str, Path]:

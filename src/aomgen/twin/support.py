@@ -60,21 +60,18 @@ def _distance(xy: Array, low: Array, high: Array) -> Array:
     return np.linalg.norm(np.maximum(np.maximum(low - xy, xy - high), 0), axis=-1)
 
 
-def find_support(
-    object_points: ArrayLike, object_opacities: ArrayLike, surroundings: Gaussians, T_world_object: Array
-) -> Support:
+def find_support(body: Gaussians, surroundings: Gaussians, T_world_object: Array) -> Support:
     """Fit the plane under an object.
 
     Args:
-        object_points: Centers of the object's Gaussians (N, 3), world frame.
-        object_opacities: Opacities of these Gaussians (N,).
+        body: Gaussians of the object, world frame.
         surroundings: Gaussians that belong neither to the object nor to the robot, world frame.
         T_world_object: Pose of the object (4, 4), which determines the directions of the sides.
 
-        Raises:
-            ReconstructionError: There is no flat surface around the object's base in the scan.
+    Raises:
+        ReconstructionError: There is no flat surface around the object's base in the scan.
     """
-    solid = np.asarray(object_points, np.float64)[np.asarray(object_opacities) > 0.2]
+    solid = body.means[body.opacities > 0.2].astype(np.float64)
     local = apply(invert(T_world_object), solid)
     low, high = np.quantile(local, 0.003, axis=0), np.quantile(local, 0.997, axis=0)
     means = apply(invert(T_world_object), surroundings.means)

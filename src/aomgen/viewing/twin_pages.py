@@ -133,11 +133,10 @@ class TwinPages:
     def _get_check(self, request: PageRequest) -> Response:
         recorded = self._viewed.last.results.recorded
         try:
-            checked = check_capture(recorded)
+            _, facts, warnings = check_capture(recorded)
         except AomgenError as error:
             return send_json({"facts": "", "warnings": [str(error)]})
-        warnings = checked.warnings + category_warnings(recorded)
-        return send_json({"facts": checked.summary(recorded), "warnings": list(warnings)})
+        return send_json({"facts": facts, "warnings": [*warnings, *category_warnings(recorded)]})
 
     def _get_scan(self, request: PageRequest) -> Response:
         index = request.parse(ScanImageRequest).index

@@ -9,7 +9,7 @@ import pytest
 from aomgen.core.camera import Camera, look_at
 from aomgen.core.gaussians import Gaussians
 from aomgen.core.progress import silent
-from aomgen.gaussians.dense_points import DensePoints
+from aomgen.gaussians.depth_fusion import Samples
 from aomgen.gaussians.train import GaussiansParams, TrainingViews, coarse, evaluate_view, initial_gaussians
 from aomgen.splatting.rasterizer import render
 from aomgen.splatting.training import train
@@ -20,14 +20,15 @@ def views_and_held_out() -> tuple[TrainingViews, list[tuple[Camera, np.ndarray]]
     rng = np.random.default_rng(0)
     directions = rng.normal(size=(300, 3))
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
-    dense = DensePoints(
+    surface = Samples(
         points_recon=0.5 * directions,
         normals_recon=directions,
-        colors_srgb=np.full((300, 3), 128),
-        sizes=np.full(300, 0.06),
-        shell=np.zeros(300, bool),
+        colors_srgb=np.full((300, 3), 128, np.uint8),
+        footprints=np.full(300, 0.06),
+        detail=np.ones(300),
+        weights=np.ones(300),
     )
-    initial = initial_gaussians(dense)
+    initial = initial_gaussians(surface, surface.select(np.zeros(300, bool)))
     ball = Gaussians(
         means=initial.means,
         quats=initial.quats,
@@ -41,7 +42,7 @@ def views_and_held_out() -> tuple[TrainingViews, list[tuple[Camera, np.ndarray]]
     ]
     images = [(render(ball, camera).rgb * 255).round().astype(np.uint8) for camera in cameras]
     views = TrainingViews(
-        dense=dense, initial=initial, cameras=cameras[:4], images_srgb=images[:4], test=["4"]
+        surface=surface.points_recon, initial=initial, cameras=cameras[:4], images_srgb=images[:4], test=["4"]
     )
     return views, [(cameras[4], images[4])]
 
@@ -59,7 +60,7 @@ def test_the_curve_ends_where_training_does() -> None:
     assert curve[-1]["psnr"] > curve[0]["psnr"]
     rng = np.random.default_rng(params.seed)
     trained = train(views.initial, views.cameras, views.images_srgb, training, silent, rng)
-    assert curve[-1]["psnr"] == pytest.approx(evaluate_view(trained, *held_out[0]).psnr_db, abs=1e-6)
+    assert curve[-1]["psnr"] == pytest.approx(evaluate_view(trained, *held_out[0])[0], abs=1e-6)
 
 
 def test_a_gain_is_fitted_for_every_channel() -> None:

@@ -28,9 +28,9 @@ def test_poses_are_read_and_described(capture_copy: Path) -> None:
     assert capture.scan_poses.metric
     assert capture.scan_images == before.scan_images
     assert capture_digest(capture) != capture_digest(before)
-    checked = check_capture(capture)
-    assert "64 images, 640 x 480, 60 with a pose in meters" in checked.summary(capture)
-    (warning,) = [sentence for sentence in checked.warnings if SCAN_POSES_FILE in sentence]
+    _, facts, warnings = check_capture(capture)
+    assert "64 images, 640 x 480, 60 with a pose in meters" in facts
+    (warning,) = [sentence for sentence in warnings if SCAN_POSES_FILE in sentence]
     assert "1 images that are not in the scan (gone.jpg)" in warning
 
 

@@ -17,7 +17,7 @@ from aomgen.gaussians.background import (
     explain,
     far_shell,
 )
-from aomgen.gaussians.dense_points import DensePoints, nearest_depth, reduce_view
+from aomgen.gaussians.dense_points import nearest_depth, reduce_view
 from aomgen.gaussians.depth_fusion import DepthMap, Samples, count_confirmations, plane_sweep, thin
 from aomgen.gaussians.train import initial_gaussians
 from aomgen.structure.mapping import choose_pairs
@@ -113,10 +113,11 @@ def test_dominant_planes_are_found_in_clutter():
     rng = np.random.default_rng(2)
     floor = np.concatenate([rng.uniform(-2, 2, (3000, 2)), rng.normal(0, 0.004, (3000, 1))], 1)
     wall = np.stack([rng.uniform(-2, 2, 2000), rng.normal(2, 0.004, 2000), rng.uniform(0, 2, 2000)], 1)
-    planes = dominant_planes(np.concatenate([floor, wall, rng.uniform(-2, 2, (1500, 3))]))
-    assert abs(planes[0].normal[2]) > 0.9999
-    assert abs(planes[0].offset) < 0.005
-    assert abs(planes[1].normal[1]) > 0.9999
+    clutter = rng.uniform(-2, 2, (1500, 3))
+    (first, offset, _), (second, _, _), *_ = dominant_planes(np.concatenate([floor, wall, clutter]))
+    assert abs(first[2]) > 0.9999
+    assert abs(offset) < 0.005
+    assert abs(second[1]) > 0.9999
     assert dominant_planes(rng.normal(size=(2000, 3)), min_share=0.2) == []
 
 
@@ -173,14 +174,15 @@ def test_a_sharp_edge_at_infinity_leaves_no_hole():
 def test_initial_gaussians_lie_flat_on_the_surface():
     grid = np.stack(np.meshgrid(np.arange(10), np.arange(10)), -1).reshape(-1, 2) * 0.1
     count = len(grid)
-    dense = DensePoints(
+    surface = Samples(
         points_recon=np.concatenate([grid, np.zeros((count, 1))], 1),
         normals_recon=np.tile([0.0, 0.6, 0.8], (count, 1)),
         colors_srgb=np.full((count, 3), 255, np.uint8),
-        sizes=np.full(count, 0.1),
-        shell=np.zeros(count, bool),
+        footprints=np.full(count, 0.1),
+        detail=np.ones(count),
+        weights=np.ones(count),
     )
-    gaussians = initial_gaussians(dense)
+    gaussians = initial_gaussians(surface, surface.select(np.zeros(count, bool)))
     thin_axis = matrix_from_quat(gaussians.quats)[:, :, 2]
     assert np.allclose(thin_axis, [0, 0.6, 0.8], atol=1e-5)
     assert np.all(gaussians.scales[:, 2] < 0.5 * gaussians.scales[:, 0])

@@ -12,7 +12,7 @@ from aomgen.core.progress import Progress, silent
 from aomgen.core.project import Project
 from aomgen.core.structure import Structure
 from aomgen.gaussians import train as module
-from aomgen.gaussians.dense_points import DensePoints
+from aomgen.gaussians.depth_fusion import Samples
 from aomgen.gaussians.stage import CHECKPOINT_FILE, train_in
 from aomgen.gaussians.train import GaussiansParams, coarse
 from aomgen.io.images import write_image
@@ -40,17 +40,20 @@ def cameras() -> dict[str, Camera]:
     }
 
 
-def dense_points(count: int = 400) -> DensePoints:
+def dense_points(count: int = 400) -> tuple[Samples, Samples]:
     rng = np.random.default_rng(0)
     directions = rng.normal(size=(count, 3))
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
-    return DensePoints(
+    points = Samples(
         points_recon=np.concatenate([0.5 * directions, 100 * directions[:50]]),
         normals_recon=np.concatenate([directions, -directions[:50]]),
-        colors_srgb=rng.integers(0, 255, (count + 50, 3)),
-        sizes=np.concatenate([np.full(count, 0.05), np.full(50, 20.0)]),
-        shell=np.arange(count + 50) >= count,
+        colors_srgb=rng.integers(0, 255, (count + 50, 3)).astype(np.uint8),
+        footprints=np.concatenate([np.full(count, 0.05), np.full(50, 20.0)]),
+        detail=np.ones(count + 50),
+        weights=np.ones(count + 50),
     )
+    of_shell = np.arange(count + 50) >= count
+    return points.select(~of_shell), points.select(of_shell)
 
 
 @pytest.fixture
@@ -59,7 +62,7 @@ def scan(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> tuple[Structure, di
     rng = np.random.default_rng(1)
     points = dense_points()
     ball = Gaussians(
-        means=points.points_recon[:400],
+        means=points[0].points_recon,
         quats=np.tile([1.0, 0, 0, 0], (400, 1)),
         scales=np.full((400, 3), 0.06),
         opacities=np.full(400, 0.95),
@@ -132,7 +135,7 @@ def test_the_runner_keeps_what_a_killed_stage_left(
     listed = next(stage for stage in STAGES if stage.name == "gaussians")
 
     def work(results: Results, folder: Path, progress: Progress) -> dict[str, object]:
-        return {"gaussians": len(train_in(folder, *scan, progress, PARAMS).gaussians_recon)}
+        return {"gaussians": train_in(folder, *scan, progress, PARAMS)["gaussians"]}
 
     def go(out: str, *, seed: int, stop: bool) -> list[str]:
         stage = replace(listed, needs=("capture",), settings=("seed",), function=work)

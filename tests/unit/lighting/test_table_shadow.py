@@ -3,7 +3,9 @@ import pytest
 
 from aomgen.conventions import illuminate_srgb, linear_from_srgb, srgb_from_linear
 from aomgen.core.gaussians import gaussians_of
-from aomgen.lighting.table_shadow import ShadowedTable, shadow_gain
+from aomgen.lighting.table_shadow import shadow_gain
+from aomgen.twin.plan_view import PlanView
+from aomgen.twin.support import Support
 
 CELL = 0.004
 TABLE_SRGB = np.array([0.7, 0.55, 0.4])
@@ -35,15 +37,9 @@ def lit_share(xy, half, height, directions, light):
     return total / light.sum()
 
 
-def table_of(half, height, picture, known):
-    return ShadowedTable(
-        caster=box(half, height),
-        T_world_plane=np.eye(4),
-        low=np.full(2, -0.3),
-        cell=CELL,
-        picture_srgb=picture,
-        known=known,
-    )
+LOW, HIGH = np.full(2, -0.3), np.full(2, 0.3)
+SUPPORT = Support(T_world_plane=np.eye(4), low=LOW, high=HIGH, reach_low=LOW, reach_high=HIGH, top=0.15)
+PLAN = PlanView(support=SUPPORT, low=LOW, high=HIGH, cell=CELL)
 
 
 @pytest.fixture(scope="module")
@@ -66,7 +62,7 @@ def test_a_shadow_of_sky_and_lamp_is_taken_away(scene):
     half, height, xy, share = scene
     picture = srgb_from_linear(linear_from_srgb(TABLE_SRGB) * share[..., None])
     known = np.abs(xy).max(-1) > half + 0.012
-    gain = shadow_gain(table_of(half, height, picture, known))
+    gain = shadow_gain(box(half, height), PLAN, picture, known)
     left, before = np.abs(illuminate_srgb(picture, gain) - TABLE_SRGB), np.abs(picture - TABLE_SRGB)
     deep, shadowed = known & (share < 0.5), known & (share < 0.95)
     assert deep.sum() > 500
@@ -81,7 +77,7 @@ def test_a_table_without_a_shadow_stays_as_it_is(scene):
     slope = 1 + 0.3 * xy[..., :1]
     picture = srgb_from_linear(linear_from_srgb(TABLE_SRGB) * slope)
     known = np.abs(xy).max(-1) > half + 0.012
-    gain = shadow_gain(table_of(half, height, picture, known))
+    gain = shadow_gain(box(half, height), PLAN, picture, known)
     far = np.abs(xy).max(-1) > half + 0.08
     assert (illuminate_srgb(picture, gain) / picture)[far].max() < 1.1
 
@@ -89,5 +85,5 @@ def test_a_table_without_a_shadow_stays_as_it_is(scene):
 def test_of_a_table_that_nobody_saw_nothing_is_said(scene):
     half, height, xy, _ = scene
     unknown = np.zeros(xy.shape[:2], bool)
-    gain = shadow_gain(table_of(half, height, np.zeros((*xy.shape[:2], 3)), unknown))
+    gain = shadow_gain(box(half, height), PLAN, np.zeros((*xy.shape[:2], 3)), unknown)
     assert (gain == 1).all()

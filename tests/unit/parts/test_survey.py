@@ -135,11 +135,11 @@ def test_sides_are_named_as_the_robot_sees_them():
     rng = np.random.default_rng(0)
     points = rng.uniform([-0.2, -1.1, 0.0], [0.2, -0.9, 0.3], (4000, 3))
     forward = np.array([0.0, -1.0])
-    normals = {side.name: side.normals[0] for side in list_object_sides(points, forward)}
+    normals = {name: own[0] for name, _, own in list_object_sides(points, forward)}
     assert normals["the near side of the object"] == pytest.approx([0, 1, 0], abs=0.02)
     assert normals["the left side of the object"] == pytest.approx([1, 0, 0], abs=0.02)
     assert normals["the top of the object"] == pytest.approx([0, 0, 1])
-    middles = {side.name: side.points.mean(0) for side in list_table_sides(points, forward)}
+    middles = {name: own.mean(0) for name, own, _ in list_table_sides(points, forward)}
     assert middles["the table behind the object"][1] < -1.1
     assert middles["the table right of the object"][0] < -0.2
     assert middles["the table before the object"][2] == pytest.approx(0.0, abs=0.01)

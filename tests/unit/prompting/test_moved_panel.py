@@ -156,8 +156,8 @@ def test_the_body_stands_on_its_support_and_gets_its_depth_from_segments():
     }
     views = [view(name, item) for name, item in cameras.items()]
     found = find_body(own, support_z, front, views, Outlines(true, cameras))
-    assert {item.view.name for item in found} == {"left.jpg", "right.jpg"}
-    assert min(item.agreement for item in found) > 0.85
+    assert {shown.name for shown, _, _ in found} == {"left.jpg", "right.jpg"}
+    assert min(agreement for _, _, agreement in found) > 0.85
     with pytest.raises(ReconstructionError, match="no scan image shows the whole object"):
         find_body(own, support_z, front, [views[2]], Outlines(true, cameras))
     with pytest.raises(ReconstructionError, match="0 points of the scan are below"):

@@ -178,17 +178,16 @@ def test_images_of_another_type_are_refused() -> None:
 
 
 def _pictures_of_another_kind() -> None:
-    from aomgen.splatting.session import RenderedFrame, RenderSession
+    from aomgen.splatting.session import RenderSession
 
     session = RenderSession(scatter(5), CAMERA)
-    good = session.picture(scatter(5))
-    image, changed = good.image_srgb, good.changed
+    image, changed = session.picture(scatter(5))
     for bad in (
-        RenderedFrame(image_srgb=image[:, :-1], changed=changed),
-        RenderedFrame(image_srgb=np.repeat(image, 2, 1)[:, ::2], changed=changed),
-        RenderedFrame(image_srgb=image.astype(np.float32), changed=changed),
-        RenderedFrame(image_srgb=image, changed=changed[:1]),
-        RenderedFrame(image_srgb=image, changed=changed[:, ::-1]),
+        (image[:, :-1], changed),
+        (np.repeat(image, 2, 1)[:, ::2], changed),
+        (image.astype(np.float32), changed),
+        (image, changed[:1]),
+        (image, changed[:, ::-1]),
     ):
         expect(ValueError, lambda: session.picture(scatter(5), into=bad))  # noqa: B023
 

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from aomgen.core.asset import BoxCollider
 from aomgen.core.mesh import NUMBERS, Mesh
-from aomgen.core.transforms import transform
+from aomgen.core.transforms import make_tangent_basis, transform
 from aomgen.core.values import Array
 
 # Distance between a print and its surface, [m]: large enough to avoid z-fighting, too small to be visible.
@@ -232,9 +232,7 @@ def rod(
     """
     start, end = np.asarray(start, np.float64), np.asarray(end, np.float64)
     along = (end - start) / np.linalg.norm(end - start)
-    first = np.cross(along, np.eye(3)[np.argmin(np.abs(along))])
-    first /= np.linalg.norm(first)
-    second = np.cross(along, first)
+    first, second = make_tangent_basis(along)
     angles = np.arange(sides + 1) * 2 * np.pi / sides
     ring = radius * (np.cos(angles)[:, None] * first + np.sin(angles)[:, None] * second)
     share = angles / (2 * np.pi)
