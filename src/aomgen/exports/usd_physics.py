@@ -87,7 +87,7 @@ def find_drives(scene: Scene) -> dict[int, Drive]:
     for row, actuator in enumerate(arm.actuators):
         joint = int(model.actuator_trnid[actuator, 0])
         drives[joint] = Drive(float(arm.kp[row]), float(arm.kv[row]), float(arm.torques[row]))
-    number = scene.gripper.actuator
+    number = model.actuator(scene.gripper.actuator).id
     shares = actuated_joints(model, number)
     total = sum(shares.values())
     kp, kv = -model.actuator_biasprm[number, 1], -model.actuator_biasprm[number, 2]

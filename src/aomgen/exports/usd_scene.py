@@ -169,7 +169,7 @@ def _commanded_joints(motion: SceneMotion, scene: Scene) -> Iterator[tuple[int, 
         yield joint.id, motion.commands[:, row] - model.qpos0[joint.qposadr[0]]
     opened, closed = gripper.driver_range
     values = opened + motion.commands[:, -1] * (closed - opened)
-    actuated = actuated_joints(model, gripper.actuator)
+    actuated = actuated_joints(model, model.actuator(gripper.actuator).id)
     targets = {joint: values - model.qpos0[model.jnt_qposadr[joint]] for joint in actuated}
     for joint, (leader, offset, ratio) in coupled_joints(model, actuated).items():
         targets[joint] = offset + ratio * targets[leader]
