@@ -10,9 +10,10 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from aomgen.conventions import BACKGROUND, illuminate_srgb
+from aomgen.conventions import BACKGROUND
 from aomgen.core.asset import ArticulatedAsset
 from aomgen.core.camera import Camera
+from aomgen.core.exposure import change_exposure
 from aomgen.core.gaussians import Gaussians
 from aomgen.core.keypoints import find_keypoints, move_keypoints, project_keypoints
 from aomgen.core.plan import FittedAsset, LightChange
@@ -132,7 +133,7 @@ class ImageRoom:
                     "gripper": float(states.gripper[t]),
                     "T_world_ee": Ts_world_ee[t].tolist(),
                 }
-                lit = illuminate_image(image, light_gains(self._scenes.draw_light(rng)))
+                lit = change_exposure(image, light_gains(self._scenes.draw_light(rng)))
                 yield {
                     "jpg": encode_jpeg(lit, JPEG_QUALITY, halve_colors=False),
                     "labels.png": encode_png(labels[t], PNG_LEVEL),
@@ -147,13 +148,6 @@ class ImageRoom:
         middle = apply(T, np.append((low + high)[:2] / 2, 0.0))[:2]
         taken = middle, CLUTTER_GAP * float(np.linalg.norm((high - low)[:2])) / 2
         return place_clutter(self._clutter, room.light, room.T_world_plane, self._scenes.table, taken, rng)
-
-
-def illuminate_image(image_srgb: NDArray[np.uint8], gains: Array) -> NDArray[np.uint8]:
-    """Multiply the linear colors of an image (H, W, 3) by factors (3,)."""
-    levels = illuminate_srgb(np.arange(256)[:, None] / 255, gains)
-    table = np.rint(255 * np.minimum(levels, 1)).astype(np.uint8)
-    return np.stack([table[image_srgb[..., channel], channel] for channel in range(3)], -1)
 
 
 def _lower(surfels: Surfels) -> Surfels:
