@@ -23,7 +23,7 @@ from aomgen.robots.description import (
 )
 from aomgen.robots.gripper import settle_fingers
 from aomgen.robots.gripper_surface import (
-    SurfaceSamples,
+    Skins,
     find_contact_row,
     find_face,
     find_fingers,
@@ -189,7 +189,7 @@ def _between(T_left: Array, T_right: Array) -> Array:
 
 def _find_closing(
     hand: _Hand,
-    skins: Mapping[int, SurfaceSamples],
+    skins: Skins,
     actuated: Sequence[str],
     stated: Mapping[str, tuple[float, float]],
 ) -> tuple[Mapping[str, tuple[float, float]], Array, tuple[int, int]]:
