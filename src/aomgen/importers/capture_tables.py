@@ -163,8 +163,7 @@ def _write_demo(tables: DemoTables, kept: dict[str, str]) -> str:
     demo = f'[demo]\njoints = "{JOINTS_FILE}"\n'
     if tables.clock_offset_s is not None:
         demo += (
-            f"# clock_offset_s = {tables.clock_offset_s:.6f}   # by the stamps of the recording, without the "
-            "latency of "
+            f"# clock_offset_s = {tables.clock_offset_s:.6f}   # by the stamps of the recording, without the latency of "
             "the camera; estimated when absent\n"
         )
     return "\n".join([*parts, demo])
