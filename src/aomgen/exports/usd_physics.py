@@ -12,7 +12,7 @@ from typing import Any, Final
 import mujoco
 import numpy as np
 
-from aomgen.assets.usd_write import quat_from_x, set_attribute, set_resistance
+from aomgen.assets.usd_write import make_identifier, quat_from_x, set_attribute, set_resistance
 from aomgen.core.transforms import matrix_from_quat, quat_multiply
 from aomgen.core.values import Array
 from aomgen.exports.usd_colliders import add_colliders, exclude_contacts
@@ -156,7 +156,7 @@ def _bind_to_parent(
     else:
         slides = model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_SLIDE
         kind = UsdPhysics.PrismaticJoint if slides else UsdPhysics.RevoluteJoint
-        item = kind.Define(stage, f"{group}/joints/{_identifier(model.joint(joint).name)}")
+        item = kind.Define(stage, f"{group}/joints/{make_identifier(model.joint(joint).name)}")
         item.CreateAxisAttr("X")
         if model.jnt_limited[joint]:
             start = model.qpos0[model.jnt_qposadr[joint]]
@@ -245,9 +245,3 @@ def _vec3f(values: Array) -> Any:
     from pxr import Gf
 
     return Gf.Vec3f(*(float(x) for x in values))
-
-
-def _identifier(name: str) -> str:
-    from pxr import Tf
-
-    return str(Tf.MakeValidIdentifier(name))
