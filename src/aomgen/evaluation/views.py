@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import Any, Final, Literal, Protocol, get_args
+from typing import Any, Final, Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,16 +28,11 @@ AMBIENT, DIFFUSE = 0.5, 0.5
 Images = dict[str, NDArray[np.uint8]]
 
 
-class TrialViews(Protocol):
-    """Renderer of the states of one trial; each state is a trajectory of one sample."""
-
-    def draw(self, reached: Trajectory) -> Images:
-        """Image (H, W, 3) of every camera."""
-        ...
-
-
 class SplatViews:
-    """Renderer of a trial from Gaussians, like an episode; `carried` names additional cameras of the robot."""
+    """Renderer of a trial from Gaussians, like an episode; `carried` names additional cameras of the robot.
+
+    Each rendered state is a trajectory of one sample.
+    """
 
     def __init__(
         self,
@@ -128,4 +123,5 @@ class SimulatorViews:
         return np.where((depth < FAR_M)[..., None], shown, wall)
 
 
+TrialViews = SplatViews | SimulatorViews
 KINDS: Final[Mapping[str, Any]] = {"splat": SplatViews, "simulator": SimulatorViews}
