@@ -76,10 +76,6 @@ class ImageSetRequest:
         """Return the number of shards."""
         return -(-self.images // self.per_object)
 
-    def count_images(self, shard: int) -> int:
-        """Return the number of images in a shard; the last shard may be smaller."""
-        return min(self.per_object, self.images - shard * self.per_object)
-
     def check(self) -> None:
         """Refuse an invalid request.
 
@@ -166,7 +162,8 @@ def write_shard(room: ImageRoom, folder: Path, request: ImageSetRequest, shard: 
     asset, origin = request.open_object(shard)
     facts = {"asset": asset.name, "category": asset.category, **origin, "seed": request.seed, "shard": shard}
     rng = np.random.default_rng([request.seed, shard])
-    count = request.count_images(shard)
+    # The last shard may be smaller.
+    count = min(request.per_object, request.images - shard * request.per_object)
     data = io.BytesIO()
     with tarfile.open(fileobj=data, mode="w", format=tarfile.USTAR_FORMAT) as tar:
         for number, files in enumerate(room.render(asset, facts, count, rng)):

@@ -77,7 +77,8 @@ class ImageRoom:
         light = SceneLight(arriving=scene.light, tone=ToneCurve(), source=scene.light_source)
         T = placed.T_world_asset
         fine, coarse = cover_asset(asset, rng)
-        static, moving = (_lower(show_in_light(link, light, T[:3, :3])) for link in fine)
+        lit = (show_in_light(link, light, T[:3, :3]) for link in fine)
+        static, moving = (replace(item, gaussians=item.gaussians.with_sh_degree(SH_DEGREE)) for item in lit)
         twin = with_object(self._background, static, moving, asset.joint, scene.light, T)
         blocking = with_object(self._background, *coarse, asset.joint, scene.light, T)
         soft = tabulate_object_shadow(blocking, scene.T_world_plane, 1)
@@ -148,10 +149,6 @@ class ImageRoom:
         middle = apply(T, np.append((low + high)[:2] / 2, 0.0))[:2]
         taken = middle, CLUTTER_GAP * float(np.linalg.norm((high - low)[:2])) / 2
         return place_clutter(self._clutter, room.light, room.T_world_plane, self._scenes.table, taken, rng)
-
-
-def _lower(surfels: Surfels) -> Surfels:
-    return replace(surfels, gaussians=surfels.gaussians.with_sh_degree(SH_DEGREE))
 
 
 def _describe_view(
