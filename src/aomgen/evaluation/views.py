@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from aomgen.assets.mjcf import VISUAL_GROUP
 from aomgen.core.camera import Camera
-from aomgen.core.demonstration import SceneTrajectory, Trajectory
+from aomgen.core.demonstration import Trajectory
 from aomgen.core.plan import FittedAsset, Variation
 from aomgen.core.values import Array
 from aomgen.episodes.camera_views import FixedViews, MovingView
@@ -64,17 +64,7 @@ class SplatViews:
         return {name: item["rgb8"][0] for name, item in drawn.items()}
 
     def _states(self, reached: Trajectory) -> Any:
-        return states_of(
-            self._twin,
-            self._robot,
-            SceneTrajectory(
-                times_s=reached.times_s,
-                joints=reached.joints,
-                gripper=reached.gripper,
-                thetas=reached.thetas,
-                T_world_object=self._T,
-            ),
-        )
+        return states_of(self._twin, self._robot, reached.with_object(self._T))
 
 
 class SimulatorViews:
