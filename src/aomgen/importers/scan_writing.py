@@ -54,7 +54,7 @@ class Layout:
         upright: Whether EXIF's orientation is applied.
         quarter_turn: Whether the image is rotated by 90 degrees afterwards, so that all images have one size.
         width, height: Size after these rotations, [px].
-        camera: Camera model at this size.
+        image: Source image, whose camera model is that of this size.
     """
 
     upright: bool
