@@ -8,7 +8,7 @@ import numpy as np
 
 from aomgen.core.plan import Rejection, Variation
 from aomgen.core.project import Project
-from aomgen.core.verdict import Check, Hold, Setting, SettingOutcome, Verdict
+from aomgen.core.verdict import Check, Setting, SettingOutcome, Verdict
 from aomgen.episodes.ledger import Request, Unit, write_draws, write_rejection, write_request
 from aomgen.io.episode_folder import commit_episode
 from aomgen.io.video import encode_video
@@ -33,7 +33,8 @@ def make_verdict(torque_share: float) -> Verdict:
             final_theta=1.2,
             peak_force_n=40.0,
             peak_reaction_n=10.0,
-            hold=Hold(first_s=0.1, last_s=1.0, first_theta=0.0, last_theta=1.2),
+            hold_s=(0.1, 1.0),
+            hold_thetas=(0.0, 1.2),
             checks=(
                 Check(reason="torque", figure="torque_share", value=share, limit=0.9),
                 Check(reason="target", figure="target_share", value=1.0, limit=0.9, least=True),

@@ -114,22 +114,17 @@ def complete(
     notes = [*drawn.notes]
     links = []
     for link in (static, moving):
-        plausible = _with_plausible_mass(link)
-        if plausible.mass != link.mass:
+        density, mass = link.mass / link.volume, FALLBACK_DENSITY * link.volume
+        # Another density is implausible for furniture or appliances.
+        if not DENSITIES[0] <= density <= DENSITIES[1]:
             notes.append(
-                f"'{link.name}' weighs {link.mass:.3g} kg in the file, {link.mass / link.volume:.3g} kg/m^3 of its "
-                f"colliders; {plausible.mass:.2f} kg are assumed"
+                f"'{link.name}' weighs {link.mass:.3g} kg in the file, {density:.3g} kg/m^3 of its colliders; "
+                f"{mass:.2f} kg are assumed"
             )
-        links.append(plausible)
+            link = replace(link, mass=mass)
+        links.append(link)
     asset = find_handle(close(replace(drawn, static=links[0], moving=links[1])))
     return replace(to_asset_frame(clear_path(asset)), notes=tuple(notes))
-
-
-def _with_plausible_mass(link: AssetLink) -> AssetLink:
-    """Return the link, with a mass of usual density if its own is implausible for furniture or appliances."""
-    low, high = DENSITIES
-    plausible = low <= link.mass / link.volume <= high
-    return link if plausible else replace(link, mass=FALLBACK_DENSITY * link.volume)
 
 
 def clear_path(asset: ArticulatedAsset) -> ArticulatedAsset:

@@ -102,7 +102,8 @@ def read_material(material: Any, folder: Path, fallback: Material) -> Material:
     if shader is None:
         return fallback
     color = _value(shader, _SLOTS[COLOR])
-    base = replace(fallback, opacity=GLASS_OPACITY) if _is_glass(shader) else fallback
+    is_glass = str(shader.GetSourceAssetSubIdentifier("mdl")).startswith("OmniGlass")
+    base = replace(fallback, opacity=GLASS_OPACITY) if is_glass else fallback
     found = {name: _value(shader, _SLOTS[name]) for name in NUMBERS}
     numbers = {name: float(getattr(base, name) if value is None else value) for name, value in found.items()}
     images = {name: _read_slot(shader, name, numbers, folder) for name in _SLOTS}
@@ -124,10 +125,6 @@ def _surface(material: Any) -> Any | None:
         if shader:
             return shader
     return None
-
-
-def _is_glass(shader: Any) -> bool:
-    return str(shader.GetSourceAssetSubIdentifier("mdl")).startswith("OmniGlass")
 
 
 def _input(shader: Any, name: str) -> Any | None:

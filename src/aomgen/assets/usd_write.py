@@ -59,7 +59,7 @@ def write_usd(asset: ArticulatedAsset, path: Path) -> None:
         raise ConfigError(path, "would hold no textures", "choose one of .usda, .usdc")
     stage = new_stage(path)
     UsdPhysics.SetStageKilogramsPerUnit(stage, 1.0)
-    root = UsdGeom.Xform.Define(stage, f"/{_identifier(asset.name)}")
+    root = UsdGeom.Xform.Define(stage, f"/{make_identifier(asset.name)}")
     stage.SetDefaultPrim(root.GetPrim())
     UsdPhysics.ArticulationRootAPI.Apply(root.GetPrim())
     root.GetPrim().SetDisplayName(asset.name)
@@ -94,7 +94,7 @@ class _Writer:
         """Add a link with meshes, materials and colliders; return its prim path."""
         from pxr import UsdGeom, UsdPhysics
 
-        path = f"{self.root}/{_identifier(link.name)}"
+        path = f"{self.root}/{make_identifier(link.name)}"
         prim = UsdGeom.Xform.Define(self.stage, path).GetPrim()
         UsdPhysics.RigidBodyAPI.Apply(prim)
         UsdPhysics.MassAPI.Apply(prim).CreateMassAttr(float(link.mass))
@@ -111,7 +111,7 @@ class _Writer:
     def _mesh(self, mesh: Mesh, link_path: str, link_name: str) -> None:
         from pxr import Sdf, UsdGeom, UsdShade, Vt
 
-        name = _identifier(mesh.name)
+        name = make_identifier(mesh.name)
         item = UsdGeom.Mesh.Define(self.stage, f"{link_path}/visual/{name}")
         points = Vt.Vec3fArray.FromNumpy(np.ascontiguousarray(mesh.vertices, np.float32))
         item.CreatePointsAttr(points)
@@ -126,7 +126,7 @@ class _Writer:
                 "st", Sdf.ValueTypeNames.TexCoord2fArray, UsdGeom.Tokens.faceVarying
             )
             primvar.Set(Vt.Vec2fArray.FromNumpy(np.ascontiguousarray(mesh.uvs.reshape(-1, 2), np.float32)))
-        files = f"{_identifier(link_name)}_{name}"
+        files = f"{make_identifier(link_name)}_{name}"
         material = self._material(mesh, f"{link_path}/materials/{name}", files)
         UsdShade.MaterialBindingAPI.Apply(item.GetPrim()).Bind(material)
 
@@ -180,7 +180,7 @@ class _Writer:
     def _collider(self, collider: BoxCollider, link_path: str) -> None:
         from pxr import Gf, UsdGeom, UsdPhysics, UsdShade
 
-        cube = UsdGeom.Cube.Define(self.stage, f"{link_path}/collision/{_identifier(collider.name)}")
+        cube = UsdGeom.Cube.Define(self.stage, f"{link_path}/collision/{make_identifier(collider.name)}")
         cube.CreateSizeAttr(2.0)
         cube.CreatePurposeAttr(UsdGeom.Tokens.guide)
         cube.GetPrim().SetDisplayName(collider.name)
@@ -293,7 +293,8 @@ def _vector(values: Array) -> Any:
     return Gf.Vec3d(*(float(v) for v in values))
 
 
-def _identifier(name: str) -> str:
+def make_identifier(name: str) -> str:
+    """Convert a name to a valid name of a USD prim."""
     from pxr import Tf
 
     return str(Tf.MakeValidIdentifier(name))

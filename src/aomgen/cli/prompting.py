@@ -1,5 +1,6 @@
 """`aomgen prompts`: mark robot and object parts in a browser."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
@@ -43,11 +44,13 @@ def _ask_about_files(capture: Path) -> None:
     """Write a capture.toml from the contents of the folder and the corrections of the user."""
     from aomgen.importers.found_files import describe_capture, find_capture_files
 
-    found = find_capture_files(capture)
+    found, columns = find_capture_files(capture)
     print(f"{capture} has no capture.toml; confirm or correct the detected values")
-    robot = typer.prompt("robot: a known name, or a URDF or MJCF file in the folder", found.robot or None)
-    print(f"columns of the log: {', '.join(found.columns)}")
+    question = "robot: a known name, or a URDF or MJCF file in the folder"
+    robot = typer.prompt(question, found.robot_model or None)
+    print(f"columns of the log: {', '.join(columns)}")
     joints = typer.prompt("joints of the arm, from base to flange", ", ".join(found.joints) or None)
     gripper = typer.prompt("gripper", found.gripper or None)
     listed = [name.strip() for name in joints.split(",")]
-    print(f"wrote {describe_capture(capture, found, robot, listed, gripper)}")
+    tables = replace(found, robot_model=robot, joints=listed, gripper=gripper)
+    print(f"wrote {describe_capture(capture, tables, columns)}")

@@ -33,10 +33,9 @@ def scan(
     from aomgen.core.progress import silent
     from aomgen.importers.scan_import import CAPTURE_FILE, import_scan
 
-    done = import_scan(source, capture, long_side, silent)
-    written = done.written
+    kind, written, is_new = import_scan(source, capture, long_side, silent)
     lens = f", lens distortion removed from {written.resampled}" if written.resampled else ""
-    print(f"{done.kind}: {len(written.names)} images, {written.width} x {written.height}{lens}")
+    print(f"{kind}: {len(written.names)} images, {written.width} x {written.height}{lens}")
     if written.poses:
         unit = " in meters" if written.poses.metric else ""
         print(f"  {len(written.poses.Ts_scan_cam)} poses{unit}, to be checked by structure from motion")
@@ -45,5 +44,5 @@ def scan(
     for sentence in written.warnings:
         print(f"  warning: {sentence}")
     print(f"wrote {capture / 'scan'}")
-    if done.is_new:
+    if is_new:
         print(f"next: complete {capture / CAPTURE_FILE} (docs/capture.md), then aomgen check {capture}")

@@ -35,11 +35,8 @@ def splat(
     from aomgen.pipeline.splat import SPLAT_STAGES, make_splat
 
     with display(SPLAT_STAGES) as shown:
-        made = make_splat(source, scene, shown, long_side=long_side, video=video)
-    quality = "no held-out images, because there are too few images"
-    if made.psnr_db is not None and made.ssim is not None:
-        quality = f"held-out images: PSNR {made.psnr_db:.1f} dB, SSIM {made.ssim:.3f}"
-    print(f"{made.registered} of {made.images} images, {made.gaussians} Gaussians; {quality}")
+        described = make_splat(source, scene, shown, long_side=long_side, video=video)
+    print(described)
     print(f"scene    {scene}")
     if video is not None:
         print(f"video    {video}")

@@ -70,6 +70,11 @@ class Trajectory:
         """Compute the end-effector poses (T, 4, 4), world frame."""
         return robot.ee_poses(self.joints)
 
+    def with_object(self, T_world_object: ArrayLike) -> "SceneTrajectory":
+        """Return the samples with the pose (4, 4) of the object, world frame."""
+        samples = {item.name: getattr(self, item.name) for item in fields(Trajectory)}
+        return SceneTrajectory(**samples, T_world_object=np.asarray(T_world_object, np.float64))
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SceneTrajectory(Trajectory):

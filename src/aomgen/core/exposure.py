@@ -30,14 +30,9 @@ def fit_gains(seen_srgb: NDArray[np.floating], target_srgb: NDArray[np.floating]
     return np.where(known, np.clip(gains, 1 / _MAX_GAIN, _MAX_GAIN), 1.0).astype(np.float64)
 
 
-def apply_gains(colors_srgb: NDArray[np.floating], gains: Array) -> NDArray[np.floating]:
-    """Apply gains (3,) to colors (..., 3), sRGB 0..1; the results are limited to 1."""
-    return np.minimum(illuminate_srgb(colors_srgb, gains), 1)
-
-
 def change_exposure(image_srgb: NDArray[np.uint8], gains: Array) -> NDArray[np.uint8]:
-    """Apply gains (3,) to an 8-bit sRGB image (..., 3)."""
-    table = apply_gains(np.arange(256)[:, None] / 255, gains)
+    """Multiply the linear colors of an 8-bit sRGB image (..., 3) by gains (3,); the results are limited to 255."""
+    table = np.minimum(illuminate_srgb(np.arange(256)[:, None] / 255, gains), 1)
     return np.rint(255 * table).astype(np.uint8)[image_srgb, np.arange(3)]
 
 

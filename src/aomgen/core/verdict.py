@@ -2,7 +2,10 @@
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
-from typing import Any
+from typing import Any, Final
+
+# Names of the first and last time and joint value of the grasp in a certificate.
+HOLD: Final = ("first_s", "last_s", "first_theta", "last_theta")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -61,16 +64,6 @@ class Check:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Hold:
-    """Interval in which the finger pads exerted force: first and last time, [s], and joint value, [rad] or [m]."""
-
-    first_s: float
-    last_s: float
-    first_theta: float
-    last_theta: float
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
 class SettingOutcome:
     """Outcome of one simulated run that passed.
 
@@ -79,7 +72,8 @@ class SettingOutcome:
         final_theta: Joint value at the end of the run, [rad] or [m].
         peak_force_n: Largest sum of normal forces of the pads on the handle, [N].
         peak_reaction_n: Largest horizontal force of the robot on the object, [N].
-        hold: Interval in which the pads held the handle.
+        hold_s: First and last time at which the pads exerted force on the handle, [s].
+        hold_thetas: Joint values at these times, [rad] or [m].
         checks: Metrics that have a limit.
     """
 
@@ -87,7 +81,8 @@ class SettingOutcome:
     final_theta: float
     peak_force_n: float
     peak_reaction_n: float
-    hold: Hold
+    hold_s: tuple[float, float]
+    hold_thetas: tuple[float, float]
     checks: tuple[Check, ...]
 
     @property
@@ -159,7 +154,7 @@ class Verdict:
                     **asdict(outcome.setting),
                     **outcome.figures,
                     "final_theta": outcome.final_theta,
-                    "hold": asdict(outcome.hold),
+                    "hold": dict(zip(HOLD, (*outcome.hold_s, *outcome.hold_thetas), strict=True)),
                 }
                 for outcome in self.outcomes
             ],

@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from aomgen.core.episode import Episode
-from aomgen.core.progress import Progress, silent
 from aomgen.datasets.features import read_images
 from aomgen.datasets.formats import DatasetFormat, find_format
 from aomgen.datasets.selection import REMEDY, StoredDataset, StoredEpisode
@@ -49,13 +48,12 @@ class Audit:
     faults: list[str] = field(default_factory=list)
 
 
-def audit_dataset(dataset: Path, episode_folders: Sequence[Path], progress: Progress = silent) -> Audit:
+def audit_dataset(dataset: Path, episode_folders: Sequence[Path]) -> Audit:
     """Compare a dataset with committed episodes.
 
     Args:
         dataset: Folder of a dataset in any format of `FORMATS`.
         episode_folders: All committed episodes of a run.
-        progress: Called after every episode.
 
     Raises:
         MissingFileError, MalformedFileError: A file of the dataset is missing, damaged, or lacks a feature.
@@ -80,7 +78,6 @@ def audit_dataset(dataset: Path, episode_folders: Sequence[Path], progress: Prog
         _compare_numbers(audit, kind, found, replace(item.episode, cameras=cameras), dataset)
         _compare_images(audit, stored, found, item)
         audit.frames += len(item.episode)
-        progress(1 - len(left) / audit.committed, f"{audit.committed - len(left)} of {audit.committed}")
     if left:
         audit.faults.append(
             f"{len(left)} committed episodes are not in the dataset, the first is {min(left)}"

@@ -95,7 +95,7 @@ def feature_columns(episode: Episode, actions: ActionSpace = "joint") -> dict[st
         "annotation.ee_pose": pose_vectors(episode.Ts_world_ee),
         OBJECT_POSE: np.tile(pose_vectors(episode.T_world_object[None]), (len(episode), 1)),
         "annotation.object_joint": episode.thetas[:, None],
-        "annotation.finger_force": _finger_forces(episode),
+        "annotation.finger_force": finger_forces(episode),
         WORLD_POINTS: points.reshape(len(episode), -1),
         **{
             image_points_feature(name): _image_points(episode, name, points)
@@ -150,7 +150,8 @@ def pose_vectors(Ts: Array) -> Array:
     return np.column_stack([Ts[:, :3, 3], quats])
 
 
-def _finger_forces(episode: Episode) -> Array:
+def finger_forces(episode: Episode) -> Array:
+    """Compute the sum of the normal forces of each of `FINGERS` on the object at every frame (T, 2), [N]."""
     forces = np.zeros((len(episode), 2))
     contacts = episode.contacts
     np.add.at(forces, (contacts.frames, contacts.fingers), contacts.forces)

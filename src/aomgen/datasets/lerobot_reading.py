@@ -155,16 +155,10 @@ TASKS: Final = {lerobot_v21.VERSION: _tasks_v21, lerobot_v3.VERSION: _tasks_v3}
 LOCATIONS: Final = {lerobot_v21.VERSION: _locations_v21, lerobot_v3.VERSION: _locations_v3}
 
 
-# Numbered frames of a video, read in order.
-_Frames = Iterator[tuple[int, tuple[float, av.VideoFrame]]]
-
-
-def _open_video(path: Path) -> _Frames:
-    return enumerate(decode_frames(path))
-
-
-def _take(frames: _Frames, start: int, count: int) -> Iterator[NDArray[np.uint8]]:
-    """Yield the frames start .. start + count - 1; earlier frames are skipped."""
+def _take(
+    frames: Iterator[tuple[int, tuple[float, av.VideoFrame]]], start: int, count: int
+) -> Iterator[NDArray[np.uint8]]:
+    """Yield the frames start .. start + count - 1 of a video whose numbered frames are read in order."""
     for number, (_, frame) in frames:
         if number >= start:
             yield np.asarray(frame.to_ndarray(format="rgb24", threads=1), np.uint8)
@@ -175,7 +169,7 @@ def _take(frames: _Frames, start: int, count: int) -> Iterator[NDArray[np.uint8]
 def _episodes(
     locations: list[_Location], tasks: list[str], sizes: dict[str, tuple[int, int]], train: int
 ) -> Iterator[StoredEpisode]:
-    opened, read_table = cache(_open_video), lru_cache(maxsize=1)(_read_table)
+    opened, read_table = cache(lambda path: enumerate(decode_frames(path))), lru_cache(maxsize=1)(_read_table)
     for location in locations:
         table = read_table(location.table)
         for name in ("index", "task_index"):

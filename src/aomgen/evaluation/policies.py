@@ -13,7 +13,7 @@ from aomgen.datasets.features import ActionSpace, ee_deltas, feature_columns
 from aomgen.datasets.lerobot_tables import SOURCE
 from aomgen.errors import MissingFileError, UnknownNameError
 from aomgen.evaluation.lerobot_policy import WEIGHTS, LerobotPolicy, checkpoint_folder
-from aomgen.evaluation.remote import SCHEMES, RemoteTask, open_remote
+from aomgen.evaluation.remote import SCHEMES, open_remote
 from aomgen.evaluation.rollout import Rollout, World
 from aomgen.evaluation.suite import nearest_pose, open_results, training_poses
 from aomgen.io.artifact import file_digest
@@ -145,14 +145,7 @@ def open_policy(name: str, world: World) -> Policy:
     if name.startswith(LEROBOT):
         return LerobotPolicy(Path(name.removeprefix(LEROBOT)), suite)
     if "://" in name:
-        task = RemoteTask(
-            instruction=suite.task,
-            action_space=suite.action_space,
-            cameras=tuple(suite.cameras),
-            joints=len(suite.joint_names),
-            ee_poses=world.factory.results.robot.ee_poses,
-        )
-        return open_remote(name, task)
+        return open_remote(name, suite, world.factory.results.robot)
     kind, _, argument = name.partition("=")
     if kind == ORACLE and not argument:
         return OracleReplay(world)

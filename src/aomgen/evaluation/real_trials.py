@@ -2,7 +2,7 @@
 
 import csv
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any, Final
 
@@ -33,19 +33,14 @@ MAX_BYTES: Final = 4 << 20
 FIGURES: Final = ("policy", "suite", "rollouts")
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class RealTrials:
-    """Real trials of a policy: results, 0 or 1, and numbers of the suite's trials (empty if unknown)."""
-
-    results: tuple[int, ...]
-    trials: tuple[int, ...]
-
-
-def read_real_trials(path: Path) -> dict[str, RealTrials]:
+def read_real_trials(path: Path) -> dict[str, tuple[list[int], list[int]]]:
     """Read a CSV with the columns policy, success and, optionally, trial.
 
     Success is 1 or 0, true or false, yes or no. A trial is the number of the suite's trial that was reproduced in
     reality.
+
+    Returns:
+        Results, 0 or 1, and numbers of the trials (empty if unknown), by policy.
 
     Raises:
         MissingFileError, LimitExceededError: The file is missing or too large.
@@ -71,15 +66,19 @@ def read_real_trials(path: Path) -> dict[str, RealTrials]:
                 path, problem, "expected a name, 1 or 0, and a number of the suite or nothing"
             )
         found.setdefault(policy, []).append((WORDS[word.lower()], int(trial) if trial else None))
-    return {policy: _collect(path, policy, items) for policy, items in found.items()}
+    return {
+        policy: ([result for result, _ in items], _check_trials(path, policy, [trial for _, trial in items]))
+        for policy, items in found.items()
+    }
 
 
-def _collect(path: Path, policy: str, items: Sequence[tuple[int, int | None]]) -> RealTrials:
-    trials = [trial for _, trial in items if trial is not None]
-    if trials and len(trials) < len(items):
+def _check_trials(path: Path, policy: str, stated: list[int | None]) -> list[int]:
+    """Return the numbers of a policy's trials, which are stated in all rows or in none, and differ."""
+    trials = [trial for trial in stated if trial is not None]
+    if trials and len(trials) < len(stated):
         raise MalformedFileError(
             path,
-            f"names the trial in {len(trials)} of {len(items)} rows of policy '{policy}'",
+            f"names the trial in {len(trials)} of {len(stated)} rows of policy '{policy}'",
             "name it in all or in none",
         )
     if len(set(trials)) < len(trials):
@@ -87,7 +86,7 @@ def _collect(path: Path, policy: str, items: Sequence[tuple[int, int | None]]) -
         raise MalformedFileError(
             path, f"has trial {twice} of policy '{policy}' more than once", "keep the first attempt"
         )
-    return RealTrials(results=tuple(result for result, _ in items), trials=tuple(trials))
+    return trials
 
 
 def read_twin_trials(paths: Sequence[Path]) -> dict[str, dict[int, int]]:
@@ -127,9 +126,9 @@ def is_evaluation(figures: Any) -> bool:
 
 
 def compare_with_reality(
-    real: Mapping[str, RealTrials], twin: Mapping[str, Mapping[int, int]], where: Path
+    real: Mapping[str, tuple[list[int], list[int]]], twin: Mapping[str, Mapping[int, int]], where: Path
 ) -> dict[str, Any]:
-    """Compare success rates of policies on the real robot and in the twin.
+    """Compare success rates of policies on the real robot and in the twin, see `read_real_trials` and `read_twin_trials`.
 
     Returns:
         `policies` by name: `real` and `twin` (`successes`, `trials`, `success_rate`, Wilson's `interval_95`), `pairs`, and
@@ -140,20 +139,20 @@ def compare_with_reality(
         ConfigError: The suite does not contain a real trial.
     """
     policies: dict[str, Any] = {}
-    for policy, trials in real.items():
+    for policy, (results, trials) in real.items():
         if policy not in twin:
             raise UnknownNameError(f"{where}: policy", policy, twin)
         judged = twin[policy]
-        strange = sorted(set(trials.trials) - set(judged))
+        strange = sorted(set(trials) - set(judged))
         if strange:
             raise ConfigError(where, f"names trial {strange[0]}, which the suite does not have", "correct it")
-        paired = [judged[trial] for trial in trials.trials]
-        rest = [result for trial, result in judged.items() if trial not in trials.trials]
+        paired = [judged[trial] for trial in trials]
+        rest = [result for trial, result in judged.items() if trial not in trials]
         policies[policy] = {
-            "real": _rate(trials.results),
+            "real": _rate(results),
             "twin": _rate(list(judged.values())),
             "pairs": len(paired),
-            "combined": asdict(estimate_real_success(trials.results, paired, rest)),
+            "combined": asdict(estimate_real_success(results, paired, rest)),
         }
     rates = [[item[kind]["success_rate"] for item in policies.values()] for kind in ("real", "twin")]
     return {

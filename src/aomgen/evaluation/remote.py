@@ -6,16 +6,17 @@ A server returns one action or a chunk of them; it is called again when they are
 import re
 from collections import deque
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
 
+from aomgen.core.demonstration import Kinematics
 from aomgen.core.transforms import matrix_from_rotvec, transform
 from aomgen.core.values import Array
 from aomgen.datasets.features import ee_deltas, ee_targets
 from aomgen.errors import ConfigError, PolicyServerError, UnknownNameError
 from aomgen.evaluation.policy_servers import NUMBERS, OpenpiServer, OpenvlaServer
+from aomgen.evaluation.suite import Suite
 
 SCHEMES: Final = ("openpi", "openvla")
 _NAME: Final = re.compile(r"([a-z]+)://([\w.-]+|\[[0-9a-fA-F:.]+\]):([0-9]{1,5})(?:/([\w.+-]+))?")
@@ -25,25 +26,6 @@ OPENVLA_ACTION, OPENVLA_JOINTS = 7, 7
 ACTION_SPACE, CAMERAS = "action_space", "cameras"
 Ask = Callable[[Mapping[str, Any]], Array]
 Convert = Callable[[Array, Array], Array]
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class RemoteTask:
-    """Properties of a suite with which a server has to be compatible.
-
-    Attributes:
-        instruction: Language instruction.
-        action_space: Action space, see `datasets.features`.
-        cameras: Names of the cameras, in the suite's order.
-        joints: Number of arm joints.
-        ee_poses: Poses of the end effector (T, 4, 4), world frame, from joints (T, J).
-    """
-
-    instruction: str
-    action_space: str
-    cameras: tuple[str, ...]
-    joints: int
-    ee_poses: Callable[[Array], Array]
 
 
 class RemotePolicy:
@@ -81,8 +63,8 @@ class RemotePolicy:
         return self._convert(self._left.popleft(), np.asarray(observation["agent_pos"], np.float64))
 
 
-def open_remote(name: str, task: RemoteTask) -> RemotePolicy:
-    """Connect to the policy at an address.
+def open_remote(name: str, suite: Suite, robot: Kinematics) -> RemotePolicy:
+    """Connect to the policy at an address; it has to be compatible with a suite and its robot.
 
     Raises:
         ConfigError: The address is invalid, or the policy has another action space or other cameras.
@@ -98,17 +80,17 @@ def open_remote(name: str, task: RemoteTask) -> RemotePolicy:
     if scheme not in SCHEMES:
         raise UnknownNameError("--policy", scheme, SCHEMES)
     if scheme == "openvla":
-        return _open_openvla(address, dataset, task)
+        return _open_openvla(address, dataset, suite, robot)
     if dataset:
         raise ConfigError(
             "--policy",
             f"'{name}' names a dataset",
             "an openpi server has one dataset; use openpi://HOST:PORT",
         )
-    return _open_openpi(address, task)
+    return _open_openpi(address, suite)
 
 
-def _open_openpi(address: str, task: RemoteTask) -> RemotePolicy:
+def _open_openpi(address: str, suite: Suite) -> RemotePolicy:
     server, where = OpenpiServer(address), f"openpi://{address}"
     space, cameras = (server.metadata.get(name) for name in (ACTION_SPACE, CAMERAS))
     if space is None or not isinstance(cameras, list):
@@ -117,46 +99,44 @@ def _open_openpi(address: str, task: RemoteTask) -> RemotePolicy:
             "does not state on which data its policy was trained",
             "serve a config of recipes/pi05_openpi.py",
         )
-    _require_space(where, str(space), task)
-    if missing := [str(name) for name in cameras if name not in task.cameras]:
+    _require_space(where, str(space), suite)
+    if missing := [str(name) for name in cameras if name not in suite.cameras]:
         raise ConfigError(
-            where, f"requires the camera {missing[0]}", f"the suite has {', '.join(task.cameras)}"
+            where, f"requires the camera {missing[0]}", f"the suite has {', '.join(suite.cameras)}"
         )
 
     def ask(observation: Mapping[str, Any]) -> Array:
         images = {name: observation["pixels"][name] for name in cameras}
-        answer = server.infer(
-            {"images": images, "state": observation["agent_pos"], "prompt": task.instruction}
-        )
+        answer = server.infer({"images": images, "state": observation["agent_pos"], "prompt": suite.task})
         return _chunk(where, answer.get("actions"), len(observation["agent_pos"]))
 
     return RemotePolicy(ask, lambda: lambda action, _: action)
 
 
-def _open_openvla(address: str, dataset: str | None, task: RemoteTask) -> RemotePolicy:
+def _open_openvla(address: str, dataset: str | None, suite: Suite, robot: Kinematics) -> RemotePolicy:
     """Connect to OpenVLA's server; `dataset` selects the statistics of a checkpoint that scale its actions."""
-    where = f"openvla://{address}"
-    _require_space(where, "ee_delta", task)
-    if not task.joints <= OPENVLA_JOINTS:
-        raise ConfigError(where, f"supports {OPENVLA_JOINTS} joints, the arm has {task.joints}", "use openpi")
-    server = OpenvlaServer(address)
+    where, joints = f"openvla://{address}", len(suite.joint_names)
+    _require_space(where, "ee_delta", suite)
+    if not joints <= OPENVLA_JOINTS:
+        raise ConfigError(where, f"supports {OPENVLA_JOINTS} joints, the arm has {joints}", "use openpi")
+    server, camera = OpenvlaServer(address), next(iter(suite.cameras))
 
     def ask(observation: Mapping[str, Any]) -> Array:
-        image, measured = observation["pixels"][task.cameras[0]], observation["agent_pos"]
+        image, measured = observation["pixels"][camera], observation["agent_pos"]
         state = np.zeros(OPENVLA_JOINTS + 1, np.float32)
-        state[: task.joints], state[-1] = measured[:-1], 1 - measured[-1]
+        state[:joints], state[-1] = measured[:-1], 1 - measured[-1]
         # OpenVLA reads "image"; OpenVLA-OFT reads "full_image" and "state".
-        payload = {"image": image, "full_image": image, "state": state, "instruction": task.instruction}
+        payload = {"image": image, "full_image": image, "state": state, "instruction": suite.task}
         payload |= {"unnorm_key": dataset} if dataset else {}
         return _chunk(where, server.act(payload), OPENVLA_ACTION)
 
-    return RemotePolicy(ask, lambda: OpenvlaActions(task.ee_poses))
+    return RemotePolicy(ask, lambda: make_openvla_conversion(robot))
 
 
-def _require_space(where: str, space: str, task: RemoteTask) -> None:
-    if space != task.action_space:
+def _require_space(where: str, space: str, suite: Suite) -> None:
+    if space != suite.action_space:
         raise ConfigError(
-            where, f"acts in {space}, the suite's actions are {task.action_space}", f"pass --actions {space}"
+            where, f"acts in {space}, the suite's actions are {suite.action_space}", f"pass --actions {space}"
         )
 
 
@@ -181,25 +161,21 @@ def _chunk(where: str, answer: Any, size: int) -> Array:
     return actions.astype(np.float64)
 
 
-class OpenvlaActions:
-    """Conversion of OpenVLA's actions of one trial, which are relative to the previous target, to `ee_delta`.
+def make_openvla_conversion(robot: Kinematics) -> Convert:
+    """Make the conversion of OpenVLA's actions of one trial, which are relative to the previous target, to `ee_delta`.
 
-    Args:
-        ee_poses: Poses of the end effector (T, 4, 4), world frame, from joints (T, J).
+    The first action (7,) is relative to the measured joints and gripper (J + 1,).
     """
+    T_world_last: Array | None = None
 
-    def __init__(self, ee_poses: Callable[[Array], Array]) -> None:
-        self._ee_poses = ee_poses
-        self._T_world_last: Array | None = None
-
-    def __call__(self, action: Array, measured: Array) -> Array:
-        """Convert an action (7,); the first one is relative to the measured joints and gripper (J + 1,)."""
-        last = self._T_world_last
-        if last is None:
-            last = self._ee_poses(measured[None, :-1])[0]
+    def convert(action: Array, measured: Array) -> Array:
+        nonlocal T_world_last
+        last = robot.ee_poses(measured[None, :-1])[0] if T_world_last is None else T_world_last
         delta = delta_of_openvla(action, last)
-        self._T_world_last = ee_targets(last[None], delta[None, :6])[0]
+        T_world_last = ee_targets(last[None], delta[None, :6])[0]
         return delta
+
+    return convert
 
 
 def delta_of_openvla(action: Array, T_world_last: Array) -> Array:

@@ -2,14 +2,14 @@
 
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import Any, Final, Literal, Protocol, get_args
+from typing import Any, Final, Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
 from aomgen.assets.mjcf import VISUAL_GROUP
 from aomgen.core.camera import Camera
-from aomgen.core.demonstration import SceneTrajectory, Trajectory
+from aomgen.core.demonstration import Trajectory
 from aomgen.core.plan import FittedAsset, Variation
 from aomgen.core.values import Array
 from aomgen.episodes.camera_views import FixedViews, MovingView
@@ -28,16 +28,11 @@ AMBIENT, DIFFUSE = 0.5, 0.5
 Images = dict[str, NDArray[np.uint8]]
 
 
-class TrialViews(Protocol):
-    """Renderer of the states of one trial; each state is a trajectory of one sample."""
-
-    def draw(self, reached: Trajectory) -> Images:
-        """Image (H, W, 3) of every camera."""
-        ...
-
-
 class SplatViews:
-    """Renderer of a trial from Gaussians, like an episode; `carried` names additional cameras of the robot."""
+    """Renderer of a trial from Gaussians, like an episode; `carried` names additional cameras of the robot.
+
+    Each rendered state is a trajectory of one sample.
+    """
 
     def __init__(
         self,
@@ -69,17 +64,7 @@ class SplatViews:
         return {name: item["rgb8"][0] for name, item in drawn.items()}
 
     def _states(self, reached: Trajectory) -> Any:
-        return states_of(
-            self._twin,
-            self._robot,
-            SceneTrajectory(
-                times_s=reached.times_s,
-                joints=reached.joints,
-                gripper=reached.gripper,
-                thetas=reached.thetas,
-                T_world_object=self._T,
-            ),
-        )
+        return states_of(self._twin, self._robot, reached.with_object(self._T))
 
 
 class SimulatorViews:
@@ -129,4 +114,5 @@ class SimulatorViews:
         return np.where((depth < FAR_M)[..., None], shown, wall)
 
 
+TrialViews = SplatViews | SimulatorViews
 KINDS: Final[Mapping[str, Any]] = {"splat": SplatViews, "simulator": SimulatorViews}

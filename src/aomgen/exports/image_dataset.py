@@ -32,9 +32,8 @@ from aomgen.core.keypoints import KEYPOINTS
 from aomgen.core.progress import Progress
 from aomgen.episodes.stage import open_executor
 from aomgen.errors import ConfigError, UnknownNameError
-from aomgen.exports.image_samples import ImageRoom, ImageSample
+from aomgen.exports.image_samples import ImageRoom
 from aomgen.io.atomic import write_bytes, write_json
-from aomgen.io.images import encode_jpeg, encode_png
 from aomgen.pipeline.stages import require_stage
 from aomgen.results import Results
 from aomgen.saved_units import REQUEST_FILE, SavedUnits
@@ -44,10 +43,6 @@ VERSION: Final = 1
 DATASET_FILE: Final = "dataset.json"
 SHARD: Final = "shard-{:06d}.tar"
 OBJECTS: Final = "objects"
-# The same quality as in RLDS, at least 36 dB.
-JPEG_QUALITY: Final = 95
-# Compression level of PNG; compared with higher levels it saves a few milliseconds per image at 10 % more bytes.
-PNG_LEVEL: Final = 1
 # The seeds of an export's procedural objects begin at this number times (its seed + 1); projects use smaller seeds.
 SEEDS: Final = 10_000
 # Time limit of one shard, [s].
@@ -80,10 +75,6 @@ class ImageSetRequest:
     def shards(self) -> int:
         """Return the number of shards."""
         return -(-self.images // self.per_object)
-
-    def count_images(self, shard: int) -> int:
-        """Return the number of images in a shard; the last shard may be smaller."""
-        return min(self.per_object, self.images - shard * self.per_object)
 
     def check(self) -> None:
         """Refuse an invalid request.
@@ -171,27 +162,18 @@ def write_shard(room: ImageRoom, folder: Path, request: ImageSetRequest, shard: 
     asset, origin = request.open_object(shard)
     facts = {"asset": asset.name, "category": asset.category, **origin, "seed": request.seed, "shard": shard}
     rng = np.random.default_rng([request.seed, shard])
-    count = request.count_images(shard)
+    # The last shard may be smaller.
+    count = min(request.per_object, request.images - shard * request.per_object)
     data = io.BytesIO()
     with tarfile.open(fileobj=data, mode="w", format=tarfile.USTAR_FORMAT) as tar:
-        for number, sample in enumerate(room.render(asset, facts, count, rng)):
+        for number, files in enumerate(room.render(asset, facts, count, rng)):
             key = f"{shard * request.per_object + number:08d}"
-            for suffix, content in encode_sample(sample).items():
+            for suffix, content in files.items():
                 entry = tarfile.TarInfo(f"{key}.{suffix}")
                 entry.size = len(content)
                 tar.addfile(entry, io.BytesIO(content))
     write_bytes(folder / SHARD.format(shard), data.getvalue())
     return {**facts, "images": count, "joint_type": asset.joint.type}
-
-
-def encode_sample(sample: ImageSample) -> dict[str, bytes]:
-    """Encode an image as files by suffix."""
-    return {
-        "jpg": encode_jpeg(sample.image_srgb, JPEG_QUALITY, halve_colors=False),
-        "labels.png": encode_png(sample.labels, PNG_LEVEL),
-        "depth.png": encode_png(sample.depth_mm, PNG_LEVEL),
-        "json": json.dumps(sample.facts, allow_nan=False).encode(),
-    }
 
 
 def read_shard(path: Path) -> Iterator[tuple[str, Mapping[str, bytes]]]:

@@ -1,25 +1,29 @@
 """Labeled images of random scenes, rendered like episodes, with part labels, depth and projected keypoints."""
 
+import itertools
+import json
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cached_property
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from aomgen.conventions import BACKGROUND, illuminate_srgb
+from aomgen.conventions import BACKGROUND
 from aomgen.core.asset import ArticulatedAsset
 from aomgen.core.camera import Camera
+from aomgen.core.exposure import change_exposure
 from aomgen.core.gaussians import Gaussians
 from aomgen.core.keypoints import find_keypoints, move_keypoints, project_keypoints
-from aomgen.core.plan import LightChange
+from aomgen.core.plan import FittedAsset, LightChange
 from aomgen.core.transforms import apply
 from aomgen.core.values import Array
 from aomgen.episodes.render import ImageParams, render_episode, static_layers
 from aomgen.exports.image_clutter import make_clutter, place_clutter
-from aomgen.exports.image_scenes import ImageScene, SceneMaker
+from aomgen.exports.image_scenes import SceneMaker
 from aomgen.io.artifact import load_artifact
+from aomgen.io.images import encode_jpeg, encode_png
 from aomgen.lighting.light_estimation import SceneLight, ToneCurve
 from aomgen.lighting.object_shadow import ObjectShadow, tabulate_object_shadow
 from aomgen.lighting.reflection import show_in_light
@@ -35,23 +39,10 @@ OUTPUTS: Final = ImageParams(depth=True, labels=True)
 CLUTTER_GAP: Final = 1.1
 # Degree of the spherical harmonics of colors; higher degrees render reflections better and double the time.
 SH_DEGREE: Final = 1
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ImageSample:
-    """One labeled image.
-
-    Attributes:
-        image_srgb: (H, W, 3) uint8.
-        labels: Label of the visible part (H, W) uint8, see `conventions.PART_LABELS`.
-        depth_mm: Depth (H, W) uint16, [mm]; 0 if unknown.
-        facts: JSON values of camera, object, robot and keypoints.
-    """
-
-    image_srgb: NDArray[np.uint8]
-    labels: NDArray[np.uint8]
-    depth_mm: NDArray[np.uint16]
-    facts: dict[str, Any]
+# The same quality as in RLDS, at least 36 dB.
+JPEG_QUALITY: Final = 95
+# Compression level of PNG; compared with higher levels it saves a few milliseconds per image at 10 % more bytes.
+PNG_LEVEL: Final = 1
 
 
 class ImageRoom:
@@ -76,8 +67,8 @@ class ImageRoom:
 
     def render(
         self, asset: ArticulatedAsset, facts: dict[str, Any], count: int, rng: np.random.Generator
-    ) -> Iterator[ImageSample]:
-        """Render `count` labeled images of an asset in random scenes; `facts` are added to those of each image.
+    ) -> Iterator[dict[str, bytes]]:
+        """Yield `count` labeled images of an asset in random scenes, as files by suffix; `facts` are added to their JSON.
 
         Raises:
             ConfigError: The asset does not fit on the table.
@@ -86,39 +77,44 @@ class ImageRoom:
         light = SceneLight(arriving=scene.light, tone=ToneCurve(), source=scene.light_source)
         T = placed.T_world_asset
         fine, coarse = cover_asset(asset, rng)
-        static, moving = (_lower(show_in_light(link, light, T[:3, :3])) for link in fine)
+        lit = (show_in_light(link, light, T[:3, :3]) for link in fine)
+        static, moving = (replace(item, gaussians=item.gaussians.with_sh_degree(SH_DEGREE)) for item in lit)
         twin = with_object(self._background, static, moving, asset.joint, scene.light, T)
         blocking = with_object(self._background, *coarse, asset.joint, scene.light, T)
         soft = tabulate_object_shadow(blocking, scene.T_world_plane, 1)
-        made = 0
-        while made < count:
-            drawn = self._scenes.draw(placed, rng)
-            for sample in self._render_scene(twin, soft, drawn, rng):
-                if made < count:
-                    yield replace(sample, facts=facts | sample.facts)
-                made += 1
+        images = (
+            image for _ in itertools.count() for image in self._render_scene(twin, soft, placed, facts, rng)
+        )
+        yield from itertools.islice(images, count)
 
     def _render_scene(
-        self, twin: TwinModel, soft: ObjectShadow | None, scene: ImageScene, rng: np.random.Generator
-    ) -> Iterator[ImageSample]:
-        variation, robot, states = scene.variation, self._results.robot, scene.states
+        self,
+        twin: TwinModel,
+        soft: ObjectShadow | None,
+        placed: FittedAsset,
+        facts: dict[str, Any],
+        rng: np.random.Generator,
+    ) -> Iterator[dict[str, bytes]]:
+        """Yield the labeled images of one random scene, as files by suffix."""
+        variation, fitted, states = self._scenes.draw(placed, rng)
+        cameras, paths = dict(self._scenes.draw_cameras(rng)), dict(self._scenes.draw_paths(states, rng))
+        robot, asset, T = self._results.robot, fitted.asset, states.T_world_object
         twin = scale_object(twin, variation.scale)
-        for item in self._place_clutter(scene, rng):
+        for item in self._place_clutter(asset, T, rng):
             twin = twin.extend(item, 0, BACKGROUND)
         # Brightness and color of the light are changed in the images, for a camera with fixed exposure.
         turned = replace(LightChange(), turn=variation.light.turn)
         twin = change_appearance(twin, turned, variation.material)
-        asset, T = scene.fitted.asset, scene.states.T_world_object
         points = apply(T, move_keypoints(find_keypoints(asset), asset.joint, states.thetas))
         drawn = render_episode(
             twin,
             robot,
             states,
-            static_layers(twin, scene.cameras, 1),
+            static_layers(twin, cameras, 1),
             self._results.episode_scene.T_world_plane,
             1,
             soft=soft and soft.scale_by(variation.scale, twin.joint.type == "prismatic"),
-            paths=scene.paths,
+            paths=paths,
             points_world=points,
             params=OUTPUTS,
         )
@@ -126,8 +122,10 @@ class ImageRoom:
         for name, frames in drawn.items():
             labels, depth_mm, visible = map(np.asarray, (frames.labels, frames.depth_mm, frames.visible))
             for t, image in enumerate(frames.images_srgb):
-                camera = scene.paths[name].at(t) if name in scene.paths else scene.cameras[name]
-                facts = _describe_view(name, camera, points[t], visible[t]) | {
+                camera = paths[name].at(t) if name in paths else cameras[name]
+                stated = {
+                    **facts,
+                    **_describe_view(name, camera, points[t], visible[t]),
                     "scale": variation.scale,
                     "T_world_object": T.tolist(),
                     "joint_type": asset.joint.type,
@@ -136,30 +134,21 @@ class ImageRoom:
                     "gripper": float(states.gripper[t]),
                     "T_world_ee": Ts_world_ee[t].tolist(),
                 }
-                yield ImageSample(
-                    image_srgb=illuminate_image(image, light_gains(self._scenes.draw_light(rng))),
-                    labels=labels[t],
-                    depth_mm=depth_mm[t],
-                    facts=facts,
-                )
+                lit = change_exposure(image, light_gains(self._scenes.draw_light(rng)))
+                yield {
+                    "jpg": encode_jpeg(lit, JPEG_QUALITY, halve_colors=False),
+                    "labels.png": encode_png(labels[t], PNG_LEVEL),
+                    "depth.png": encode_png(depth_mm[t], PNG_LEVEL),
+                    "json": json.dumps(stated, allow_nan=False).encode(),
+                }
 
-    def _place_clutter(self, scene: ImageScene, rng: np.random.Generator) -> list[Gaussians]:
-        room, asset = self._results.episode_scene, scene.fitted.asset
+    def _place_clutter(self, asset: ArticulatedAsset, T: Array, rng: np.random.Generator) -> list[Gaussians]:
+        """Place clutter around an object at a pose T (4, 4), world frame."""
+        room = self._results.episode_scene
         low, high = asset.static.bounds
-        middle = apply(scene.states.T_world_object, np.append((low + high)[:2] / 2, 0.0))[:2]
+        middle = apply(T, np.append((low + high)[:2] / 2, 0.0))[:2]
         taken = middle, CLUTTER_GAP * float(np.linalg.norm((high - low)[:2])) / 2
         return place_clutter(self._clutter, room.light, room.T_world_plane, self._scenes.table, taken, rng)
-
-
-def illuminate_image(image_srgb: NDArray[np.uint8], gains: Array) -> NDArray[np.uint8]:
-    """Multiply the linear colors of an image (H, W, 3) by factors (3,)."""
-    levels = illuminate_srgb(np.arange(256)[:, None] / 255, gains)
-    table = np.rint(255 * np.minimum(levels, 1)).astype(np.uint8)
-    return np.stack([table[image_srgb[..., channel], channel] for channel in range(3)], -1)
-
-
-def _lower(surfels: Surfels) -> Surfels:
-    return replace(surfels, gaussians=surfels.gaussians.with_sh_degree(SH_DEGREE))
 
 
 def _describe_view(

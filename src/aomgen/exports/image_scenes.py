@@ -1,7 +1,7 @@
 """Random scenes of labeled images: pose, size and appearance of the object, joint values, robot joints and cameras."""
 
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from functools import cached_property
 from typing import Final
 
@@ -63,25 +63,6 @@ MAX_DRAWS: Final = 2000
 
 # Spheres: index of a body in the twin, center (3,) in the frame of the body, and radius, [m].
 Spheres = Sequence[tuple[int, Array, float]]
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ImageScene:
-    """A random scene.
-
-    Attributes:
-        variation: Pose, size, light and material of the object.
-        fitted: The object at its size.
-        states: States of robot and object, and the object's pose.
-        cameras: Fixed cameras, world frame, by name.
-        paths: Poses of the robot's cameras in the states, by name.
-    """
-
-    variation: Variation
-    fitted: FittedAsset
-    states: SceneTrajectory
-    cameras: Mapping[str, Camera]
-    paths: Mapping[str, CameraPath]
 
 
 class SceneMaker:
@@ -156,8 +137,13 @@ class SceneMaker:
             residual_mm=0.0,
         )
 
-    def draw(self, placed: FittedAsset, rng: np.random.Generator) -> ImageScene:
+    def draw(
+        self, placed: FittedAsset, rng: np.random.Generator
+    ) -> tuple[Variation, FittedAsset, SceneTrajectory]:
         """Sample a scene with an asset from `put_in_place`.
+
+        Returns:
+            Pose, size, light and material of the object; the object at its size; and states of robot and object.
 
         Raises:
             ConfigError: The asset does not fit on the table within the arm's reach.
@@ -174,31 +160,24 @@ class SceneMaker:
             )
         if rng.random() < AS_MADE:
             variation = replace(variation, material=MaterialChange())
-        states = self._draw_states(fitted, variation.place_at(fitted), rng)
-        return ImageScene(
-            variation=variation,
-            fitted=fitted,
-            states=states,
-            cameras=dict(self._draw_cameras(rng)),
-            paths=dict(self._draw_paths(states, rng)),
-        )
+        return variation, fitted, self._draw_states(fitted, variation.place_at(fitted), rng)
 
     def draw_light(self, rng: np.random.Generator) -> LightChange:
         """Sample the light of an image."""
         return draw_independently(rng, 0, 0, self._ranges[0]).light
 
-    def _draw_cameras(self, rng: np.random.Generator) -> Iterator[tuple[str, Camera]]:
-        """Yield the fixed cameras, most of them slightly moved."""
+    def draw_cameras(self, rng: np.random.Generator) -> Iterator[tuple[str, Camera]]:
+        """Yield the fixed cameras by name, world frame, most of them slightly moved."""
         for name, camera in self.cameras.items():
             turn, tilt = (float(np.radians(rng.uniform(*span))) for span in (TURN_DEG, TILT_DEG))
             change = OrbitChange(turn=turn, tilt=tilt, distance=float(rng.uniform(*DISTANCE)))
             keep = rng.random() < RECORDED
             yield name, camera if keep else orbit_camera(camera, self._recorded_handle, change)
 
-    def _draw_paths(
+    def draw_paths(
         self, states: SceneTrajectory, rng: np.random.Generator
     ) -> Iterator[tuple[str, CameraPath]]:
-        """Yield the robot's cameras, displaced by random errors of their mounts."""
+        """Yield the robot's cameras in the states by name, displaced by random errors of their mounts."""
         for name, path in self._robot.camera_paths(states.joints, states.gripper).items():
             turns = matrix_from_rotvec(np.radians(MOUNT_DEG) * rng.normal(size=(len(states), 3)))
             moves = transform(turns, MOUNT_M * rng.normal(size=(len(states), 3)))

@@ -54,7 +54,7 @@ def write_mjcf(results: Results, motion: SceneMotion, path: Path) -> None:
         StorageError: Writing to the disk failed.
     """
     scene = simulate_motion_scene(results, motion)
-    spec = describe_nominal(results, scene, motion, visual=True)
+    spec = describe_nominal(results, scene, motion)
     ticks, _, spec.option.timestep = divide_frame(motion.fps, scene.model.opt.timestep)
     shown = describe_scene(spec.compile(), scene.robot, scene.asset, scene.names, bolted=scene.bolted)
     model = shown.model

@@ -6,7 +6,6 @@ from typing import Final
 
 import numpy as np
 
-from aomgen.core.gaussians import Gaussians
 from aomgen.exports.scene_motion import SceneMotion
 from aomgen.io.gaussian_files import Y_UP_SUFFIXES, write_gaussians
 from aomgen.lighting.shadowed_twin import pose_with_shadow
@@ -31,7 +30,8 @@ def write_posed_gaussians(
         LimitExceededError, StorageError: See `write_gaussians`.
     """
     gaussians = pose_with_shadow(motion.twin, motion.robot, choose_state(motion, joint, time_s))
-    write_gaussians(path, to_file_axes(gaussians, path))
+    is_y_up = path.suffix.lower() in Y_UP_SUFFIXES
+    write_gaussians(path, gaussians.transform(Y_UP) if is_y_up else gaussians)
 
 
 def choose_state(motion: SceneMotion, joint: float | None, time_s: float | None) -> TwinState:
@@ -43,8 +43,3 @@ def choose_state(motion: SceneMotion, joint: float | None, time_s: float | None)
     else:
         state = interpolate_state(motion.trajectory, float(motion.trajectory.times_s[0]))
     return state if joint is None else replace(state, theta=joint)
-
-
-def to_file_axes(gaussians: Gaussians, path: Path) -> Gaussians:
-    """Convert Gaussians from the world frame to the axes of a file format."""
-    return gaussians.transform(Y_UP) if path.suffix.lower() in Y_UP_SUFFIXES else gaussians

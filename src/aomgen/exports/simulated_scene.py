@@ -25,8 +25,8 @@ def simulate_motion_scene(results: Results, motion: SceneMotion) -> Scene:
     return scene.place_at(motion.trajectory.T_world_object)
 
 
-def describe_nominal(results: Results, scene: Scene, motion: SceneMotion, *, visual: bool) -> mujoco.MjSpec:
-    """Return the description of a scene from `simulate_motion_scene` with the resistance of the nominal setting."""
+def describe_nominal(results: Results, scene: Scene, motion: SceneMotion) -> mujoco.MjSpec:
+    """Return the description of a scene from `simulate_motion_scene` with visual meshes and the nominal resistance."""
     damping, frictionloss = RESISTANCES[scene.asset.joint.type][0]
     recorded = results.episode_scene
     spec, _ = scene_spec(
@@ -37,7 +37,7 @@ def describe_nominal(results: Results, scene: Scene, motion: SceneMotion, *, vis
         obstacles=recorded.obstacles,
         damping=damping,
         frictionloss=frictionloss,
-        visual=visual,
+        visual=True,
         bolted=scene.bolted,
     )
     # The table is centered at the recorded object and may be lowered.

@@ -7,6 +7,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from aomgen.assets.usd_write import make_identifier
 from aomgen.io.geom_surface import find_colliding_geoms, geom_surface
 
 MATERIALS: Final = "/World/PhysicsMaterials"
@@ -31,7 +32,8 @@ def add_colliders(stage: Any, model: mujoco.MjModel, bodies: Mapping[int, str]) 
     for geom in np.flatnonzero(find_colliding_geoms(model)):
         home = bodies.get(int(model.geom_bodyid[geom]), WORLD_COLLIDERS)
         folder = UsdGeom.Scope.Define(stage, f"{home}/collision").GetPath()
-        shape = _add_shape(stage, model, int(geom), f"{folder}/{_identifier(model.geom(geom).name, geom)}")
+        name = make_identifier(model.geom(geom).name or f"shape_{geom}")
+        shape = _add_shape(stage, model, int(geom), f"{folder}/{name}")
         shape.CreatePurposeAttr(UsdGeom.Tokens.guide)
         UsdPhysics.CollisionAPI.Apply(shape.GetPrim())
         _bind_friction(stage, shape.GetPrim(), model.geom_friction[geom])
@@ -120,9 +122,3 @@ def _bind_friction(stage: Any, prim: Any, friction: NDArray[np.float64]) -> None
         material.CreateRestitutionAttr(0.0)
     bound = UsdShade.Material(stage.GetPrimAtPath(path))
     UsdShade.MaterialBindingAPI.Apply(prim).Bind(bound, UsdShade.Tokens.fallbackStrength, "physics")
-
-
-def _identifier(name: str, number: int) -> str:
-    from pxr import Tf
-
-    return str(Tf.MakeValidIdentifier(name or f"shape_{number}"))

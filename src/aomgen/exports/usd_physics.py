@@ -6,13 +6,12 @@ the names of the PhysX schemas, which usd-core does not contain.
 """
 
 from collections.abc import Collection, Mapping
-from dataclasses import dataclass
 from typing import Any, Final
 
 import mujoco
 import numpy as np
 
-from aomgen.assets.usd_write import quat_from_x, set_attribute, set_resistance
+from aomgen.assets.usd_write import make_identifier, quat_from_x, set_attribute, set_resistance
 from aomgen.core.transforms import matrix_from_quat, quat_multiply
 from aomgen.core.values import Array
 from aomgen.exports.usd_colliders import add_colliders, exclude_contacts
@@ -23,15 +22,6 @@ ROBOT, OBJECT, PHYSICS_SCENE = "/World/Robot", "/World/Object", "/World/PhysicsS
 DEGREES: Final = 180 / np.pi  # USD uses degrees
 # Smallest principal inertia accepted by USD's validator, [kg m^2].
 LEAST_INERTIA: Final = 1e-7
-
-
-@dataclass(frozen=True, slots=True)
-class Drive:
-    """Position servo of a joint: stiffness and damping [N m/rad, N m s/rad; N/m, N s/m], largest torque or force."""
-
-    stiffness: float
-    damping: float
-    largest: float
 
 
 def add_physics(stage: Any, scene: Scene, bodies: Mapping[int, str]) -> dict[int, str]:
@@ -71,9 +61,10 @@ def add_physics(stage: Any, scene: Scene, bodies: Mapping[int, str]) -> dict[int
     return joints
 
 
-def find_drives(scene: Scene) -> dict[int, Drive]:
+def find_drives(scene: Scene) -> dict[int, tuple[float, float, float]]:
     """Return the position servos of arm and gripper, and the springs of the gripper's links, by joint (id).
 
+    Each has a stiffness [N m/rad or N/m], a damping [N m s/rad or N s/m], and a largest torque or force [N m or N].
     An actuator of a tendon drives every joint of the tendon, scaled by the joint's coefficient. A joint that is coupled
     to a driven one, for example that of a gripper's second finger, has the same drive.
     """
@@ -83,18 +74,18 @@ def find_drives(scene: Scene) -> dict[int, Drive]:
         stiffness = float(model.jnt_stiffness[joint])
         if stiffness > 0:
             damping = float(model.dof_damping[model.jnt_dofadr[joint]])
-            drives[joint] = Drive(stiffness, damping, np.inf)
+            drives[joint] = (stiffness, damping, np.inf)
     for row, actuator in enumerate(arm.actuators):
         joint = int(model.actuator_trnid[actuator, 0])
-        drives[joint] = Drive(float(arm.kp[row]), float(arm.kv[row]), float(arm.torques[row]))
-    number = scene.gripper.actuator
+        drives[joint] = (float(arm.kp[row]), float(arm.kv[row]), float(arm.torques[row]))
+    number = model.actuator(scene.gripper.actuator).id
     shares = actuated_joints(model, number)
     total = sum(shares.values())
     kp, kv = -model.actuator_biasprm[number, 1], -model.actuator_biasprm[number, 2]
     limited = model.actuator_forcelimited[number]
     most = float(model.actuator_forcerange[number, 1]) if limited else np.inf
     for joint, share in shares.items():
-        drives[joint] = Drive(float(share * total * kp), float(share * total * kv), abs(share) * most)
+        drives[joint] = (float(share * total * kp), float(share * total * kv), abs(share) * most)
     for joint, (leader, _, _) in coupled_joints(model, shares).items():
         drives[joint] = drives[leader]
     return drives
@@ -156,7 +147,7 @@ def _bind_to_parent(
     else:
         slides = model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_SLIDE
         kind = UsdPhysics.PrismaticJoint if slides else UsdPhysics.RevoluteJoint
-        item = kind.Define(stage, f"{group}/joints/{_identifier(model.joint(joint).name)}")
+        item = kind.Define(stage, f"{group}/joints/{make_identifier(model.joint(joint).name)}")
         item.CreateAxisAttr("X")
         if model.jnt_limited[joint]:
             start = model.qpos0[model.jnt_qposadr[joint]]
@@ -217,18 +208,19 @@ def _set_frames(item: Any, sides: Any) -> None:
         create_rotation(Gf.Quatf(*(float(x) for x in quat)))
 
 
-def _add_drive(prim: Any, model: mujoco.MjModel, joint: int, drive: Drive) -> None:
-    """Add a drive whose initial target is the rest position of the joint's spring."""
+def _add_drive(prim: Any, model: mujoco.MjModel, joint: int, drive: tuple[float, float, float]) -> None:
+    """Add a drive from `find_drives`, whose initial target is the rest position of the joint's spring."""
     from pxr import UsdPhysics
 
+    stiffness, damping, largest = drive
     slides = model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_SLIDE
     unit = 1.0 if slides else DEGREES
     item = UsdPhysics.DriveAPI.Apply(prim, drive_axis(prim))
     item.CreateTypeAttr("force")
-    item.CreateStiffnessAttr(drive.stiffness / unit)
-    item.CreateDampingAttr(drive.damping / unit)
-    if np.isfinite(drive.largest):
-        item.CreateMaxForceAttr(drive.largest)
+    item.CreateStiffnessAttr(stiffness / unit)
+    item.CreateDampingAttr(damping / unit)
+    if np.isfinite(largest):
+        item.CreateMaxForceAttr(largest)
     address = model.jnt_qposadr[joint]
     rest = float(model.qpos_spring[address] - model.qpos0[address]) if model.jnt_stiffness[joint] else 0.0
     item.CreateTargetPositionAttr(rest * unit)
@@ -245,9 +237,3 @@ def _vec3f(values: Array) -> Any:
     from pxr import Gf
 
     return Gf.Vec3f(*(float(x) for x in values))
-
-
-def _identifier(name: str) -> str:
-    from pxr import Tf
-
-    return str(Tf.MakeValidIdentifier(name))

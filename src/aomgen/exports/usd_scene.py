@@ -11,7 +11,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from aomgen.assets.usd_write import set_attribute
+from aomgen.assets.usd_write import make_identifier, set_attribute
 from aomgen.core.camera import Camera
 from aomgen.core.transforms import quat_from_matrix
 from aomgen.core.values import Array
@@ -90,7 +90,7 @@ def _add_bodies(stage: Any, path: Path, motion: SceneMotion) -> dict[str, str]:
     prims = {}
     for number, name in enumerate(twin.body_names):
         group = ROBOT if 0 < number <= len(motion.robot.body_names) else OBJECT
-        prims[name] = BACKGROUND if name == WORLD_BODY else f"{group}/{_identifier(name)}"
+        prims[name] = BACKGROUND if name == WORLD_BODY else f"{group}/{make_identifier(name)}"
         body = UsdGeom.Xform.Define(stage, prims[name])
         if name != WORLD_BODY:
             body.AddTranslateOp()
@@ -169,7 +169,7 @@ def _commanded_joints(motion: SceneMotion, scene: Scene) -> Iterator[tuple[int, 
         yield joint.id, motion.commands[:, row] - model.qpos0[joint.qposadr[0]]
     opened, closed = gripper.driver_range
     values = opened + motion.commands[:, -1] * (closed - opened)
-    actuated = actuated_joints(model, gripper.actuator)
+    actuated = actuated_joints(model, model.actuator(gripper.actuator).id)
     targets = {joint: values - model.qpos0[model.jnt_qposadr[joint]] for joint in actuated}
     for joint, (leader, offset, ratio) in coupled_joints(model, actuated).items():
         targets[joint] = offset + ratio * targets[leader]
@@ -183,7 +183,7 @@ def _add_cameras(stage: Any, cameras: Mapping[str, Camera], motion: SceneMotion)
     UsdGeom.Scope.Define(stage, CAMERAS)
     moving = {}
     for name, camera in {**cameras, **{name: path.at(0) for name, path in motion.paths.items()}}.items():
-        prim = _add_camera(stage, f"{CAMERAS}/{_identifier(name)}", camera)
+        prim = _add_camera(stage, f"{CAMERAS}/{make_identifier(name)}", camera)
         if name in motion.paths:
             moving[str(prim.GetPath())] = motion.paths[name].Ts_world_cam @ FLIP
         else:
@@ -210,9 +210,3 @@ def _add_camera(stage: Any, path: str, camera: Camera) -> Any:
     prim = item.GetPrim()
     set_attribute(prim, "aomgen:image_size", [float(camera.width), float(camera.height)])
     return prim
-
-
-def _identifier(name: str) -> str:
-    from pxr import Tf
-
-    return str(Tf.MakeValidIdentifier(name))

@@ -109,7 +109,7 @@ def replace_demo_tables(path: Path, tables: DemoTables) -> str:
     """
     text = read_manifest_text(path)
     blocks = split_tables(text)
-    is_demo = [_is_demo(header) for header, _ in blocks]
+    is_demo = [header == "demo" or header.startswith("demo.") for header, _ in blocks]
     kept = {}
     for header, block in blocks:
         if header == "demo.cameras":
@@ -133,10 +133,6 @@ def replace_demo_tables(path: Path, tables: DemoTables) -> str:
     result = f"{head}{gap}{new}{tail}" if tail else f"{head}{gap}{new}".rstrip("\n") + "\n"
     _check_others(path, text, result)
     return result
-
-
-def _is_demo(header: str) -> bool:
-    return header == "demo" or header.startswith("demo.")
 
 
 def _read_camera(path: Path, block: str) -> dict[str, str]:
@@ -163,8 +159,7 @@ def _write_demo(tables: DemoTables, kept: dict[str, str]) -> str:
     demo = f'[demo]\njoints = "{JOINTS_FILE}"\n'
     if tables.clock_offset_s is not None:
         demo += (
-            f"# clock_offset_s = {tables.clock_offset_s:.6f}   # by the stamps of the recording, without the "
-            "latency of "
+            f"# clock_offset_s = {tables.clock_offset_s:.6f}   # by the stamps of the recording, without the latency of "
             "the camera; estimated when absent\n"
         )
     return "\n".join([*parts, demo])

@@ -7,7 +7,6 @@ import numpy as np
 
 from aomgen.capture.log_clock import find_time_column, read_times
 from aomgen.capture.log_table import LogTable, read_log_table, read_number
-from aomgen.core.values import Array
 from aomgen.errors import IncompleteCaptureError, MalformedFileError
 from aomgen.importers.recorded import JointTable, RecordedEpisode
 
@@ -40,7 +39,8 @@ def read_episode(path: Path) -> RecordedEpisode:
         raise MalformedFileError(path, "has no columns of numbers", "export the joint values in columns")
     kind, unit = "CSV", ""
     if all(column in columns for column in RTDE_COLUMNS):
-        columns = _rename_rtde(columns)
+        names = dict(zip(RTDE_COLUMNS, UR_JOINTS, strict=True))
+        columns = {names.get(column, column): values for column, values in columns.items()}
         kind, unit = "RTDE recording", "rad"
     return RecordedEpisode(
         kind=kind,
@@ -57,8 +57,3 @@ def _is_number(table: LogTable, column: str) -> bool:
     except (ValueError, IndexError):
         return False
     return True
-
-
-def _rename_rtde(columns: dict[str, Array]) -> dict[str, Array]:
-    names = dict(zip(RTDE_COLUMNS, UR_JOINTS, strict=True))
-    return {names.get(column, column): values for column, values in columns.items()}

@@ -1,7 +1,6 @@
 """Files of a capture without capture.toml, the robot recognized from them, and a first capture.toml."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
@@ -17,29 +16,13 @@ from aomgen.robots.description import find_known_description, read_description
 SCAN_VIDEO: Final = "scan.mp4"
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class FoundFiles:
-    """Files of a capture, and the recognized robot.
-
-    Attributes:
-        scan: Folder of images or video, as named in capture.toml.
-        cameras: Names of the videos `demo/NAME.mp4`.
-        columns: Numeric columns of the log, without the times.
-        robot: Known robot whose joint names are columns; "" if there is none.
-        joints: Joints of this robot; empty if there is none.
-        gripper: Column of the gripper; "" if no column or several columns have such a name.
-    """
-
-    scan: str
-    cameras: tuple[str, ...]
-    columns: tuple[str, ...]
-    robot: str
-    joints: tuple[str, ...]
-    gripper: str
-
-
-def find_capture_files(capture: Path) -> FoundFiles:
+def find_capture_files(capture: Path) -> tuple[DemoTables, tuple[str, ...]]:
     """Find scan, videos and log of a capture at their usual paths.
+
+    Returns:
+        Facts for a capture.toml, and the numeric columns of the log without the times. The robot is the known one whose joint
+        names are columns; robot and joints are empty if there is none. The gripper is "" if no column or several columns have
+        such a name.
 
     Raises:
         MissingFileError: One of them is missing; the message names the import that creates it.
@@ -63,41 +46,32 @@ def find_capture_files(capture: Path) -> FoundFiles:
         _, gripper = find_gripper([table], table, joints, "", log)
     except (ConfigError, InputError):
         gripper = ""
-    return FoundFiles(
-        scan=scan,
+    tables = DemoTables(
         cameras=tuple(video.stem for video in videos),
-        columns=tuple(table.columns),
-        robot=DEFAULT_ROBOT if is_known else "",
+        clock_offset_s=None,
+        robot_model=DEFAULT_ROBOT if is_known else "",
         joints=tuple(joints) if is_known else (),
         gripper=gripper,
+        scan=scan,
     )
+    return tables, tuple(table.columns)
 
 
-def describe_capture(
-    capture: Path, found: FoundFiles, robot: str, joints: Sequence[str], gripper: str
-) -> Path:
+def describe_capture(capture: Path, tables: DemoTables, columns: Sequence[str]) -> Path:
     """Write a capture.toml; category and instruction are not filled in.
 
     Args:
-        robot: Name of a known robot, or URDF or MJCF file in the capture.
-        joints: Columns of the robot's joints, from base to flange.
-        gripper: Column of the gripper.
+        capture: Folder of the capture.
+        tables: Facts about the capture; the joints are columns of the log, from base to flange.
+        columns: Numeric columns of the log.
 
     Raises:
-        UnknownNameError: The log has no such column.
+        UnknownNameError: The log does not have the column of a joint or of the gripper.
         StorageError: Writing to the disk failed.
     """
-    for name in (*joints, gripper):
-        if name not in found.columns:
-            raise UnknownNameError(capture / JOINTS_FILE, name, dict.fromkeys(found.columns))
-    tables = DemoTables(
-        cameras=found.cameras,
-        clock_offset_s=None,
-        robot_model=robot,
-        joints=joints,
-        gripper=gripper,
-        scan=found.scan,
-    )
+    for name in (*tables.joints, tables.gripper):
+        if name not in columns:
+            raise UnknownNameError(capture / JOINTS_FILE, name, dict.fromkeys(columns))
     path = capture / "capture.toml"
     write_text(path, write_new_capture(capture.resolve().name, tables))
     return path

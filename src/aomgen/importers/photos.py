@@ -1,7 +1,6 @@
 """A folder of photos from a phone or camera: JPEG, PNG or HEIC, with their EXIF data."""
 
 from collections import defaultdict
-from dataclasses import dataclass
 from math import hypot
 from pathlib import Path
 from typing import Final
@@ -28,15 +27,6 @@ DIAGONAL_35MM: Final = hypot(36.0, 24.0)
 MAX_FOCAL_RATIO: Final = 1.08
 # Plausible 35 mm equivalents, [mm]; cameras write 0 or 1 for an unknown focal length.
 FOCAL_RANGE_35MM: Final = (8.0, 400.0)
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class PhotoHeader:
-    """Displayed width and height of a photo, and its focal length; [px], 0 if it is unknown."""
-
-    width: int
-    height: int
-    focal: float
 
 
 def list_photos(source: Path) -> list[Path]:
@@ -75,43 +65,40 @@ def read_photos(source: Path) -> ScanSource:
     """
     paths = list_photos(source)
     headers = [read_header(path) for path in paths]
-    known = [header.focal for header in headers if header.focal]
+    known = [focal for _, focal in headers if focal]
     camera_known = len(known) == len(headers)
     if known and not max(known) <= MAX_FOCAL_RATIO * min(known):
         groups = defaultdict(list)
-        for path, header in zip(paths, headers, strict=True):
-            groups[f"focal length {header.focal:.0f} px"].append(path.name)
+        for path, (_, focal) in zip(paths, headers, strict=True):
+            groups[f"focal length {focal:.0f} px"].append(path.name)
         raise SeveralCamerasError(source, groups)
     focal = float(np.median(known)) if known else 0.0
     images = [
-        ScanImage(name=path.name, path=path, camera=_describe_camera(header, focal) if camera_known else None)
-        for path, header in zip(paths, headers, strict=True)
+        ScanImage(name=path.name, path=path, camera=_describe_camera(size, focal) if camera_known else None)
+        for path, (size, _) in zip(paths, headers, strict=True)
     ]
     return ScanSource(kind="folder of photos", images=tuple(images))
 
 
-def _describe_camera(header: PhotoHeader, focal: float) -> ColmapCamera:
+def _describe_camera(size: tuple[int, int], focal: float) -> ColmapCamera:
+    width, height = size
     return ColmapCamera(
-        model="SIMPLE_PINHOLE",
-        width=header.width,
-        height=header.height,
-        params=(focal, header.width / 2, header.height / 2),
+        model="SIMPLE_PINHOLE", width=width, height=height, params=(focal, width / 2, height / 2)
     )
 
 
-def read_header(path: Path) -> PhotoHeader:
-    """Read size and focal length of a photo.
+def read_header(path: Path) -> tuple[tuple[int, int], float]:
+    """Read displayed width and height of a photo, and its focal length, [px]; 0 if the photo does not state it.
 
     Raises:
         InputError, BackendError: See `open_image` and `open_heic`.
     """
     if path.suffix.lower() in HEIC_SUFFIXES:
         image = open_heic(path)
-        width, height = image.size
-        return PhotoHeader(width=width, height=height, focal=_focal_px(image))
-    width, height = image_size(path)
+        return image.size, _focal_px(image)
+    size = image_size(path)
     with open_image(path) as image:
-        return PhotoHeader(width=width, height=height, focal=_focal_px(image))
+        return size, _focal_px(image)
 
 
 def read_photo(path: Path, *, upright: bool = True) -> NDArray[np.uint8]:

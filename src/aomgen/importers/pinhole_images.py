@@ -1,7 +1,7 @@
 """The common pinhole camera of a scan's images, and the resampling of images to it."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
 from typing import Final
@@ -9,7 +9,7 @@ from typing import Final
 import numpy as np
 import pycolmap
 
-from aomgen.core.lens import Resample, resampler
+from aomgen.core.lens import Lens, Resample, resampler
 from aomgen.core.values import Array
 from aomgen.errors import CalibrationError, SeveralCamerasError
 from aomgen.io.colmap_models import ColmapCamera
@@ -26,26 +26,6 @@ BISECTIONS: Final = 40
 MAX_FOCAL_RATIO: Final = 1.15
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class PinholeTarget:
-    """A pinhole camera: intrinsics and image size, [px]."""
-
-    fx: float
-    fy: float
-    cx: float
-    cy: float
-    width: int
-    height: int
-
-    def resample_from(self, camera: ColmapCamera) -> Resample | None:
-        """Return the resampling of images of a lens; None if no resampling is needed."""
-        return _make_resampler(self, camera)
-
-    def rays(self, pixels: Array) -> Array:
-        """Viewing rays (N, 3) of pixels (N, 2), at depth 1."""
-        return np.column_stack([(pixels - [self.cx, self.cy]) / [self.fx, self.fy], np.ones(len(pixels))])
-
-
 def rescale_camera(camera: ColmapCamera, width: int, height: int) -> ColmapCamera:
     """Return the camera model of an image after a change of its size."""
     if (width, height) == (camera.width, camera.height):
@@ -57,8 +37,8 @@ def rescale_camera(camera: ColmapCamera, width: int, height: int) -> ColmapCamer
     )
 
 
-def choose_pinhole(cameras: Mapping[str, ColmapCamera], where: Path) -> PinholeTarget:
-    """Choose the pinhole camera to which images of all lenses can be resampled without empty borders.
+def choose_pinhole(cameras: Mapping[str, ColmapCamera], where: Path) -> Lens:
+    """Choose the pinhole camera, a `Lens` without distortion, to which images of all lenses can be resampled without empty borders.
 
     A single undistorted lens is kept exactly. Otherwise the principal point is that of the lens with the median focal
     length, and the focal length is the smallest one at which every lens covers every pixel.
@@ -81,7 +61,7 @@ def choose_pinhole(cameras: Mapping[str, ColmapCamera], where: Path) -> PinholeT
         raise SeveralCamerasError(where, groups)
     colmap = _colmap(middle)
     fx, fy = _focals(middle)
-    target = PinholeTarget(
+    target = Lens(
         fx=fx,
         fy=fy,
         cx=float(colmap.principal_point_x),
@@ -92,15 +72,19 @@ def choose_pinhole(cameras: Mapping[str, ColmapCamera], where: Path) -> PinholeT
     if all(measure_shift_px(target, lens) <= SAME_PX for lens in lenses):
         return target
     low, high = 1 / FOCAL_SEARCH, FOCAL_SEARCH
-    if not _covers(_zoom(target, high), lenses):
+
+    def zoom(share: float) -> Lens:
+        return replace(target, fx=share * target.fx, fy=share * target.fy)
+
+    if not _covers(zoom(high), lenses):
         raise CalibrationError(where, "has a lens that does not cover its images", "check the intrinsics")
     for _ in range(BISECTIONS):
         share = (low * high) ** 0.5
-        low, high = (low, share) if _covers(_zoom(target, share), lenses) else (share, high)
-    return _zoom(target, high)
+        low, high = (low, share) if _covers(zoom(share), lenses) else (share, high)
+    return zoom(high)
 
 
-def measure_shift_px(target: PinholeTarget, lens: ColmapCamera) -> float:
+def measure_shift_px(target: Lens, lens: ColmapCamera) -> float:
     """Largest distance between a pixel of the pinhole camera and its position in the image of a lens, [px]."""
     pixels = _border(target)
     shifts = np.linalg.norm(_project(lens, target.rays(pixels)) - pixels, axis=1)
@@ -108,7 +92,8 @@ def measure_shift_px(target: PinholeTarget, lens: ColmapCamera) -> float:
 
 
 @lru_cache(maxsize=2)
-def _make_resampler(target: PinholeTarget, lens: ColmapCamera) -> Resample | None:
+def make_resampler(target: Lens, lens: ColmapCamera) -> Resample | None:
+    """Return the resampling of images of a lens to those of a pinhole camera; None if no resampling is needed."""
     if measure_shift_px(target, lens) <= SAME_PX:
         return None
     u, v = np.meshgrid(np.arange(target.width) + 0.5, np.arange(target.height) + 0.5)
@@ -116,18 +101,7 @@ def _make_resampler(target: PinholeTarget, lens: ColmapCamera) -> Resample | Non
     return resampler(pixels.reshape(target.height, target.width, 2))
 
 
-def _zoom(target: PinholeTarget, share: float) -> PinholeTarget:
-    return PinholeTarget(
-        fx=share * target.fx,
-        fy=share * target.fy,
-        cx=target.cx,
-        cy=target.cy,
-        width=target.width,
-        height=target.height,
-    )
-
-
-def _covers(target: PinholeTarget, lenses: list[ColmapCamera]) -> bool:
+def _covers(target: Lens, lenses: list[ColmapCamera]) -> bool:
     rays = target.rays(_border(target))
     size = np.array([target.width, target.height])
     # Resampling repeats the outermost half pixel.
@@ -137,7 +111,7 @@ def _covers(target: PinholeTarget, lenses: list[ColmapCamera]) -> bool:
     )
 
 
-def _border(target: PinholeTarget) -> Array:
+def _border(target: Lens) -> Array:
     """Points on the border and on the diagonals of the image."""
     share: Array = np.linspace(0.0, 1.0, BORDER_SAMPLES, dtype=np.float64)
     zero, one = np.zeros_like(share), np.ones_like(share)
@@ -146,8 +120,9 @@ def _border(target: PinholeTarget) -> Array:
 
 
 def _project(lens: ColmapCamera, rays: Array) -> Array:
-    """Image points (N, 2) of rays (N, 3), NaN outside the domain of the lens."""
-    return np.asarray(_colmap(lens).img_from_cam(rays), np.float64).reshape(-1, 2)
+    """Image points (N, 2) of rays (N, 2), as x/z, y/z, NaN outside the domain of the lens."""
+    points = np.column_stack([rays, np.ones(len(rays))])
+    return np.asarray(_colmap(lens).img_from_cam(points), np.float64).reshape(-1, 2)
 
 
 def _focals(lens: ColmapCamera) -> tuple[float, float]:

@@ -1,7 +1,6 @@
 """Import of a scan into a capture: images, poses and the `[scan]` table of capture.toml."""
 
 import tempfile
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
@@ -19,21 +18,9 @@ CAPTURE_FILE: Final = "capture.toml"
 MIN_IMAGES: Final = 12
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ImportedScan:
-    """A scan after its import into a capture.
-
-    Attributes:
-        kind: Name of the format.
-        is_new: Whether capture.toml was created; a new one contains only the scan.
-    """
-
-    kind: str
-    written: WrittenScan
-    is_new: bool
-
-
-def import_scan(source: Path, capture: Path, long_side: int, progress: Progress) -> ImportedScan:
+def import_scan(
+    source: Path, capture: Path, long_side: int, progress: Progress
+) -> tuple[str, WrittenScan, bool]:
     """Write a scan of another program into the folder `scan` of a capture, and describe it in capture.toml.
 
     Nothing is written unless every image can be decoded. Only the keys of `[scan]` in capture.toml are changed; other
@@ -43,6 +30,9 @@ def import_scan(source: Path, capture: Path, long_side: int, progress: Progress)
         source: See `read_scan_source`.
         capture: Folder of the capture, which is created if it does not exist.
         long_side: See `write_scan`.
+
+    Returns:
+        Name of the format, the written images, and whether capture.toml lacks the table [robot], as a new file does.
 
     Raises:
         ConfigError: The capture already has a scan, or its capture.toml cannot be changed line by line.
@@ -69,4 +59,4 @@ def import_scan(source: Path, capture: Path, long_side: int, progress: Progress)
                 write_text(staging / CAPTURE_FILE, changed)
     if not new:
         write_text(file, changed)
-    return ImportedScan(kind=found.kind, written=written, is_new="[robot]" not in text)
+    return found.kind, written, "[robot]" not in text

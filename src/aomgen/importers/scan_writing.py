@@ -15,7 +15,7 @@ from aomgen.core.progress import Progress
 from aomgen.core.recording import Intrinsics, ScanPoses
 from aomgen.errors import CalibrationError, SeveralCamerasError
 from aomgen.importers.photos import read_header, read_photo
-from aomgen.importers.pinhole_images import PinholeTarget, choose_pinhole, rescale_camera
+from aomgen.importers.pinhole_images import choose_pinhole, make_resampler, rescale_camera
 from aomgen.importers.scan_source import ScanImage, ScanSource
 from aomgen.io.atomic import write_json
 from aomgen.io.images import encode_jpeg, encode_png, exif_orientation, open_image, resize
@@ -54,7 +54,7 @@ class Layout:
         upright: Whether EXIF's orientation is applied.
         quarter_turn: Whether the image is rotated by 90 degrees afterwards, so that all images have one size.
         width, height: Size after these rotations, [px].
-        camera: Camera model at this size.
+        image: Source image, whose camera model is that of this size.
     """
 
     upright: bool
@@ -98,7 +98,7 @@ def write_scan(
     names, resampled = [], 0
     for index, (layout, camera) in enumerate(zip(layouts, scaled, strict=True)):
         progress(index / len(layouts), "writing images")
-        resample = target.resample_from(camera) if target and camera else None
+        resample = make_resampler(target, camera) if target and camera else None
         pixels = _decode(layout)
         if pixels.shape[:2] != (height, width):
             pixels = resize(pixels, width, height)
@@ -113,7 +113,7 @@ def write_scan(
         names=tuple(names),
         width=width,
         height=height,
-        intrinsics=target and _intrinsics(target),
+        intrinsics=target and Intrinsics(fx=target.fx, fy=target.fy, cx=target.cx, cy=target.cy),
         resampled=resampled,
         poses=poses,
         warnings=source.warnings + warnings,
@@ -122,8 +122,7 @@ def write_scan(
 
 def _lay_out(image: ScanImage) -> Layout:
     """Decide whether EXIF's orientation applies, by the image size of the camera model; without a model, it applies."""
-    header = read_header(image.path)
-    upright = (header.width, header.height)
+    upright, _ = read_header(image.path)
     camera = image.camera
     if camera is None:
         return Layout(upright=True, quarter_turn=False, width=upright[0], height=upright[1], image=image)
@@ -229,7 +228,3 @@ def _rename_poses(source: ScanSource, names: list[str]) -> ScanPoses | None:
         if image.T_scan_cam is not None
     }
     return ScanPoses(Ts_scan_cam=poses, metric=source.metric) if poses else None
-
-
-def _intrinsics(target: PinholeTarget) -> Intrinsics:
-    return Intrinsics(fx=target.fx, fy=target.fy, cx=target.cx, cy=target.cy)

@@ -1,7 +1,7 @@
 """MP4 files whose frames keep the times of the recording; encoded streams are copied if possible."""
 
 import io
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from fractions import Fraction
 from pathlib import Path
 from shutil import copyfile
@@ -221,15 +221,8 @@ def write_h264(packets: Iterable[tuple[float, bytes]], target: Path, source: obj
 
 
 def _holds_parameters(data: bytes) -> bool:
-    starts = (at + 3 for at in _find_all(data, b"\0\0\1"))
-    return any(at < len(data) and data[at] & NAL_TYPE == SPS for at in starts)
-
-
-def _find_all(data: bytes, pattern: bytes) -> Iterator[int]:
-    at = data.find(pattern)
-    while at >= 0:
-        yield at
-        at = data.find(pattern, at + 1)
+    """Return whether one of the units of a packet, each of which follows a start code, is a sequence parameter set."""
+    return any(unit and unit[0] & NAL_TYPE == SPS for unit in data.split(b"\0\0\1")[1:])
 
 
 def _stamp(packets: Sequence[Packet], times_s: Array) -> None:

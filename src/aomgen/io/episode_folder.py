@@ -13,7 +13,7 @@ episodes/000007/
 import hashlib
 import os
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Final, Literal
 
@@ -260,7 +260,6 @@ def _frame_arrays(episode: Episode) -> dict[str, NDArray[Any]]:
 
 
 def _header(episode: Episode) -> dict[str, Any]:
-    joint = episode.joint
     return {
         "format": FORMAT,
         "index": episode.index,
@@ -272,25 +271,13 @@ def _header(episode: Episode) -> dict[str, Any]:
         "joint_names": list(episode.joint_names),
         "fps": episode.fps,
         "frames": len(episode),
-        "joint": {
-            "type": joint.type,
-            "axis": joint.axis,
-            "origin": joint.origin,
-            "lower": joint.lower,
-            "upper": joint.upper,
-        },
+        "joint": asdict(episode.joint),
         "T_world_object": episode.T_world_object,
         "keypoints": episode.keypoints,
-        "cameras": {name: camera_dict(camera) for name, camera in episode.cameras.items()},
+        "cameras": {name: asdict(camera) for name, camera in episode.cameras.items()},
         "verdict": dict(episode.verdict),
         "simulation": dict(episode.simulation),
     }
-
-
-def camera_dict(camera: Camera) -> dict[str, Any]:
-    """Convert a camera to a dictionary of its fields, which `write_json` accepts."""
-    names = ("fx", "fy", "cx", "cy", "width", "height", "T_world_cam")
-    return {name: getattr(camera, name) for name in names}
 
 
 def _episode(header: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> Episode:

@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from aomgen.core.gaussians import SH_C0, Gaussians, gaussians_of
 from aomgen.errors import (
@@ -93,14 +92,10 @@ def write_splat(path: Path, gaussians: Gaussians) -> None:
     table = np.empty(len(gaussians), RECORD)
     norms = np.linalg.norm(gaussians.quats, axis=1, keepdims=True)
     table["means"], table["scales"] = gaussians.means, gaussians.scales
-    table["color"] = _bytes((0.5 + SH_C0 * gaussians.sh[:, 0]) * 255)
-    table["opacity"] = _bytes(gaussians.opacities * 255)
-    table["quats"] = _bytes(gaussians.quats / norms * 128 + 128)
+    table["color"] = spz.round_to_bytes((0.5 + SH_C0 * gaussians.sh[:, 0]) * 255)
+    table["opacity"] = spz.round_to_bytes(gaussians.opacities * 255)
+    table["quats"] = spz.round_to_bytes(gaussians.quats / norms * 128 + 128)
     write_bytes(path, table.tobytes())
-
-
-def _bytes(values: NDArray[np.floating]) -> NDArray[np.uint8]:
-    return np.clip(np.rint(values), 0, 255).astype(np.uint8)
 
 
 F = TypeVar("F")

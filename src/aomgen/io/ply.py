@@ -5,7 +5,6 @@ x y z nx ny nz, f_dc_0..2, f_rest_0.., opacity, scale_0..2, rot_0..3 (wxyz).
 """
 
 import re
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final
 
@@ -42,18 +41,6 @@ _LARGEST = float(np.finfo(np.float32).max)
 _REMEDY = "export the Gaussians again as binary 3DGS PLY"
 
 
-@dataclass(slots=True, kw_only=True)
-class _Element:
-    """Element of a PLY header: a table with its number of rows, and (name, type) of its columns."""
-
-    name: str
-    count: int
-    properties: list[tuple[str, str]] = field(default_factory=list)
-
-    def dtype(self, order: str) -> np.dtype[np.void]:
-        return np.dtype([(name, order + kind) for name, kind in self.properties])
-
-
 def read_gaussians(path: Path, *, max_gaussians: int = MAX_GAUSSIANS) -> Gaussians:
     """Read Gaussians of SH degree 0..3; quaternions are normalized.
 
@@ -77,17 +64,17 @@ def read_gaussians(path: Path, *, max_gaussians: int = MAX_GAUSSIANS) -> Gaussia
     except OSError as error:
         raise MissingFileError(path, f"cannot be read ({error.strerror})", "check its permissions") from error
     lines, start = _header_lines(path, head)
-    order, elements = _parse_header(path, lines)
-    index = [element.name for element in elements].index("vertex")
-    vertices = elements[index]
-    rest = _check_names(path, [name for name, _ in vertices.properties])
-    if not vertices.count <= max_gaussians:
-        raise LimitExceededError(path, f"holds {vertices.count} Gaussians, limit {max_gaussians}")
-    sizes = [element.count * element.dtype(order).itemsize for element in elements]
+    elements = _parse_header(path, lines)
+    index = [name for name, _, _ in elements].index("vertex")
+    _, count, dtype = elements[index]
+    rest = _check_names(path, list(dtype.names or ()))
+    if not count <= max_gaussians:
+        raise LimitExceededError(path, f"holds {count} Gaussians, limit {max_gaussians}")
+    sizes = [rows * kind.itemsize for _, rows, kind in elements]
     want, have = start + sum(sizes), path.stat().st_size
     if have != want:
         raise MalformedFileError(path, f"has {have} bytes, its header needs {want}", _REMEDY)
-    return _read_vertices(path, vertices.dtype(order), (start + sum(sizes[:index]), vertices.count), rest)
+    return _read_vertices(path, dtype, (start + sum(sizes[:index]), count), rest)
 
 
 def write_gaussians(path: Path, gaussians: Gaussians) -> None:
@@ -157,10 +144,11 @@ def _header_lines(path: Path, head: bytes) -> tuple[list[str], int]:
         raise MalformedFileError(path, "has a header that is not ASCII", _REMEDY) from error
 
 
-def _parse_header(path: Path, lines: list[str]) -> tuple[str, list[_Element]]:
-    """Parse the byte order and the elements, exactly one of which is called `vertex`."""
-    order = ""
-    elements: list[_Element] = []
+def _parse_header(path: Path, lines: list[str]) -> list[tuple[str, int, np.dtype[np.void]]]:
+    """Parse name, number of rows and type of a row of each element; exactly one element is called `vertex`."""
+    order, element = "", ""
+    elements: list[tuple[str, int, list[tuple[str, str]]]] = []
+    columns: list[tuple[str, str]] = []
     for line in lines:
         match line.split():
             case ["comment" | "obj_info", *_] | []:
@@ -169,25 +157,28 @@ def _parse_header(path: Path, lines: list[str]) -> tuple[str, list[_Element]]:
                 order = _ORDERS[name]
             case ["format", name, *_] if not order:
                 raise MalformedFileError(path, f"has format {name}, expected {' or '.join(_ORDERS)}", _REMEDY)
-            case ["element", name, digits] if digits.isdecimal() and len(digits) < 16:
-                elements.append(_Element(name=name, count=int(digits)))
+            case ["element", element, digits] if digits.isdecimal() and len(digits) < 16:
+                columns = []
+                elements.append((element, int(digits), columns))
             case ["property", kind, name] if elements and kind in _TYPES:
-                elements[-1].properties.append((name, _TYPES[kind]))
+                columns.append((name, _TYPES[kind]))
             case ["property", "list", *_] if elements:
-                raise MalformedFileError(path, f"has a list in element {elements[-1].name}", _REMEDY)
+                raise MalformedFileError(path, f"has a list in element {element}", _REMEDY)
             case _:
                 raise MalformedFileError(
                     path, f"has the header line {line[:80]!r}, which is not understood", _REMEDY
                 )
-    if not order or [element.name for element in elements].count("vertex") != 1:
+    if not order or [name for name, _, _ in elements].count("vertex") != 1:
         raise MalformedFileError(path, "names no format, or not one element called vertex", _REMEDY)
-    total = sum(len(element.properties) for element in elements)
+    total = sum(len(columns) for _, _, columns in elements)
     if not total <= MAX_PROPERTIES:
         raise LimitExceededError(path, f"has {total} properties, limit {MAX_PROPERTIES}")
-    for element in elements:
-        if len({name for name, _ in element.properties}) != len(element.properties):
-            raise MalformedFileError(path, "names a property twice", _REMEDY)
-    return order, elements
+    if any(len(dict(columns)) != len(columns) for _, _, columns in elements):
+        raise MalformedFileError(path, "names a property twice", _REMEDY)
+    return [
+        (name, rows, np.dtype([(column, order + kind) for column, kind in columns]))
+        for name, rows, columns in elements
+    ]
 
 
 def _check_names(path: Path, names: list[str]) -> int:

@@ -111,11 +111,11 @@ def write_spz(path: Path, gaussians: Gaussians) -> None:
         logs = np.log(gaussians.scales.astype(np.float64))
     streams = [
         (fixed[..., None] >> np.array([0, 8, 16]) & 0xFF).astype(np.uint8),
-        _to_bytes(gaussians.opacities * 255),
-        _to_bytes(gaussians.sh[:, 0] * (COLOR_SCALE * 255) + 127.5),
-        _to_bytes((logs + LOG_OFFSET) * LOG_STEPS),
+        round_to_bytes(gaussians.opacities * 255),
+        round_to_bytes(gaussians.sh[:, 0] * (COLOR_SCALE * 255) + 127.5),
+        round_to_bytes((logs + LOG_OFFSET) * LOG_STEPS),
         _pack_rotations(gaussians.quats.astype(np.float64)),
-        _to_bytes(gaussians.sh[:, 1:] * SH_HALF + SH_HALF),
+        round_to_bytes(gaussians.sh[:, 1:] * SH_HALF + SH_HALF),
     ]
     content = b"".join([header.tobytes(), *(stream.tobytes() for stream in streams)])
     write_bytes(path, gzip.compress(content, 6, mtime=0))
@@ -134,7 +134,8 @@ def _check_header(path: Path, header: np.void, max_gaussians: int) -> tuple[int,
     return count, (degree + 1) ** 2 - 1
 
 
-def _to_bytes(values: NDArray[np.floating]) -> NDArray[np.uint8]:
+def round_to_bytes(values: NDArray[np.floating]) -> NDArray[np.uint8]:
+    """Round values to 0..255."""
     return np.clip(np.rint(values), 0, 255).astype(np.uint8)
 
 

@@ -2,7 +2,7 @@
 
 import tempfile
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -41,27 +41,9 @@ MAX_FEATURES: Final = 4096
 VIDEO_FPS, VIDEO_FRAMES = 24, 120
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class SplatResult:
-    """Metrics of Gaussians that were reconstructed from photos.
-
-    Attributes:
-        images: Number of images.
-        registered: Number of registered images.
-        psnr_db, ssim: Mean PSNR, [dB], and SSIM over the held-out images; None if there are too few images to hold some out.
-        gaussians: Number of Gaussians.
-    """
-
-    images: int
-    registered: int
-    psnr_db: float | None
-    ssim: float | None
-    gaussians: int
-
-
 def make_splat(
     source: Path, target: Path, display: Display, *, long_side: int = LONG_SIDE, video: Path | None = None
-) -> SplatResult:
+) -> str:
     """Reconstruct Gaussians from photos, a video or the scan of another program.
 
     Finished stages are kept in a folder next to the target (`scene.run` for `scene.ply`), where the same call continues.
@@ -72,6 +54,9 @@ def make_splat(
         display: Receives the progress.
         long_side: Length of the longer side to which larger images are reduced, [px].
         video: MP4 file for a turntable video; None for no video.
+
+    Returns:
+        Numbers of images and Gaussians, and the mean PSNR and SSIM over the held-out images, in words.
 
     Raises:
         InputError: The source cannot be used.
@@ -92,14 +77,12 @@ def make_splat(
     if video is not None:
         write_bytes(video, encode_video(_render_turntable(results), VIDEO_FPS))
     metrics = read_json(results.folders["gaussians"] / METRICS_FILE)
-    structure = results.structure
-    return SplatResult(
-        images=len(structure.cameras_recon) + len(structure.dropped),
-        registered=len(structure.cameras_recon),
-        psnr_db=metrics["heldout_psnr"],
-        ssim=metrics["heldout_ssim"],
-        gaussians=len(gaussians),
-    )
+    psnr_db, ssim = metrics["heldout_psnr"], metrics["heldout_ssim"]
+    quality = "no held-out images, because there are too few images"
+    if psnr_db is not None and ssim is not None:
+        quality = f"held-out images: PSNR {psnr_db:.1f} dB, SSIM {ssim:.3f}"
+    registered, dropped = len(results.structure.cameras_recon), len(results.structure.dropped)
+    return f"{registered} of {registered + dropped} images, {len(gaussians)} Gaussians; {quality}"
 
 
 def _digest_source(source: Path, work: Path) -> str:

@@ -60,8 +60,7 @@ def write_capture_page(
         section(
             "Walk",
             paragraph(
-                "The scan from above: each dot is an image, its line the direction of the camera, red where "
-                "something is "
+                "The scan from above: each dot is an image, its line the direction of the camera, red where something is "
                 "wrong with it. From the shaded sector nothing was recorded: surfaces that face it are unobserved."
             ),
             _draw_walk(overlap),

@@ -51,8 +51,7 @@ def episodes_section(results: Results) -> list[str]:
     more = f" The first {SHOWN} of {len(made)} are shown; the table has all." if len(made) > SHOWN else ""
     return [
         paragraph(
-            f"{len(made)} episodes, each verified in simulation before it was rendered: contact alone moves "
-            "the passive "
+            f"{len(made)} episodes, each verified in simulation before it was rendered: contact alone moves the passive "
             f"joint, by at least {rule.target_share:.0%} of the planned travel, and for {rule.contact_share:.0%} "
             f"of the travel with a pad on the handle. Each was simulated in the nominal setting and in two opposite "
             f"settings, which differ in joint resistance, mass, friction and latch; {count} settings in all.{more}"
@@ -102,8 +101,7 @@ def _card(item: CommittedEpisode) -> str:
     return (
         f'<figure class="card"><div class="views">{players}</div><figcaption><b>{item.folder.name}</b> '
         f'{text(episode.asset)}, opened {opened} <span class="dim">moved {text(place_words(episode.verdict["variation"]))}; '
-        f"{text(' and '.join(item.videos))}, {len(episode.thetas) / episode.fps:.1f} s</span>"
-        "</figcaption></figure>"
+        f"{text(' and '.join(item.videos))}, {len(episode.thetas) / episode.fps:.1f} s</span></figcaption></figure>"
     )
 
 
@@ -123,7 +121,7 @@ def _verdicts(made: list[CommittedEpisode]) -> str:
         videos = " ".join(link(_link(item, path), name) for name, path in item.videos.items())
         rows.append(
             [
-                Markup(html=f'<span class="whole">{item.folder.name} {videos}</span>'),
+                Markup(f'<span class="whole">{item.folder.name} {videos}</span>'),
                 whole(item.episode.asset),
                 whole(place_words(item.episode.verdict["variation"])),
                 *figures,
@@ -142,8 +140,7 @@ def rejects_section(results: Results) -> list[str]:
     meanings = reasons()
     parts = [
         paragraph(
-            "Samples that gave no episode. Most of them were rejected before planning, and none is rendered. "
-            "If planning "
+            "Samples that gave no episode. Most of them were rejected before planning, and none is rendered. If planning "
             "failed, the line describes the grasp that progressed farthest."
         )
     ]
@@ -211,13 +208,11 @@ def draws_section(results: Results) -> list[str]:
     return [
         paragraph(
             "Gray: all samples, distributed evenly over the requested range. Blue: samples that were planned. "
-            "Green: samples "
-            "that became episodes."
+            "Green: samples that became episodes."
         ),
         f'<div class="head">{charts}</div>',
         paragraph(
-            "Top view of the sampled positions; the cross marks the robot, and a line the direction of the "
-            "object's front. "
+            "Top view of the sampled positions; the cross marks the robot, and a line the direction of the object's front. "
             "Green: episode. Red: planning or verification failed. Gray: rejected before planning, for the reasons "
             "below. Pale green area: the arm can hold the handle, the darker, the more yaw angles are possible. Brown: "
             "free table. Dark boxes: obstacles."

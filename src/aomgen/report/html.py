@@ -3,7 +3,6 @@
 import base64
 import html
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,11 +40,10 @@ LEFT, RIGHT, TOP, BOTTOM = 54, 12, 14, 34
 COLORS = ("#1f6f8b", "#d1495b", "#66a182", "#8d6a9f")
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Markup:
+class Markup(str):
     """Text that is HTML already, as a cell of a table."""
 
-    html: str
+    __slots__ = ()
 
 
 def page(title: str, body: list[str]) -> str:
@@ -115,7 +113,7 @@ def link(target: str, words: str) -> str:
     return f'<a href="{text(target)}">{text(words)}</a>'
 
 
-def table(header: Sequence[str | Markup], rows: Sequence[Sequence[object]]) -> str:
+def table(header: Sequence[str], rows: Sequence[Sequence[object]]) -> str:
     """A table; numbers stand right, in the digits given by whoever wrote them, and so do their heads."""
     numeric = [_is_number(value) for value in rows[0]] if rows else [False] * len(header)
     head = "".join(_cell(name, "th", right) for name, right in zip(header, numeric, strict=True))
@@ -130,12 +128,12 @@ def reading(item: Reading) -> str:
 
 def bar(share: float) -> Markup:
     """A bar as long as a share of its cell, 0..1."""
-    return Markup(html=f'<div class="bar" style="width:{100 * share:.1f}%"></div>')
+    return Markup(f'<div class="bar" style="width:{100 * share:.1f}%"></div>')
 
 
 def whole(words: str) -> Markup:
     """A cell's text that is not broken into lines."""
-    return Markup(html=f'<span class="whole">{text(words)}</span>')
+    return Markup(f'<span class="whole">{text(words)}</span>')
 
 
 def text(value: object) -> str:
@@ -149,7 +147,7 @@ def _anchor(title: str) -> str:
 
 def _cell(value: object, tag: str = "td", right: bool = False) -> str:
     if isinstance(value, Markup):
-        return f"<{tag}>{value.html}</{tag}>"
+        return f"<{tag}>{value}</{tag}>"
     kind = ' class="n"' if right or _is_number(value) else ""
     return f"<{tag}{kind}>{text(value)}</{tag}>"
 

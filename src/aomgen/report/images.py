@@ -32,6 +32,8 @@ AXIS, PATH, TOUCH = (40, 220, 255), (255, 80, 60), (255, 230, 60)
 # Opacity of the region that contains the axis, over the image, 0..255.
 VEIL = 110
 STATIONS, SIDES = 9, 24
+# Width of a top view and of an image in a sheet, [px]; number of images in a row of a sheet.
+MAP_PX, SMALL_PX, COLUMNS = 520, 320, 4
 # Least distance of drawn points from the camera, [m].
 NEAR_M = 0.05
 # Colors of points that are visible in no view, in few views and in enough views, sRGB.
@@ -47,12 +49,12 @@ def overlay_outline(image: Image8, mask: NDArray[np.bool_], color: tuple[int, in
     return result
 
 
-def overlay_labels(image: Image8, labels: NDArray[np.uint8], strength: float = 0.5) -> Image8:
-    """Draw part labels (H, W) as transparent colors over an image (H, W, 3)."""
+def overlay_labels(image: Image8, labels: NDArray[np.uint8]) -> Image8:
+    """Draw part labels (H, W) as half transparent colors over an image (H, W, 3)."""
     result = image.astype(np.float32)
     for label, color in LABEL_COLORS.items():
         mask = labels == label
-        result[mask] = (1 - strength) * result[mask] + strength * np.array(color, np.float32)
+        result[mask] = 0.5 * result[mask] + 0.5 * np.array(color, np.float32)
     return result.astype(np.uint8)
 
 
@@ -68,13 +70,7 @@ def sheet(images: list[Image8], columns: int, *, gap: int = 4) -> Image8:
     return canvas
 
 
-def map_from_above(
-    points_world: NDArray,
-    colors_srgb: NDArray[np.uint8],
-    cameras: list[Camera],
-    *,
-    width: int = 520,
-) -> Image8:
+def map_from_above(points_world: NDArray, colors_srgb: NDArray[np.uint8], cameras: list[Camera]) -> Image8:
     """Draw points (N, 3) with colors (N, 3) and camera positions in a top view, with the robot's base at the bottom.
 
     The robot's x axis points up in the image. Lower points are drawn first.
@@ -83,12 +79,12 @@ def map_from_above(
     ahead = np.array([camera.T_world_cam[:3, 2] for camera in cameras]).reshape(-1, 3)
     everything = np.concatenate([points_world, centers, np.zeros((1, 3))])[:, :2]
     low, high = everything.min(0) - 0.15, everything.max(0) + 0.15
-    scale = width / (high[1] - low[1])
+    scale = MAP_PX / (high[1] - low[1])
 
     def px(places: NDArray) -> list[tuple[float, float]]:
         return [((high[1] - y) * scale, (high[0] - x) * scale) for x, y in places[:, :2]]
 
-    canvas = Image.new("RGB", (width, round((high[0] - low[0]) * scale)), (250, 251, 252))
+    canvas = Image.new("RGB", (MAP_PX, round((high[0] - low[0]) * scale)), (250, 251, 252))
     draw = ImageDraw.Draw(canvas)
     order = np.argsort(points_world[:, 2], kind="stable")
     for (x, y), color in zip(px(points_world[order]), colors_srgb[order], strict=True):
@@ -143,16 +139,16 @@ def overlay_motion(
     draw = ImageDraw.Draw(canvas)
     joint = motion.joint
     values = np.linspace(joint.lower, joint.upper, 40)
-    _polyline(draw, camera, apply(joint.motion(values), held_world), PATH, 2)
-    _polyline(draw, camera, centers, AXIS, 2)
+    _polyline(draw, camera, apply(joint.motion(values), held_world), PATH)
+    _polyline(draw, camera, centers, AXIS)
     _arrow_head(draw, camera, centers)
     carried = joint.motion(theta)
     for patch in motion.contacts:
         middle, normal = apply(carried, patch.point), carried[:3, :3] @ patch.normal
         ring = draw_circles(middle[None], np.array([max(patch.spread_m, PATCH_M)]), normal)[0]
-        _polyline(draw, camera, np.concatenate([ring, ring[:1]]), TOUCH, 2)
+        _polyline(draw, camera, np.concatenate([ring, ring[:1]]), TOUCH)
         # The normal points into the part; it is drawn outside of the part and ends at the patch.
-        _polyline(draw, camera, np.stack([middle - NORMAL_M * normal, middle]), TOUCH, 2)
+        _polyline(draw, camera, np.stack([middle - NORMAL_M * normal, middle]), TOUCH)
     return np.asarray(canvas.convert("RGB"))
 
 
@@ -179,13 +175,11 @@ def _arrow_head(draw: ImageDraw.ImageDraw, camera: Camera, centers: Array) -> No
     draw.polygon([(float(x), float(y)) for x, y in corners], fill=(*AXIS, 255))
 
 
-def _polyline(
-    draw: ImageDraw.ImageDraw, camera: Camera, points: Array, color: tuple[int, int, int], width: int
-) -> None:
+def _polyline(draw: ImageDraw.ImageDraw, camera: Camera, points: Array, color: tuple[int, int, int]) -> None:
     pixels, depths = camera.project(points)
     for a, b, near in zip(pixels[:-1], pixels[1:], np.minimum(depths[:-1], depths[1:]), strict=True):
         if near > NEAR_M:
-            draw.line([tuple(a), tuple(b)], fill=(*color, 255), width=width)
+            draw.line([tuple(a), tuple(b)], fill=(*color, 255), width=2)
 
 
 def choose_recorded_frames(results: Results, count: int) -> list[int]:
@@ -200,11 +194,11 @@ def estimate_recorded_states(results: Results, frames: list[int]) -> tuple[TwinS
     return results.states_at(times_s, results.twin.T_world_object)
 
 
-def heldout_sheet(results: Results, count: int = 4) -> Image8:
+def heldout_sheet(results: Results) -> Image8:
     """Arrange held-out scan images above renderings of the twin from the same camera poses."""
     cameras = results.scan_cameras
     names = [name for name in held_out(list(results.scan_images)) if name in cameras]
-    picked = [names[i] for i in np.linspace(0, len(names) - 1, min(count, len(names))).astype(int)]
+    picked = [names[i] for i in np.linspace(0, len(names) - 1, min(COLUMNS, len(names))).astype(int)]
     real = [_small(read_image(results.scan_images[name])) for name in picked]
     drawn = [
         _small(render_twin(results.twin, results.robot, cameras[name], results.twin.scan_state)[0])
@@ -213,11 +207,11 @@ def heldout_sheet(results: Results, count: int = 4) -> Image8:
     return sheet(real + drawn, len(picked))
 
 
-def parts_sheet(results: Results, count: int = 4) -> Image8:
+def parts_sheet(results: Results) -> Image8:
     """Draw the part labels of the Gaussians over scan images."""
     cameras = results.scan_cameras
     names = sorted(cameras)
-    picked = [names[i] for i in np.linspace(0, len(names) - 1, count + 2).astype(int)[1:-1]]
+    picked = [names[i] for i in np.linspace(0, len(names) - 1, COLUMNS + 2).astype(int)[1:-1]]
     images = []
     for name in picked:
         labels = render_twin(results.twin, results.robot, cameras[name], results.twin.scan_state)[2]
@@ -235,27 +229,27 @@ def coverage_map(results: Results) -> Image8:
     return map_from_above(found.points_world, SEEN[seen], training)
 
 
-def robot_sheet(results: Results, count: int = 4) -> Image8:
+def robot_sheet(results: Results) -> Image8:
     """Draw the outline of the robot model over the video, at the estimated clock offset and camera."""
     images = []
-    video, frames = results.videos[results.demo_camera], choose_recorded_frames(results, count)
+    video, frames = results.videos[results.demo_camera], choose_recorded_frames(results, COLUMNS)
     height, width = video.frames_srgb.shape[1:3]
     with SilhouetteRenderer(results.robot, max_width=width, max_height=height) as renderer:
         for frame, state in zip(frames, estimate_recorded_states(results, frames), strict=True):
             bodies, _ = renderer.draw(results.fixed_camera.camera, state.joints, state.gripper)
             images.append(_small(overlay_outline(video.frames_srgb[frame], bodies >= 0, OUTLINE)))
-    return sheet(images, count)
+    return sheet(images, COLUMNS)
 
 
-def replay_sheet(results: Results, count: int = 4) -> Image8:
+def replay_sheet(results: Results) -> Image8:
     """Arrange video frames above the replay of the twin."""
-    states = estimate_recorded_states(results, choose_recorded_frames(results, count))
+    states = estimate_recorded_states(results, choose_recorded_frames(results, COLUMNS))
     camera = results.fixed_camera.camera
     drawn = [_small(render_twin(results.twin, results.robot, camera, state)[0]) for state in states]
-    return sheet(demo_strip(results, count) + drawn, count)
+    return sheet(demo_strip(results, COLUMNS) + drawn, COLUMNS)
 
 
-def demo_strip(results: Results, count: int = 6) -> list[Image8]:
+def demo_strip(results: Results, count: int) -> list[Image8]:
     """Return frames of the recorded demonstration."""
     video = results.videos[results.demo_camera]
     return [_small(video.frames_srgb[frame]) for frame in choose_recorded_frames(results, count)]
@@ -267,5 +261,5 @@ def episode_strip(folder: Path, camera: str, count: int) -> list[Image8]:
     return read_frames(path, [int(i) for i in np.linspace(0, probe_video(path).frames - 1, count)])
 
 
-def _small(image: Image8, width: int = 320) -> Image8:
-    return resize(image, width, round(image.shape[0] * width / image.shape[1]))
+def _small(image: Image8) -> Image8:
+    return resize(image, SMALL_PX, round(image.shape[0] * SMALL_PX / image.shape[1]))

@@ -128,8 +128,7 @@ def _render_estimate_sections(results: Results) -> dict[str, list[str]]:
         "Motion": motion_section(results),
         "Replay": [
             paragraph(
-                "The video (above) and the twin's replay of it (below). Surfaces that the scan does not show "
-                "remain empty."
+                "The video (above) and the twin's replay of it (below). Surfaces that the scan does not show remain empty."
             ),
             picture(images.replay_sheet(results), "replay"),
         ],
@@ -206,7 +205,7 @@ def provenance_table(results: Results) -> str:
         ["command", _code(record.command) if record else "not recorded"],
         ["again", _code(shlex.join(["aomgen", "run", _project_file(results)]))],
         # A seed is a name: it stands left, like the rest.
-        ["seed", Markup(html=text(project.seed))],
+        ["seed", Markup(text(project.seed))],
         ["recording", str(project.capture)],
         ["assets", ", ".join(project.assets)],
     ]
@@ -221,9 +220,9 @@ def stages_table(results: Results) -> str:
     for stage in STAGES:
         spent = float(seconds.get(stage.name, 0.0))
         items = read_figures(stage.name, manifest_of(results, stage.name).figures)
-        figures = Markup(html="; ".join(reading(item) for item in items))
+        figures = Markup("; ".join(reading(item) for item in items))
         rows.append([stage.title, f"{spent:.1f}", f"{100 * spent / total:.0f}", bar(spent / total), figures])
-    head = ["stage", "seconds", "% of all", Markup(html='<div style="width:130px"></div>'), "figures"]
+    head = ["stage", "seconds", "% of all", Markup('<div style="width:130px"></div>'), "figures"]
     return table([*head], [*rows, ["all", f"{total:.1f}", "100", "", ""]])
 
 
@@ -276,8 +275,8 @@ def manifest_of(results: Results, stage: str) -> Manifest:
 
 def _reading_row(item: Reading) -> list[object]:
     judged = f"poor, {item.limit}" if item.verdict == "poor" else item.limit
-    limit = Markup(html=f'<span class="{item.verdict}">{text(judged)}</span>')
-    return [item.name, Markup(html=text(item.value)), limit]
+    limit = Markup(f'<span class="{item.verdict}">{text(judged)}</span>')
+    return [item.name, Markup(text(item.value)), limit]
 
 
 def _project_file(results: Results) -> str:
@@ -285,4 +284,4 @@ def _project_file(results: Results) -> str:
 
 
 def _code(words: str) -> Markup:
-    return Markup(html=f"<code>{text(words)}</code>")
+    return Markup(f"<code>{text(words)}</code>")

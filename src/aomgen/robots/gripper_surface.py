@@ -34,6 +34,9 @@ FACING, MIN_FACE_POINTS = 0.7, 12
 # Smallest half side length of the box behind a face, [m]; less than half of the thickness of any finger.
 HALF_THICKNESS_M = 0.002
 
+# Result of `sample_hand`.
+Skins = Mapping[int, tuple[Array, Array]]
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class HandSurface:
@@ -72,10 +75,10 @@ def hand_surface(robot: RobotModel) -> HandSurface:
         bodies, fingers = np.zeros(0, np.int64), np.zeros(0, np.str_)
         return HandSurface(points_body=none, normals_body=none, bodies=bodies, fingers=fingers)
     corners = np.concatenate([mesh.vertices_body[mesh.faces] for mesh in meshes]).reshape(-1, 3)
-    skin, chosen = _sample(corners, np.arange(len(corners)).reshape(-1, 3))
+    points, normals, chosen = _sample(corners, np.arange(len(corners)).reshape(-1, 3))
     bodies = np.repeat([mesh.body for mesh in meshes], [len(mesh.faces) for mesh in meshes])[chosen]
     fingers = np.array([sides[int(body)] for body in bodies], np.str_)
-    return HandSurface(points_body=skin.points, normals_body=skin.normals, bodies=bodies, fingers=fingers)
+    return HandSurface(points_body=points, normals_body=normals, bodies=bodies, fingers=fingers)
 
 
 def _sides(robot: RobotModel) -> dict[int, str]:
@@ -100,21 +103,13 @@ def _sides(robot: RobotModel) -> dict[int, str]:
     return sides | {pad.body: pad.finger for pad in robot.pads if pad.body in sides}
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class SurfaceSamples:
-    """Points (N, 3), [m], and outward normals (N, 3) on a group of rigidly connected bodies, in the frame of its root body."""
-
-    points: Array
-    normals: Array
-
-
-def sample_hand(model: mujoco.MjModel, chain: ArmChain) -> dict[int, SurfaceSamples]:
+def sample_hand(model: mujoco.MjModel, chain: ArmChain) -> dict[int, tuple[Array, Array]]:
     """Sample the surface of each group of rigidly connected gripper bodies.
 
     Only visible geoms are sampled if the group has any.
 
     Returns:
-        Samples by the id of the group's root body.
+        Points (N, 3), [m], and outward normals (N, 3), in the frame of the group's root body, by the id of this body.
     """
     shown = find_visible_geoms(model)
     Ts = body_poses(model, model.qpos0[None])[0]
@@ -131,12 +126,13 @@ def sample_hand(model: mujoco.MjModel, chain: ArmChain) -> dict[int, SurfaceSamp
             vertices = np.concatenate([corners for corners, _ in meshes])
             first = np.cumsum([0, *(len(corners) for corners, _ in meshes)])
             faces = np.concatenate([part + start for (_, part), start in zip(meshes, first, strict=False)])
-            result[root] = _sample(vertices, faces)[0]
+            points, normals, _ = _sample(vertices, faces)
+            result[root] = points, normals
     return result
 
 
-def _sample(vertices: Array, faces: NDArray[np.int64]) -> tuple[SurfaceSamples, NDArray[np.int64]]:
-    """Sample points at equal steps of the surface area, and return the face of each (N,).
+def _sample(vertices: Array, faces: NDArray[np.int64]) -> tuple[Array, Array, NDArray[np.int64]]:
+    """Sample points (N, 3) at equal steps of the surface area, and return them with their normals (N, 3) and faces (N,).
 
     The center of a contact patch is the mean of a few points. Its error is 0.5 to 2 mm with random points, and 0.4 mm with
     this low-discrepancy sequence.
@@ -147,12 +143,11 @@ def _sample(vertices: Array, faces: NDArray[np.int64]) -> tuple[SurfaceSamples, 
     first, second = qmc.Halton(2, scramble=False).random(POINTS + 1)[1:].T
     root = np.sqrt(first)
     weights = np.stack([1 - root, root * (1 - second), root * second], 1)
-    points = np.einsum("nk,nkj->nj", weights, vertices[faces[owners]])
-    return SurfaceSamples(points=points, normals=normals[owners]), owners
+    return np.einsum("nk,nkj->nj", weights, vertices[faces[owners]]), normals[owners], owners
 
 
 def find_fingers(
-    model: mujoco.MjModel, chain: ArmChain, skins: Mapping[int, SurfaceSamples], Ts: Array
+    model: mujoco.MjModel, chain: ArmChain, skins: Skins, Ts: Array
 ) -> tuple[tuple[int, int], float] | None:
     """Find the pair of bodies that are the fingers.
 
@@ -196,12 +191,13 @@ def _branch(model: mujoco.MjModel, body: int, palm: int) -> int:
     return next((b for b in line if model.body_weldid[model.body_parentid[b]] == palm), line[-1])
 
 
-def _distances(skins: Mapping[int, SurfaceSamples], Ts: Array, a: int, b: int) -> Array:
+def _distances(skins: Skins, Ts: Array, a: int, b: int) -> Array:
     """Compute the distance of each sample point of a (N,) from the nearest one of b, [m]."""
-    return cKDTree(skins[b].points).query(apply(invert(Ts[b]) @ Ts[a], skins[a].points))[0]
+    (points_a, _), (points_b, _) = skins[a], skins[b]
+    return cKDTree(points_b).query(apply(invert(Ts[b]) @ Ts[a], points_a))[0]
 
 
-def find_contact_row(skins: Mapping[int, SurfaceSamples], Ts: Array, pair: tuple[int, int]) -> int:
+def find_contact_row(skins: Skins, Ts: Array, pair: tuple[int, int]) -> int:
     """Return the index of the first of K states, from open to closed, whose finger distance is about the smallest one."""
     a, b = pair
     moving = _moving(skins, Ts, a, b)
@@ -209,15 +205,13 @@ def find_contact_row(skins: Mapping[int, SurfaceSamples], Ts: Array, pair: tuple
     return int(np.flatnonzero(gaps <= gaps.min() + SOFT_M / 4)[0])
 
 
-def _moving(skins: Mapping[int, SurfaceSamples], Ts: Array, a: int, b: int) -> NDArray[np.bool_]:
+def _moving(skins: Skins, Ts: Array, a: int, b: int) -> NDArray[np.bool_]:
     """Return a mask (N,) of the sample points of a that approach b by more than half of the largest approach."""
     nearer = _distances(skins, Ts[0], a, b) - _distances(skins, Ts[-1], a, b)
     return nearer > 0.5 * nearer.max()
 
 
-def find_face(
-    skins: Mapping[int, SurfaceSamples], Ts: Array, row: int, a: int, b: int
-) -> tuple[Array, Array] | None:
+def find_face(skins: Skins, Ts: Array, row: int, a: int, b: int) -> tuple[Array, Array] | None:
     """Find the face of finger a that meets finger b.
 
     Args:
@@ -231,22 +225,22 @@ def find_face(
         Pose (4, 4) of the box behind the face, in the frame of a with z towards b, and its half extents (3,), [m]; None if no
         part of the surface is directed towards b.
     """
-    skin = skins[a]
+    points, normals = skins[a]
     earlier = max(row - max(len(Ts) // 8, 1), 0)
     near = _distances(skins, Ts[row], a, b)
     moving = _moving(skins, Ts, a, b)
-    middle = skin.points[moving][np.argsort(near[moving])[:MIN_FACE_POINTS]].mean(0)
+    middle = points[moving][np.argsort(near[moving])[:MIN_FACE_POINTS]].mean(0)
     # `towards` points to the earlier position, in the frame of a, of the point of b that touches a in the state of contact.
     T_a_a = invert(Ts[earlier, a]) @ Ts[earlier, b] @ invert(Ts[row, b]) @ Ts[row, a]
     towards = apply(T_a_a, middle) - middle
     length = float(np.linalg.norm(towards))
     if not length > 0:
         return None
-    looking = moving & (skin.normals @ (towards / length) > FACING)
+    looking = moving & (normals @ (towards / length) > FACING)
     face = looking & (near <= near[looking].min(initial=np.inf) + SOFT_M)
     if not face.sum() >= MIN_FACE_POINTS:
         return None
-    return _box(skin.points[face], skin.normals[face].mean(0))
+    return _box(points[face], normals[face].mean(0))
 
 
 def _box(points: Array, normal: Array) -> tuple[Array, Array]:

@@ -18,6 +18,7 @@ from aomgen.core.transforms import apply, matrix_from_quat, transform
 from aomgen.errors import ConfigError, MalformedFileError
 from aomgen.io.artifact import load_artifact, save_artifact
 from aomgen.io.atomic import write_bytes, write_text
+from aomgen.io.geom_surface import find_colliding_geoms
 from aomgen.io.mujoco_model import compile_model
 from aomgen.io.paths import resolve_inside
 from aomgen.robots.actuation import add_actuation, drop_visual, sort_shapes
@@ -279,10 +280,8 @@ def _colliders(model: mujoco.MjModel, body: int) -> tuple[str, ...]:
         if body in (number, *ancestors(model, number))
         and model.body_weldid[number] == model.body_weldid[body]
     ]
-    colliding = (model.geom_contype != 0) | (model.geom_conaffinity != 0)
-    return tuple(
-        model.geom(int(geom)).name for geom in np.flatnonzero(colliding & np.isin(model.geom_bodyid, rigid))
-    )
+    mine = find_colliding_geoms(model) & np.isin(model.geom_bodyid, rigid)
+    return tuple(model.geom(int(geom)).name for geom in np.flatnonzero(mine))
 
 
 def _closing_way(

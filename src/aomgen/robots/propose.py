@@ -23,7 +23,7 @@ from aomgen.robots.description import (
 )
 from aomgen.robots.gripper import settle_fingers
 from aomgen.robots.gripper_surface import (
-    SurfaceSamples,
+    Skins,
     find_contact_row,
     find_face,
     find_fingers,
@@ -122,23 +122,6 @@ class _Hand:
     file: Path
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Closing:
-    """A closing motion of a gripper.
-
-    Attributes:
-        strokes: Values of each driving joint when open and closed, [rad] or [m].
-        Ts: Poses (K, B, 4, 4) of all bodies from open to closed, world frame.
-        fingers: Ids of the two finger bodies.
-        approach_m: Distance by which the fingers approach each other.
-    """
-
-    strokes: Mapping[str, tuple[float, float]]
-    Ts: Array
-    fingers: tuple[int, int]
-    approach_m: float
-
-
 def _read_stated_strokes(
     opened: Mapping[str, float], closed: Mapping[str, float], chain: ArmChain, file: Path
 ) -> dict[str, tuple[float, float]]:
@@ -165,10 +148,10 @@ def _guess_gripper(
     """
     model, file = hand.model, hand.file
     skins = sample_hand(model, hand.chain)
-    closing = _find_closing(hand, skins, actuated, strokes)
-    pair = _find_named_pair(model, fingers, file) if fingers else _sides(model, closing.fingers)
-    row = find_contact_row(skins, closing.Ts, pair)
-    faces = [find_face(skins, closing.Ts, row, a, b) for a, b in (pair, pair[::-1])]
+    strokes, Ts, pair = _find_closing(hand, skins, actuated, strokes)
+    pair = _find_named_pair(model, fingers, file) if fingers else _sides(model, pair)
+    row = find_contact_row(skins, Ts, pair)
+    faces = [find_face(skins, Ts, row, a, b) for a, b in (pair, pair[::-1])]
     if faces[0] is None or faces[1] is None:
         names = " and ".join(model.body(body).name for body in pair)
         raise MalformedFileError(
@@ -183,11 +166,11 @@ def _guess_gripper(
             half_extents=_round(half),
         )
         pads.append(pad)
-        T_last_body = invert(closing.Ts[row, hand.chain.last_body]) @ closing.Ts[row, body]
+        T_last_body = invert(Ts[row, hand.chain.last_body]) @ Ts[row, body]
         Ts_pad.append(T_last_body @ T @ transform(np.eye(3), [0.0, 0.0, half[2]]))
     section = GripperSection(
-        open={name: start for name, (start, _) in closing.strokes.items()},
-        closed={name: end for name, (_, end) in closing.strokes.items()},
+        open={name: start for name, (start, _) in strokes.items()},
+        closed={name: end for name, (_, end) in strokes.items()},
         left=pads[0],
         right=pads[1],
     )
@@ -206,11 +189,16 @@ def _between(T_left: Array, T_right: Array) -> Array:
 
 def _find_closing(
     hand: _Hand,
-    skins: Mapping[int, SurfaceSamples],
+    skins: Skins,
     actuated: Sequence[str],
     stated: Mapping[str, tuple[float, float]],
-) -> _Closing:
-    """Find the motion from open to closed in which the fingers approach each other most."""
+) -> tuple[Mapping[str, tuple[float, float]], Array, tuple[int, int]]:
+    """Find the motion from open to closed in which the fingers approach each other most.
+
+    Returns:
+        Values of each driving joint when open and closed, [rad] or [m]; poses (K, B, 4, 4) of all bodies from open to closed,
+        world frame; and the ids of the two finger bodies.
+    """
     candidates = [stated]
     if not stated:
         up = {name: _range(hand, name) for name in _drivers(hand, actuated)}
@@ -218,7 +206,7 @@ def _find_closing(
         if len(up) == 2:
             (first, ends), (last, (low, high)) = up.items()
             candidates.append({first: ends, last: (high, low)})
-    found: list[_Closing] = []
+    best, largest_m = None, -np.inf
     for strokes in candidates:
         table = settle_fingers(hand.spec, hand.chain, strokes, hand.file)
         states = np.repeat(hand.model.qpos0[None], len(table.values), 0)
@@ -231,11 +219,11 @@ def _find_closing(
         if approach_m < 0 and not stated:
             strokes = {name: (end, start) for name, (start, end) in strokes.items()}
             Ts, approach_m = Ts[::-1], -approach_m
-        found.append(_Closing(strokes=strokes, Ts=Ts, fingers=fingers, approach_m=approach_m))
-    if not found:
+        if approach_m > largest_m:
+            best, largest_m = (strokes, Ts, fingers), approach_m
+    if best is None:
         raise MalformedFileError(hand.file, "has no two fingers that close on each other", REMEDY)
-    best = max(found, key=lambda closing: closing.approach_m)
-    if not best.approach_m > 0:
+    if not largest_m > 0:
         raise MalformedFileError(
             hand.file, "fingers are farther apart when closed", "exchange --open and --closed"
         )

@@ -108,7 +108,8 @@ def _measure_motion(
     result = _judge(worst, _Overlap(), limits)
     if isinstance(result, Rejection):
         return result
-    gaps = [_grip_gap_mm(scene, data, row) for row in qpos[holding]]
+    # Distances between the handle and the farther finger's pads; 0 for a robot without pads.
+    gaps = [1000.0 * max(0.0, *_finger_gaps_m(scene, data, row)) for row in qpos[holding]]
     gap = _Overlap(max(gaps, default=0.0), float(np.flatnonzero(holding)[np.argmax(gaps)]) if gaps else 0.0)
     result = _judge(worst, gap, limits)
     if isinstance(result, Rejection):
@@ -326,11 +327,6 @@ def place_scene(scene: Scene, data: mujoco.MjData, qpos: Array) -> None:
     mujoco.mj_kinematics(scene.model, data)
     mujoco.mj_comPos(scene.model, data)
     mujoco.mj_collision(scene.model, data)
-
-
-def _grip_gap_mm(scene: Scene, data: mujoco.MjData, qpos: Array) -> float:
-    """Compute the distance between the handle and the farther finger's pads, [mm]; 0 for a robot without pads."""
-    return 1000.0 * max(0.0, *_finger_gaps_m(scene, data, qpos))
 
 
 def _finger_gaps_m(scene: Scene, data: mujoco.MjData, qpos: Array) -> list[float]:

@@ -57,9 +57,10 @@ def ramp(start: Array, target: Array, fps: float, ticks: int) -> Commands:
 def servo_controls(scene: Scene, commands: Commands) -> Array:
     """Compute the actuator controls (N, nu) for commands at N ticks."""
     arm, (opened, closed) = scene.arm, scene.gripper.control_range
+    grip = scene.model.actuator(scene.gripper.actuator).id
     controls = np.zeros((len(commands.joints), scene.model.nu))
     controls[:, arm.actuators] = commands.joints + arm.kv / arm.kp * commands.velocities
-    controls[:, scene.gripper.actuator] = opened + commands.gripper * (closed - opened)
+    controls[:, grip] = opened + commands.gripper * (closed - opened)
     return controls
 
 

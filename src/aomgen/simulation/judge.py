@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from aomgen.core.joint import JointType
 from aomgen.core.plan import FittedAsset, Rejection, measure_excess
 from aomgen.core.values import Array
-from aomgen.core.verdict import Check, Hold, Setting, SettingOutcome
+from aomgen.core.verdict import Check, Setting, SettingOutcome
 from aomgen.simulation.replay import SimulatedRun
 from aomgen.simulation.scene import Scene
 
@@ -123,19 +123,14 @@ def judge(
             metrics = {other.figure: other.value for other in checks}
             excess = measure_excess(item.value, item.limit)
             return Rejection(reason=item.reason, detail=detail, metrics=metrics, excess=excess)
-    held = np.flatnonzero(holding)[[0, -1]]
-    (first_s, last_s), (first_theta, last_theta) = held * run.tick_s, run.thetas[held]
+    first_held, last_held = np.flatnonzero(holding)[[0, -1]]
     return SettingOutcome(
         setting=setting,
         final_theta=float(run.thetas[-1]),
         peak_force_n=float(forces.pads.max()),
         peak_reaction_n=float(forces.reactions.max()),
-        hold=Hold(
-            first_s=float(first_s),
-            last_s=float(last_s),
-            first_theta=float(first_theta),
-            last_theta=float(last_theta),
-        ),
+        hold_s=(float(first_held * run.tick_s), float(last_held * run.tick_s)),
+        hold_thetas=(float(run.thetas[first_held]), float(run.thetas[last_held])),
         checks=tuple(checks),
     )
 

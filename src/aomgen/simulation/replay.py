@@ -284,9 +284,10 @@ def _stack(scene: Scene, rows: list[tuple[Array, ...]]) -> dict[str, Array]:
     """Convert the rows of all ticks to fields of a `SimulatedRun`."""
     qpos, qvel, torques, points, turns, bases = (np.array(column) for column in zip(*rows, strict=True))
     opened, closed = scene.gripper.driver_range
+    driver = scene.model.joint(scene.gripper.driver).qposadr[0]
     return {
         "joints": qpos[:, scene.arm.qpos],
-        "gripper": np.clip((qpos[:, scene.gripper.driver] - opened) / (closed - opened), 0, 1),
+        "gripper": np.clip((qpos[:, driver] - opened) / (closed - opened), 0, 1),
         "thetas": qpos[:, scene.object_qpos],
         "rates": qvel[:, scene.object_dof],
         "torques": torques[:, scene.arm.dofs],

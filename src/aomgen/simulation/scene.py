@@ -17,7 +17,7 @@ from aomgen.core.joint import Joint
 from aomgen.core.transforms import matrix_from_quat, quat_from_matrix, transform
 from aomgen.core.values import Array
 from aomgen.errors import ConfigError
-from aomgen.robots.robot import RobotModel
+from aomgen.robots.robot import HandDrive, RobotModel
 from aomgen.simulation.scene_spec import OBSTACLES, TABLE, scene_spec
 
 # A drive may exceed its torque limit by this factor briefly; the pass rule limits its moving average. At a hard limit, the
@@ -43,25 +43,6 @@ class ArmDrive:
     kp: Array
     kv: Array
     torques: Array
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class GripperDrive:
-    """Addresses of the gripper.
-
-    Attributes:
-        qpos: Finger joints in the order of the robot's gripper table (F,).
-        driver: Address of the finger joint that measures the opening.
-        driver_range: Values of this joint at gripper 0 and 1 (2,), [rad] or [m].
-        actuator: Actuator that closes the gripper.
-        control_range: Controls of this actuator at gripper 0 and 1 (2,).
-    """
-
-    qpos: Indices
-    driver: int
-    driver_range: tuple[float, float]
-    actuator: int
-    control_range: tuple[float, float]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -97,7 +78,8 @@ class Scene:
         robot: The robot.
         asset: The object.
         names: Names of the object's elements in the model.
-        arm, gripper: Drives.
+        arm: Drives of the arm.
+        gripper: Actuation of the gripper.
         roles: Masks of the geoms.
         object_qpos, object_dof: Addresses of the object's joint.
         object_body: Id of the object's static link.
@@ -111,7 +93,7 @@ class Scene:
     asset: ArticulatedAsset
     names: AssetNames
     arm: ArmDrive
-    gripper: GripperDrive
+    gripper: HandDrive
     roles: GeomRoles
     object_qpos: int
     object_dof: int
@@ -145,8 +127,9 @@ class Scene:
         joints = np.atleast_2d(np.asarray(joints, np.float64))
         result = np.repeat(self.model.qpos0[None], len(joints), 0)
         result[:, self.arm.qpos] = joints
-        if len(self.gripper.qpos):
-            result[:, self.gripper.qpos] = self.robot.gripper_table.at(np.broadcast_to(gripper, len(joints)))
+        table = self.robot.gripper_table
+        if fingers := [self.model.joint(name).qposadr[0] for name in table.joint_names]:
+            result[:, fingers] = table.at(np.broadcast_to(gripper, len(joints)))
         result[:, self.object_qpos] = thetas
         return result
 
@@ -205,14 +188,18 @@ def describe_scene(
     Raises:
         ConfigError: The robot has no position actuators, or no fingers.
     """
+    arm = _arm_drive(model, robot)
+    if robot.drive is None:
+        problem = f"'{robot.name}' has no fingers that could hold"
+        raise ConfigError("robot", problem, "use the file of the arm with its gripper")
     joint = model.joint(names.joint)
     return Scene(
         model=model,
         robot=robot,
         asset=asset,
         names=names,
-        arm=_arm_drive(model, robot),
-        gripper=_gripper_drive(model, robot),
+        arm=arm,
+        gripper=robot.drive,
         roles=_geom_roles(model, robot, names),
         object_qpos=int(joint.qposadr[0]),
         object_dof=int(joint.dofadr[0]),
@@ -251,24 +238,6 @@ def _arm_drive(model: mujoco.MjModel, robot: RobotModel) -> ArmDrive:
     model.actuator_forcerange[ids] *= PEAK
     model.jnt_actfrcrange[numbers] *= PEAK
     return drive
-
-
-def _gripper_drive(model: mujoco.MjModel, robot: RobotModel) -> GripperDrive:
-    drive = robot.drive
-    if drive is None:
-        raise ConfigError(
-            "robot",
-            f"'{robot.name}' has no fingers that could hold",
-            "use the file of the arm with its gripper",
-        )
-    names = robot.gripper_table.joint_names
-    return GripperDrive(
-        qpos=np.array([model.joint(name).qposadr[0] for name in names], np.int64),
-        driver=int(model.joint(drive.driver).qposadr[0]),
-        driver_range=drive.driver_range,
-        actuator=model.actuator(drive.actuator).id,
-        control_range=drive.control_range,
-    )
 
 
 def _geom_roles(model: mujoco.MjModel, robot: RobotModel, names: AssetNames) -> GeomRoles:

@@ -1,8 +1,8 @@
 """Coverage of the requested ranges by the episodes of a run, and the largest areas without an episode."""
 
+import itertools
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Final
 
@@ -37,24 +37,6 @@ class CoverageRequest(RequestFields):
     """Request of the coverage of one asset by its number, or of all assets."""
 
     asset: int | None = None
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Hole:
-    """A circle in the requested area without an episode.
-
-    Attributes:
-        x, y: Center, world frame, [m].
-        radius_m: Distance from the center to the nearest episode.
-        draws: Number of samples in the circle without an episode.
-        reasons: Number of rejections by reason.
-    """
-
-    x: float
-    y: float
-    radius_m: float
-    draws: int
-    reasons: dict[str, int]
 
 
 class CoverageRoutes:
@@ -131,7 +113,7 @@ def measure_coverage(
         "front_m": LINE_M,
         "draws": rows,
         "histograms": [_histogram(item) for item in distributions(counted, ranges, params.free_cameras)],
-        "holes": [asdict(hole) for hole in _find_holes(ranges, [fits[number] for number in assets], rows)],
+        "holes": list(describe_holes(outline_request(ranges, fits[assets[0]]), rows)),
     }
 
 
@@ -146,14 +128,15 @@ def outline_request(ranges: Ranges, fitted: FittedAsset) -> Array:
     ]
 
 
-def find_holes(area: Array, episodes: Array, others: Array, reasons: Sequence[str]) -> Iterator[Hole]:
+def find_holes(area: Array, episodes: Array) -> Iterator[tuple[Array, float]]:
     """Find the largest circles without an episode that are centered in an area; largest first.
 
     Args:
         area: Corners (N, 2) of the requested area, [m].
         episodes: Positions (E, 2) of the episodes, [m].
-        others: Positions (D, 2) of the samples without an episode, [m].
-        reasons: Reasons of these samples.
+
+    Yields:
+        Center (2,) of a circle, [m], and the distance from it to the nearest episode, [m].
     """
     low, high = area.min(0), area.max(0)
     axes = [np.linspace(*bounds, HOLE_NODES) for bounds in zip(low, high, strict=True)]
@@ -168,24 +151,26 @@ def find_holes(area: Array, episodes: Array, others: Array, reasons: Sequence[st
         center, radius = nodes[distances.argmax()], float(distances.max())
         if not radius >= LEAST_HOLE * pitch:
             return
-        near = np.linalg.norm(others - center, axis=1) <= radius if len(others) else np.zeros(0, bool)
-        counts = Counter(np.asarray(reasons, str)[near].tolist())
-        yield Hole(
-            x=float(center[0]), y=float(center[1]), radius_m=radius, draws=int(near.sum()), reasons=dict(counts.most_common())
-        )  # fmt: skip
+        yield center, radius
         # The next circle does not overlap with this one.
         distances = np.minimum(distances, np.linalg.norm(nodes - center, axis=1) - radius)
 
 
-def _find_holes(
-    ranges: Ranges, fits: Sequence[FittedAsset], rows: Sequence[dict[str, Any]]
-) -> Iterator[Hole]:
+def describe_holes(area: Array, rows: Sequence[dict[str, Any]]) -> Iterator[dict[str, Any]]:
+    """Describe the holes in an area, with the number of samples without an episode in each, and these by reason."""
     delivered = np.array([[row["x"], row["y"]] for row in rows if row["outcome"] == "committed"])
     others = [row for row in rows if row["outcome"] != "committed"]
-    positions = np.array([[row["x"], row["y"]] for row in others])
-    return find_holes(
-        outline_request(ranges, fits[0]), delivered, positions, [row["reason"] for row in others]
-    )
+    positions = np.array([[row["x"], row["y"]] for row in others]).reshape(-1, 2)
+    for center, radius_m in find_holes(area, delivered):
+        inner = np.linalg.norm(positions - center, axis=1) <= radius_m
+        near = list(itertools.compress(others, inner))
+        yield {
+            "x": float(center[0]),
+            "y": float(center[1]),
+            "radius_m": radius_m,
+            "draws": len(near),
+            "reasons": dict(Counter(row["reason"] for row in near).most_common()),
+        }
 
 
 def locate_draws(fitted: FittedAsset, variations: Sequence[Mapping[str, Any]]) -> Array:

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from aomgen.core.episode import FINGERS, PHASES, Episode
 from aomgen.core.values import Array
+from aomgen.datasets.features import finger_forces
 from aomgen.io.episode_folder import read_episode
 from aomgen.report.episodes import place_words, reasons
 from aomgen.viewing.draw_list import Draw
@@ -83,7 +84,7 @@ def list_series(episode: Episode) -> list[dict[str, Any]]:
     )
     return [
         _plot("object joint", "deg" if turning else "mm", {"reached": factor * episode.thetas}, goal),
-        _plot("finger force", "N", finger_forces(episode)),
+        _plot("finger force", "N", dict(zip(FINGERS, finger_forces(episode).T, strict=True))),
         _plot(
             "gripper", "0 open, 1 closed", {"reached": episode.gripper, "commanded": episode.action_gripper}
         ),
@@ -94,13 +95,6 @@ def list_series(episode: Episode) -> list[dict[str, Any]]:
         ),
         _plot("end effector off its command", "mm", {"distance": np.append(0.0, errors)}),
     ]
-
-
-def finger_forces(episode: Episode) -> dict[str, Array]:
-    """Sum of the normal forces of each finger on the object at every frame (T,), [N]."""
-    contacts, sums = episode.contacts, np.zeros((len(FINGERS), len(episode)))
-    np.add.at(sums, (contacts.fingers, contacts.frames), contacts.forces)
-    return dict(zip(FINGERS, sums, strict=True))
 
 
 def describe_variation(variation: Mapping[str, Any]) -> dict[str, str]:

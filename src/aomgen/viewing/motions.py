@@ -55,7 +55,6 @@ class ShownMotion:
         trajectory: States at these times; None before the motion is estimated.
         cameras: Cameras of the videos, each with one pose or T poses.
         videos: Videos by camera.
-        videos: Videos by camera.
     """
 
     title: str

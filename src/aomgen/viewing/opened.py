@@ -34,7 +34,7 @@ from aomgen.prompting.scan_choice import ScanImages
 from aomgen.results import Results
 from aomgen.robots.robot import RobotModel
 from aomgen.simulation.episode_scene import episode_scene
-from aomgen.twin.twin import TwinModel, TwinState, interpolate_state
+from aomgen.twin.twin import TwinModel, interpolate_state
 from aomgen.viewing import overlays
 from aomgen.viewing.draw_list import DrawList
 from aomgen.viewing.motions import ShownMotion, read_recording, show_episode
@@ -228,7 +228,7 @@ class OpenedRun:
         if kind == "colliders":
             robot = self.posable[1]
             model = robot.spec(visual=False).compile()
-            return overlays.Colliders(model, lambda state: robot.qpos(state.joints, state.gripper)[0])
+            return overlays.outline_colliders(model, lambda state: robot.qpos(state.joints, state.gripper)[0])
         motion = self.results.motion
         if kind == "contacts":
             return overlays.outline_patches(motion)
@@ -245,10 +245,11 @@ class OpenedRun:
             results.robot, fitted, demo, shared.support, shared.obstacles, bolted=bolted
         ).place_at(episode.T_world_object)
 
-        def find_qpos(state: TwinState) -> Array:
-            return scene.qpos(state.joints, state.gripper, state.theta)[0]
-
-        return overlays.Colliders(scene.model, find_qpos, episode.verdict.get(PAIR, ()))
+        return overlays.outline_colliders(
+            scene.model,
+            lambda state: scene.qpos(state.joints, state.gripper, state.theta)[0],
+            episode.verdict.get(PAIR, ()),
+        )
 
 
 def _is_current(results: Results, name: str) -> bool:

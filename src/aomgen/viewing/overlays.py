@@ -1,7 +1,7 @@
 """Line overlays of the twin: colliders, scan cameras, contacts, and the joint axis with its 95 % region."""
 
-from collections.abc import Collection, Mapping
-from typing import Any, Final, NamedTuple, Protocol
+from collections.abc import Callable, Collection, Mapping
+from typing import Final, NamedTuple
 
 import mujoco
 import numpy as np
@@ -29,42 +29,34 @@ class Moment(NamedTuple):
     camera: Camera
 
 
-class Overlay(Protocol):
-    """Function that returns segments (N, 2, 3), world frame, by class name."""
-
-    def __call__(self, moment: Moment) -> Mapping[str, Array]:
-        """Return the segments for a state."""
-        ...
+# Function that returns segments (N, 2, 3), world frame, by class name.
+Overlay = Callable[[Moment], Mapping[str, Array]]
 
 
-class Colliders:
-    """Outlines of the collision shapes; the shapes of a colliding pair have a separate class name."""
+def outline_colliders(
+    model: mujoco.MjModel, find_qpos: Callable[[TwinState], Array], pair: Collection[str] = ()
+) -> Overlay:
+    """Outline the collision shapes; the shapes of a colliding pair have a separate class name.
 
-    def __init__(self, model: mujoco.MjModel, qpos: Any, pair: Collection[str] = ()) -> None:
-        """Prepare a model.
+    Args:
+        model: Bodies and shapes.
+        find_qpos: Converts a state to generalized positions (nq,).
+        pair: Names of colliding bodies or shapes.
+    """
+    data, outlines = mujoco.MjData(model), outline_geoms(model)
+    names = {geom: {model.geom(geom).name, model.body(model.geom_bodyid[geom]).name} for geom, _ in outlines}
+    in_pair = {geom for geom, known in names.items() if known & set(pair)}
 
-        Args:
-            model: Bodies and shapes.
-            qpos: Converts a `TwinState` to generalized positions (nq,).
-            pair: Names of colliding bodies or shapes.
-        """
-        self._data, self._model, self._qpos = mujoco.MjData(model), model, qpos
-        self._outlines = outline_geoms(model)
-        names = {
-            geom: {model.geom(geom).name, model.body(model.geom_bodyid[geom]).name}
-            for geom, _ in self._outlines
-        }
-        self._in_pair = {geom for geom, known in names.items() if known & set(pair)}
-
-    def __call__(self, moment: Moment) -> Mapping[str, Array]:
-        """Return the outlines of the shapes in a state."""
-        self._data.qpos[:] = self._qpos(moment.state)
-        mujoco.mj_kinematics(self._model, self._data)
+    def draw(moment: Moment) -> Mapping[str, Array]:
+        data.qpos[:] = find_qpos(moment.state)
+        mujoco.mj_kinematics(model, data)
         drawn: dict[str, list[Array]] = {"collider": [], "pair": []}
-        for geom, segments in self._outlines:
-            placed = segments @ self._data.geom_xmat[geom].reshape(3, 3).T + self._data.geom_xpos[geom]
-            drawn["pair" if geom in self._in_pair else "collider"].append(placed)
+        for geom, segments in outlines:
+            placed = segments @ data.geom_xmat[geom].reshape(3, 3).T + data.geom_xpos[geom]
+            drawn["pair" if geom in in_pair else "collider"].append(placed)
         return {name: np.concatenate(found) for name, found in drawn.items() if found}
+
+    return draw
 
 
 def outline_cameras(scan: Mapping[str, Camera], fixed: Mapping[str, Camera], size: float) -> Overlay:

@@ -1,11 +1,11 @@
 """A sample without an episode, planned again for the twin page: planning is deterministic, states are not stored."""
 
 import json
-from dataclasses import asdict
+from dataclasses import asdict, replace
 
 import numpy as np
 
-from aomgen.core.demonstration import SceneTrajectory, Trajectory
+from aomgen.core.demonstration import Trajectory
 from aomgen.core.episode import ContactLog, Episode
 from aomgen.core.keypoints import find_keypoints
 from aomgen.core.plan import EpisodePlan, Rejection
@@ -50,13 +50,7 @@ def replan_draw(results: Results, draw: Draw) -> CommittedEpisode:
     else:
         what = "The state of the arm is not known; the page shows its start."
     T_world_object, robot = variation.place_at(fitted), results.robot
-    path = SceneTrajectory(
-        times_s=np.arange(len(shown)) / results.fps,
-        joints=shown.joints,
-        gripper=shown.gripper,
-        thetas=shown.thetas,
-        T_world_object=T_world_object,
-    )
+    path = replace(shown.with_object(T_world_object), times_s=np.arange(len(shown)) / results.fps)
     verdict = {
         # Same form as in the file of a committed episode.
         "variation": json.loads(json.dumps(asdict(variation))),

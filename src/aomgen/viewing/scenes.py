@@ -3,7 +3,7 @@
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import replace
 from functools import cache, lru_cache
-from typing import Final, NamedTuple, Protocol
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,14 +35,6 @@ class View(NamedTuple):
     depth: NDArray[np.float32]
 
 
-class ViewedScene(Protocol):
-    """Renders parts of a scene; parts are keys of `conventions.PART_LABELS`."""
-
-    def draw(self, state: TwinState, camera: Camera, parts: Collection[str]) -> View:
-        """Render a state; a scene that cannot be posed ignores the state."""
-        ...
-
-
 class PosableScene:
     """A twin with the shadows of its moving bodies.
 
@@ -58,7 +50,7 @@ class PosableScene:
         self._views = lru_cache(KEPT_VIEWS)(self._open_view)
 
     def draw(self, state: TwinState, camera: Camera, parts: Collection[str]) -> View:
-        """Render a state."""
+        """Render parts of the scene, given as keys of `conventions.PART_LABELS`, in a state."""
         optics = (camera.fx, camera.fy, camera.cx, camera.cy, camera.width, camera.height)
         Ts = body_poses(self.twin, self.robot, state)[None]
         path = CameraPath(camera=camera, Ts_world_cam=camera.T_world_cam[None])
@@ -93,10 +85,13 @@ class ScannedScene:
         self._choose: Callable[[frozenset[str]], Gaussians] = cache(choose)
 
     def draw(self, state: TwinState, camera: Camera, parts: Collection[str]) -> View:
-        """Render the scan in its recorded state."""
+        """Render parts of the scan, given as keys of `conventions.PART_LABELS`, in its recorded state."""
         drawn = render(self._choose(frozenset(parts)), camera, with_ids=True)
         image = np.clip(np.rint(drawn.rgb * 255), 0, 255).astype(np.uint8)
         return View(image, drawn.alpha, np.asarray(drawn.median_depth))
+
+
+ViewedScene = PosableScene | ScannedScene
 
 
 def _select(labels: NDArray[np.uint8], parts: Collection[str]) -> NDArray[np.bool_]:

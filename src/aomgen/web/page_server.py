@@ -122,9 +122,9 @@ def send_json(value: Mapping[str, Any]) -> Response:
     return Response("application/json", json.dumps(value, allow_nan=False).encode())
 
 
-def send_jpeg(image_srgb: NDArray[np.uint8], quality: int = JPEG_QUALITY) -> Response:
+def send_jpeg(image_srgb: NDArray[np.uint8]) -> Response:
     """Create a JPEG response from an image (H, W, 3) uint8, sRGB."""
-    return Response("image/jpeg", encode_jpeg(image_srgb, quality, halve_colors=False))
+    return Response("image/jpeg", encode_jpeg(image_srgb, JPEG_QUALITY, halve_colors=False))
 
 
 def send_file(package: str, name: str) -> Route:

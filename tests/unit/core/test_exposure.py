@@ -13,6 +13,13 @@ def test_known_gains_are_found_whatever_is_dark_or_clipped() -> None:
     assert np.allclose(fit_gains(seen / 255, wanted / 255), gains, atol=0.01)
 
 
+def test_gains_change_linear_colors() -> None:
+    image = np.array([[[255, 188, 0]]], np.uint8)
+    # 188 is half of white in linear light.
+    assert change_exposure(image, np.array([0.5, 2.0, 1.0])).tolist() == [[[188, 255, 0]]]
+    assert (change_exposure(image, np.ones(3)) == image).all()
+
+
 def test_colors_that_cannot_be_compared_change_nothing() -> None:
     assert fit_gains(np.zeros((9, 3)), np.ones((9, 3))).tolist() == [1, 1, 1]
 

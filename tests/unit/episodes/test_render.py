@@ -17,7 +17,7 @@ from aomgen.core.plan import (
     VerifiedEpisode,
 )
 from aomgen.core.transforms import apply
-from aomgen.core.verdict import Check, Hold, Setting, SettingOutcome, Verdict
+from aomgen.core.verdict import Check, Setting, SettingOutcome, Verdict
 from aomgen.episodes.record import episode_of, store_episode
 from aomgen.episodes.render import ImageParams, render_episode, static_layers
 from aomgen.errors import CorruptArtifactError, MalformedFileError, StorageError
@@ -87,7 +87,8 @@ def verified(toy_scene, turn: float) -> VerifiedEpisode:
         final_theta=1.2,
         peak_force_n=3.0,
         peak_reaction_n=3.0,
-        hold=Hold(first_s=0.1, last_s=0.3, first_theta=0.0, last_theta=1.2),
+        hold_s=(0.1, 0.3),
+        hold_thetas=(0.0, 1.2),
         checks=(Check(reason="target", figure="target_share", value=1.0, limit=0.9, least=True),),
     )
     verdict = Verdict(

@@ -4,6 +4,7 @@ import gc
 import json
 import socket
 import sys
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -15,7 +16,7 @@ from aomgen.datasets.features import ee_targets
 from aomgen.errors import AomgenError, BackendError, ConfigError, PolicyServerError
 from aomgen.evaluation import policy_servers
 from aomgen.evaluation.policy_servers import OpenpiServer, _encode, _pack, read_array
-from aomgen.evaluation.remote import RemoteTask, delta_of_openvla, open_remote
+from aomgen.evaluation.remote import delta_of_openvla, open_remote
 from served_policies import json_array, msgpack_array, openpi_server, openvla_server
 
 # What openpi_client 0.1.2 and json_numpy 2.1.1 make of the same observation and answer.
@@ -38,14 +39,15 @@ STATE = np.array([0.5, -1.0], np.float32)
 T_WORLD_EE = transform(matrix_from_rotvec([0.3, -0.8, 1.1]), [0.4, -0.2, 0.3])
 
 
-def task_in(action_space: str, joints: int = 6) -> RemoteTask:
-    return RemoteTask(
-        instruction="open the microwave",
+def task_in(action_space: str, joints: int = 6) -> tuple[SimpleNamespace, SimpleNamespace]:
+    """What the client reads of a suite, and its robot."""
+    suite = SimpleNamespace(
+        task="open the microwave",
         action_space=action_space,
         cameras=("front", "side"),
-        joints=joints,
-        ee_poses=lambda joints: T_WORLD_EE[None],
+        joint_names=range(joints),
     )
+    return suite, SimpleNamespace(ee_poses=lambda joints: T_WORLD_EE[None])
 
 
 def observation(gripper: float = 0.25) -> dict:
@@ -75,7 +77,7 @@ def test_openpi_is_asked_by_the_names_of_the_recipe_and_again_when_the_chunk_is_
     with openpi_server(
         lambda _: {"actions": msgpack_array(CHUNK), "server_timing": {"infer_ms": 1.5}}
     ) as served:
-        policy = open_remote(f"openpi://{served.address}", task_in("joint"))
+        policy = open_remote(f"openpi://{served.address}", *task_in("joint"))
         policy.reset(None)
         looks, actions = [], []
         for frame in range(7):
@@ -96,7 +98,7 @@ def test_openpi_is_asked_by_the_names_of_the_recipe_and_again_when_the_chunk_is_
 
 def test_a_new_trial_forgets_the_last_chunk():
     with openpi_server(lambda _: {"actions": msgpack_array(CHUNK)}) as served:
-        policy = open_remote(f"openpi://{served.address}", task_in("joint"))
+        policy = open_remote(f"openpi://{served.address}", *task_in("joint"))
         policy.act(observation())
         assert not policy.looks(1)
         policy.reset(None)
@@ -107,7 +109,7 @@ def test_a_new_trial_forgets_the_last_chunk():
 def test_openvla_answers_one_action_and_oft_a_list(answer):
     said = [json_array(row) for row in answer] if isinstance(answer, list) else json_array(answer)
     with openvla_server(lambda _: said) as served:
-        policy = open_remote(f"openvla://{served.address}", task_in("ee_delta"))
+        policy = open_remote(f"openvla://{served.address}", *task_in("ee_delta"))
         actions = [policy.act(observation()) for _ in range(2)]
         asked = served.asked
     rows = np.atleast_2d(answer)
@@ -152,10 +154,10 @@ def test_what_is_no_number_is_left_for_the_environment_to_judge(place):
     action = np.full(7, 0.1, np.float32)
     action[place] = np.nan
     with openvla_server(lambda _: json_array(action)) as served:
-        policy = open_remote(f"openvla://{served.address}", task_in("ee_delta"))
+        policy = open_remote(f"openvla://{served.address}", *task_in("ee_delta"))
         assert not np.isfinite(policy.act(observation())).all()
     with openpi_server(lambda _: {"actions": msgpack_array(action[None])}) as served:
-        policy = open_remote(f"openpi://{served.address}", task_in("joint"))
+        policy = open_remote(f"openpi://{served.address}", *task_in("joint"))
         assert np.isnan(policy.act(observation())[place])
 
 
@@ -178,14 +180,14 @@ def closed_port() -> int:
 )
 def test_addresses_are_refused(name, said):
     with pytest.raises(ConfigError, match="--policy") as caught:
-        open_remote(name, task_in("joint"))
+        open_remote(name, *task_in("joint"))
     assert said in str(caught.value)
 
 
 @pytest.mark.parametrize(("scheme", "space"), [("openpi", "joint"), ("openvla", "ee_delta")])
 def test_a_server_that_is_away_is_told_before_work_starts(scheme, space):
     with pytest.raises(PolicyServerError) as caught:
-        open_remote(f"{scheme}://127.0.0.1:{closed_port()}", task_in(space))
+        open_remote(f"{scheme}://127.0.0.1:{closed_port()}", *task_in(space))
     assert "does not reply" in str(caught.value)
     assert "start the server" in str(caught.value)
     assert caught.value.exit_code == BackendError.exit_code
@@ -193,9 +195,9 @@ def test_a_server_that_is_away_is_told_before_work_starts(scheme, space):
 
 def test_another_kind_of_server_is_told():
     with openvla_server(lambda _: {}) as served, pytest.raises(PolicyServerError, match="does not reply"):
-        open_remote(f"openpi://{served.address}", task_in("joint"))
+        open_remote(f"openpi://{served.address}", *task_in("joint"))
     with openpi_server(lambda _: {}) as served:
-        policy = open_remote(f"openvla://{served.address}", task_in("ee_delta"))
+        policy = open_remote(f"openvla://{served.address}", *task_in("ee_delta"))
         with pytest.raises(PolicyServerError, match="openvla://"):
             policy.act(observation())
 
@@ -221,25 +223,25 @@ def test_another_kind_of_server_is_told():
 )
 def test_a_policy_of_something_else_is_refused(metadata, kind, said):
     with openpi_server(lambda _: {}, metadata) as served, pytest.raises(kind) as caught:
-        open_remote(f"openpi://{served.address}", task_in("joint"))
+        open_remote(f"openpi://{served.address}", *task_in("joint"))
     assert said in str(caught.value)
 
 
 def test_a_checkpoint_of_several_datasets_is_told_whose_statistics_count():
     with openvla_server(lambda _: json_array(CHUNK[0])) as served:
-        open_remote(f"openvla://{served.address}/opening", task_in("ee_delta")).act(observation())
+        open_remote(f"openvla://{served.address}/opening", *task_in("ee_delta")).act(observation())
         assert served.asked[0]["unnorm_key"] == "opening"
     with pytest.raises(ConfigError, match="names a dataset"):
-        open_remote("openpi://localhost:1/opening", task_in("joint"))
+        open_remote("openpi://localhost:1/opening", *task_in("joint"))
 
 
 def test_openvla_acts_in_deltas_and_knows_seven_joints():
     with pytest.raises(
         ConfigError, match="acts in ee_delta, the suite's actions are joint; pass --actions ee_delta"
     ):
-        open_remote("openvla://localhost:1", task_in("joint"))
+        open_remote("openvla://localhost:1", *task_in("joint"))
     with pytest.raises(ConfigError, match="supports 7 joints, the arm has 8"):
-        open_remote("openvla://localhost:1", task_in("ee_delta", joints=8))
+        open_remote("openvla://localhost:1", *task_in("ee_delta", joints=8))
 
 
 LIE = {**msgpack_array(CHUNK), b"shape": [5, 8]}
@@ -278,7 +280,7 @@ def refuses_in_one_sentence(policy, where: str, said: str) -> None:
 )
 def test_wrong_answers_of_openpi_are_one_sentence(answer, said):
     with openpi_server(lambda _: answer) as served:
-        policy = open_remote(f"openpi://{served.address}", task_in("joint"))
+        policy = open_remote(f"openpi://{served.address}", *task_in("joint"))
         refuses_in_one_sentence(policy, f"openpi://{served.address}: ", said)
 
 
@@ -304,14 +306,14 @@ def test_wrong_answers_of_openpi_are_one_sentence(answer, said):
 )
 def test_wrong_answers_of_openvla_are_one_sentence(answer, said):
     with openvla_server(lambda _: answer) as served:
-        policy = open_remote(f"openvla://{served.address}", task_in("ee_delta"))
+        policy = open_remote(f"openvla://{served.address}", *task_in("ee_delta"))
         refuses_in_one_sentence(policy, f"openvla://{served.address}: ", said)
 
 
 def test_a_server_that_thinks_for_ever_is_left(monkeypatch):
     monkeypatch.setattr(policy_servers, "ANSWER_S", 0.2)
     with socket.create_server(("127.0.0.1", 0)) as silent:
-        policy = open_remote(f"openvla://127.0.0.1:{silent.getsockname()[1]}", task_in("ee_delta"))
+        policy = open_remote(f"openvla://127.0.0.1:{silent.getsockname()[1]}", *task_in("ee_delta"))
         with pytest.raises(PolicyServerError, match="does not reply"):
             policy.act(observation())
     monkeypatch.setattr(policy_servers, "CONNECT_S", 0.2)
@@ -319,12 +321,12 @@ def test_a_server_that_thinks_for_ever_is_left(monkeypatch):
         socket.create_server(("127.0.0.1", 0)) as silent,
         pytest.raises(PolicyServerError, match="does not reply"),
     ):
-        open_remote(f"openpi://127.0.0.1:{silent.getsockname()[1]}", task_in("joint"))
+        open_remote(f"openpi://127.0.0.1:{silent.getsockname()[1]}", *task_in("joint"))
 
 
 def test_a_server_that_goes_away_between_two_chunks_is_told():
     with openpi_server(lambda _: {"actions": msgpack_array(CHUNK[:1])}) as served:
-        policy = open_remote(f"openpi://{served.address}", task_in("joint"))
+        policy = open_remote(f"openpi://{served.address}", *task_in("joint"))
         policy.act(observation())
     with pytest.raises(PolicyServerError, match="does not reply"):
         policy.act(observation())
@@ -332,7 +334,7 @@ def test_a_server_that_goes_away_between_two_chunks_is_told():
 
 def test_connections_are_closed_with_the_policy(recwarn):
     with openpi_server(lambda _: {"actions": msgpack_array(CHUNK)}) as served:
-        policy = open_remote(f"openpi://{served.address}", task_in("joint"))
+        policy = open_remote(f"openpi://{served.address}", *task_in("joint"))
         policy.act(observation())
         assert not served.left.is_set()
         del policy
@@ -344,7 +346,7 @@ def test_connections_are_closed_with_the_policy(recwarn):
 def test_missing_libraries_name_the_extra(monkeypatch):
     monkeypatch.setitem(sys.modules, "msgpack", None)
     with pytest.raises(BackendError, match=r"msgpack is not installed; pip install 'aomgen\[remote\]'"):
-        open_remote("openpi://localhost:1", task_in("joint"))
+        open_remote("openpi://localhost:1", *task_in("joint"))
 
 
 @given(

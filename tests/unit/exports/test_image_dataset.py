@@ -21,7 +21,6 @@ from aomgen.errors import ConfigError, UnknownNameError
 from aomgen.executors import Done
 from aomgen.exports import image_clutter, image_dataset, image_samples
 from aomgen.exports.image_dataset import ImageSetRequest, export_images, open_room, read_shard
-from aomgen.exports.image_samples import illuminate_image
 from aomgen.io.artifact import load_artifact, read_json, save_artifact
 from aomgen.results import BACKGROUND_FOLDER
 from aomgen.splatting.surfels import surfels_of
@@ -184,10 +183,3 @@ def test_a_foreign_folder_is_not_touched(results: ToyResults, tmp_path: Path, mo
     with pytest.raises(ConfigError, match="holds no labelled images"):
         export_images(results, tmp_path, REQUEST, lambda share, text: None)
     assert [path.name for path in tmp_path.iterdir()] == ["holiday.jpg"]
-
-
-def test_light_changes_linear_colors() -> None:
-    image = np.array([[[255, 188, 0]]], np.uint8)
-    # 188 is half of white in linear light.
-    assert illuminate_image(image, np.array([0.5, 2.0, 1.0])).tolist() == [[[188, 255, 0]]]
-    assert (illuminate_image(image, np.ones(3)) == image).all()

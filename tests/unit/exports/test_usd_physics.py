@@ -23,7 +23,7 @@ def scene(tmp_path_factory: pytest.TempPathFactory) -> Scene:
 def test_the_second_finger_follows(scene: Scene) -> None:
     model = scene.model
     first, second = (model.joint(name).id for name in ("slide_a", "slide_b"))
-    actuated = actuated_joints(model, scene.gripper.actuator)
+    actuated = actuated_joints(model, model.actuator(scene.gripper.actuator).id)
     assert actuated == {first: 1.0}
     leader, offset, ratio = coupled_joints(model, actuated)[second]
     assert (leader, ratio) == (first, pytest.approx(1.0))

@@ -1,6 +1,7 @@
 """A folder with the files of a capture gets a capture.toml that `aomgen prompts` continues with."""
 
 import socket
+from dataclasses import replace
 from io import StringIO
 from pathlib import Path
 
@@ -41,20 +42,21 @@ def test_confirmed_questions_describe_the_bundled_files(files: Path, sample: Pat
 
 def test_another_gripper_and_robot_are_stated(files: Path):
     rename_column(files, "gripper", "register_24")
-    found = find_capture_files(files)
+    found, columns = find_capture_files(files)
     assert found.gripper == ""
-    path = describe_capture(files, found, "robot/arm.urdf", found.joints, "register_24")
+    tables = replace(found, robot_model="robot/arm.urdf", gripper="register_24")
+    path = describe_capture(files, tables, columns)
     robot = read_manifest(path).robot
     assert (robot.model, robot.urdf, robot.gripper) == ("", "robot/arm.urdf", "register_24")
 
 
 def test_joints_of_another_robot_are_not_recognised(files: Path):
     rename_column(files, "elbow_joint", "q3")
-    found = find_capture_files(files)
-    assert (found.robot, found.joints, found.gripper) == ("", (), "gripper")
-    assert "q3" in found.columns
+    found, columns = find_capture_files(files)
+    assert (found.robot_model, found.joints, found.gripper) == ("", (), "gripper")
+    assert "q3" in columns
     with pytest.raises(UnknownNameError, match="elbow_joint"):
-        describe_capture(files, found, "ur5e_2f85", ["elbow_joint"], "gripper")
+        describe_capture(files, replace(found, joints=["elbow_joint"]), columns)
     assert not (files / "capture.toml").exists()
 
 

@@ -10,14 +10,15 @@ from PIL import Image
 from aomgen.core.progress import silent
 from aomgen.errors import BackendError, IncompleteCaptureError, MalformedFileError, SeveralCamerasError
 from aomgen.importers.photos import DIAGONAL_35MM, EXIF_BLOCK, FOCAL_35MM
-from aomgen.importers.scan_import import ImportedScan, import_scan
+from aomgen.importers.scan_import import import_scan
+from aomgen.importers.scan_writing import WrittenScan
 from aomgen.io.images import EXIF_ORIENTATION, read_image, resize
 from foreign_scans import KnownScan, write_photos
 from heic_file import heic_bytes
 
 
-def bring(source: Path, capture: Path) -> ImportedScan:
-    return import_scan(source, capture, 0, silent)
+def bring(source: Path, capture: Path) -> WrittenScan:
+    return import_scan(source, capture, 0, silent)[1]
 
 
 def set_exif(path: Path, *, orientation: int = 1, focal_35mm: int = 0) -> None:
@@ -38,8 +39,8 @@ def test_photos_become_upright(few: KnownScan, tmp_path: Path) -> None:
     for path in source.iterdir():
         set_exif(path, orientation=6)
     done = bring(source, tmp_path / "capture")
-    assert (done.written.width, done.written.height) == (480, 640)
-    for name in done.written.names:
+    assert (done.width, done.height) == (480, 640)
+    for name in done.names:
         have = tmp_path / "capture" / "scan" / name
         with Image.open(have) as image:
             assert image.size == (480, 640)
@@ -51,7 +52,7 @@ def test_focal_length_of_exif_is_used(few: KnownScan, tmp_path: Path) -> None:
     source = write_photos(tmp_path / "source", few)
     for path in source.iterdir():
         set_exif(path, focal_35mm=26)
-    found = bring(source, tmp_path / "capture").written.intrinsics
+    found = bring(source, tmp_path / "capture").intrinsics
     assert found is not None
     assert (found.fx, found.fy, found.cx, found.cy) == pytest.approx(
         (26 / DIAGONAL_35MM * 800, 26 / DIAGONAL_35MM * 800, 320, 240)
@@ -61,7 +62,7 @@ def test_focal_length_of_exif_is_used(few: KnownScan, tmp_path: Path) -> None:
 def test_focal_length_that_some_photos_state_is_not_used(few: KnownScan, tmp_path: Path) -> None:
     source = write_photos(tmp_path / "source", few)
     set_exif(source / few.images[0].name, focal_35mm=26)
-    assert bring(source, tmp_path / "capture").written.intrinsics is None
+    assert bring(source, tmp_path / "capture").intrinsics is None
 
 
 def test_two_lenses_are_refused(few: KnownScan, tmp_path: Path) -> None:
@@ -81,9 +82,9 @@ def test_photos_of_a_turned_camera_are_stored_alike(few: KnownScan, tmp_path: Pa
         if path != turned:
             set_exif(path, focal_35mm=26)
     done = bring(source, tmp_path / "capture")
-    assert (done.written.width, done.written.height) == (640, 480)
-    assert "1 of 12 photos" in done.written.warnings[0]
-    assert turned.name in done.written.warnings[0]
+    assert (done.width, done.height) == (640, 480)
+    assert "1 of 12 photos" in done.warnings[0]
+    assert turned.name in done.warnings[0]
     have = read_image(tmp_path / "capture" / "scan" / turned.name)
     assert psnr(have, np.rot90(read_image(turned))) >= 40
 
@@ -108,8 +109,8 @@ def write_heic(folder: Path, scan: KnownScan, **options) -> Path:
 def test_heic(few: KnownScan, tmp_path: Path) -> None:
     pytest.importorskip("pi_heif", reason="extra heic is not installed")
     done = bring(write_heic(tmp_path / "source", few), tmp_path / "capture")
-    assert list(done.written.names) == [f"{path.stem}.jpg" for path in few.images]
-    for name in done.written.names:
+    assert list(done.names) == [f"{path.stem}.jpg" for path in few.images]
+    for name in done.names:
         # HEVC halves the resolution of colors.
         want = resize(read_image(few.images[0]), 160, 120)
         assert psnr(read_image(tmp_path / "capture" / "scan" / name), want) >= 34
@@ -118,7 +119,7 @@ def test_heic(few: KnownScan, tmp_path: Path) -> None:
 def test_heic_is_upright(few: KnownScan, tmp_path: Path) -> None:
     pytest.importorskip("pi_heif", reason="extra heic is not installed")
     done = bring(write_heic(tmp_path / "source", few, quarter_turns=1), tmp_path / "capture")
-    name = done.written.names[0]
+    name = done.names[0]
     have = read_image(tmp_path / "capture" / "scan" / name)
     assert psnr(have, np.rot90(resize(read_image(few.images[0]), 160, 120))) >= 34
 
@@ -126,7 +127,7 @@ def test_heic_is_upright(few: KnownScan, tmp_path: Path) -> None:
 def test_jpeg_beside_heic_is_taken(few: KnownScan, tmp_path: Path) -> None:
     source = write_photos(tmp_path / "source", few)
     (source / f"{few.images[0].stem}.heic").write_bytes(b"not read")
-    assert len(bring(source, tmp_path / "capture").written.names) == 12
+    assert len(bring(source, tmp_path / "capture").names) == 12
 
 
 def test_heic_without_the_extra(few: KnownScan, tmp_path: Path, monkeypatch) -> None:

@@ -127,11 +127,11 @@ def test_pose_that_is_not_finite(number: str, few: KnownScan, tmp_path: Path) ->
 def test_frames_without_pose_are_named(few: KnownScan, tmp_path: Path) -> None:
     source = write_transforms(tmp_path / "source", few)
     change_json(source / "transforms.json", frames(lambda items: items[3].pop("transform_matrix")))
-    done = import_scan(source, tmp_path / "capture", 0, silent)
-    assert "1 of 12 images have no pose" in done.written.warnings[0]
-    assert few.images[3].name in done.written.warnings[0]
-    assert done.written.poses is not None
-    assert len(done.written.poses.Ts_scan_cam) == 11
+    _, done, _ = import_scan(source, tmp_path / "capture", 0, silent)
+    assert "1 of 12 images have no pose" in done.warnings[0]
+    assert few.images[3].name in done.warnings[0]
+    assert done.poses is not None
+    assert len(done.poses.Ts_scan_cam) == 11
 
 
 def test_missing_images_are_left_out(few: KnownScan, tmp_path: Path) -> None:
@@ -140,16 +140,16 @@ def test_missing_images_are_left_out(few: KnownScan, tmp_path: Path) -> None:
     change_json(
         source / "transforms.json", frames(lambda items: items[12].update(file_path="images/none.jpg"))
     )
-    done = import_scan(source, tmp_path / "capture", 0, silent)
-    assert len(done.written.names) == 12
-    assert done.written.warnings == ("1 of 13 images are missing (images/none.jpg)",)
+    _, done, _ = import_scan(source, tmp_path / "capture", 0, silent)
+    assert len(done.names) == 12
+    assert done.warnings == ("1 of 13 images are missing (images/none.jpg)",)
 
 
 def test_keyframe_without_camera_has_no_pose(few: KnownScan, tmp_path: Path) -> None:
     source = write_polycam(tmp_path / "source", few)
     (source / "keyframes" / "corrected_cameras" / f"{few.images[3].stem}.json").unlink()
-    done = import_scan(source, tmp_path / "capture", 0, silent)
-    assert few.images[3].name in done.written.warnings[0]
+    _, done, _ = import_scan(source, tmp_path / "capture", 0, silent)
+    assert few.images[3].name in done.warnings[0]
 
 
 def test_camera_file_without_a_number(few: KnownScan, tmp_path: Path) -> None:
@@ -229,9 +229,9 @@ def test_capture_with_other_tables_keeps_them(few: KnownScan, tmp_path: Path) ->
     capture.mkdir()
     text = 'format = 1\nname = "a"  # mine\r\n\n[scan]\nimages = "old"\n# a note\n\n[robot]\nmodel = "ur5e_2f85"\n'
     (capture / "capture.toml").write_bytes(text.encode())
-    done = import_scan(source, capture, 0, silent)
+    _, _, is_new = import_scan(source, capture, 0, silent)
     have = (capture / "capture.toml").read_bytes().decode()
-    assert not done.is_new
+    assert not is_new
     scan = 'images = "scan"\nintrinsics = [600.25, 599.5, 320.125, 239.75]\n'
     assert have == text.replace('images = "old"\n', scan)
 

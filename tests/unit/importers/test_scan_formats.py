@@ -9,7 +9,8 @@ import pytest
 from aomgen.capture.scan_poses import SCAN_POSES_FILE, read_scan_poses
 from aomgen.core.progress import silent
 from aomgen.errors import SeveralCamerasError
-from aomgen.importers.scan_import import ImportedScan, import_scan
+from aomgen.importers.scan_import import import_scan
+from aomgen.importers.scan_writing import WrittenScan
 from aomgen.io.images import read_image, write_image
 from aomgen.io.video import encode_video
 from foreign_scans import WRITERS, KnownScan, known_scan, write_colmap, write_polycam, write_transforms
@@ -17,8 +18,8 @@ from foreign_scans import WRITERS, KnownScan, known_scan, write_colmap, write_po
 POSED = [name for name in WRITERS if name != "photos"]
 
 
-def bring(source: Path, capture: Path, long_side: int = 0) -> ImportedScan:
-    return import_scan(source, capture, long_side, silent)
+def bring(source: Path, capture: Path, long_side: int = 0) -> WrittenScan:
+    return import_scan(source, capture, long_side, silent)[1]
 
 
 @pytest.mark.parametrize("kind", POSED)
@@ -27,11 +28,11 @@ def test_posed_scan_comes_back(kind: str, few: KnownScan, tmp_path: Path) -> Non
     scan = tmp_path / "capture" / "scan"
     poses = read_scan_poses(scan / SCAN_POSES_FILE)
     assert poses.metric == (kind in ("Polycam", "Record3D"))
-    assert len(done.written.names) == len(few.images)
-    for name, path, T in zip(done.written.names, few.images, few.poses, strict=True):
+    assert len(done.names) == len(few.images)
+    for name, path, T in zip(done.names, few.images, few.poses, strict=True):
         assert (scan / name).read_bytes() == path.read_bytes()
         np.testing.assert_allclose(poses.Ts_scan_cam[name], T, atol=1e-6)
-    found = done.written.intrinsics
+    found = done.intrinsics
     assert found is not None
     assert (found.fx, found.fy, found.cx, found.cy) == few.intrinsics
 
@@ -40,21 +41,21 @@ def test_photos_have_no_poses(few: KnownScan, tmp_path: Path) -> None:
     done = bring(WRITERS["photos"](tmp_path / "source", few), tmp_path / "capture")
     scan = tmp_path / "capture" / "scan"
     assert sorted(path.name for path in scan.iterdir()) == [path.name for path in few.images]
-    assert done.written.poses is None
-    assert done.written.intrinsics is None
+    assert done.poses is None
+    assert done.intrinsics is None
     for path in few.images:
         assert (scan / path.name).read_bytes() == path.read_bytes()
 
 
 def test_large_images_are_reduced_with_their_optics(few: KnownScan, tmp_path: Path) -> None:
     done = bring(write_transforms(tmp_path / "source", few), tmp_path / "capture", long_side=320)
-    found = done.written.intrinsics
+    found = done.intrinsics
     assert found is not None
-    assert (done.written.width, done.written.height) == (320, 240)
+    assert (done.width, done.height) == (320, 240)
     np.testing.assert_allclose(
         (found.fx, found.fy, found.cx, found.cy), np.array(few.intrinsics) / 2, rtol=1e-12
     )
-    assert read_image(tmp_path / "capture" / "scan" / done.written.names[0]).shape == (240, 320, 3)
+    assert read_image(tmp_path / "capture" / "scan" / done.names[0]).shape == (240, 320, 3)
 
 
 def paint(rays: np.ndarray) -> np.ndarray:
@@ -95,17 +96,17 @@ def test_lens_is_removed(model: str, tmp_path: Path) -> None:
     scan = photograph(tmp_path / "images", [camera] * 12)
     done = bring(write_colmap(tmp_path / "source", scan, text=False, camera=camera), tmp_path / "capture")
     check_painted(done, tmp_path / "capture" / "scan")
-    assert done.written.resampled == 12
+    assert done.resampled == 12
 
 
-def check_painted(done: ImportedScan, folder: Path) -> None:
+def check_painted(done: WrittenScan, folder: Path) -> None:
     """Every image shows what a pinhole camera of the stated intrinsics would, with at least 40 dB."""
-    found = done.written.intrinsics
+    found = done.intrinsics
     assert found is not None
     u, v = np.meshgrid(np.arange(160) + 0.5, np.arange(120) + 0.5)
     rays = np.column_stack([(u.ravel() - found.cx) / found.fx, (v.ravel() - found.cy) / found.fy])
     want = paint(rays).reshape(120, 160, 3).astype(float)
-    for name in (done.written.names[0], done.written.names[-1]):
+    for name in (done.names[0], done.names[-1]):
         error = np.mean((read_image(folder / name) - want) ** 2)
         assert 10 * np.log10(255**2 / max(error, 1e-9)) >= 40
 
@@ -133,7 +134,7 @@ def test_optics_of_frames_win_over_those_of_the_file(few: KnownScan, tmp_path: P
     text = (source / "transforms.json").read_text("utf-8")
     path = source / "transforms.json"
     path.write_text(text.replace('{"file_path"', '{"fl_x": 600.25, "file_path"'), "utf-8")
-    found = bring(source, tmp_path / "capture").written.intrinsics
+    found = bring(source, tmp_path / "capture").intrinsics
     assert found is not None
     assert found.fx == 600.25
 
@@ -141,7 +142,7 @@ def test_optics_of_frames_win_over_those_of_the_file(few: KnownScan, tmp_path: P
 def test_field_of_view_gives_the_focal_length(few: KnownScan, tmp_path: Path) -> None:
     angle = 2 * np.arctan(320 / 500)
     source = write_transforms(tmp_path / "source", few, fl_x=None, fl_y=None, camera_angle_x=angle)
-    found = bring(source, tmp_path / "capture").written.intrinsics
+    found = bring(source, tmp_path / "capture").intrinsics
     assert found is not None
     assert found.fx == pytest.approx(500)
 
@@ -161,6 +162,6 @@ def test_frames_of_a_video_are_sampled(tmp_path: Path) -> None:
     frames = [wide[:, 8 * k : 8 * k + 320] for k in range(100)]
     (tmp_path / "walk.mp4").write_bytes(encode_video(frames, 30))
     done = bring(tmp_path / "walk.mp4", tmp_path / "capture")
-    assert 12 <= len(done.written.names) <= 100
-    assert done.written.names[0].startswith("scan_")
-    assert (done.written.width, done.written.height) == (320, 240)
+    assert 12 <= len(done.names) <= 100
+    assert done.names[0].startswith("scan_")
+    assert (done.width, done.height) == (320, 240)

@@ -5,12 +5,13 @@ import pickle
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from aomgen.datasets.features import feature_names
-from aomgen.evaluation.remote import RemoteTask, open_remote
+from aomgen.evaluation.remote import open_remote
 from drawer_episode import corner_camera, drawer_episode
 from served_policies import msgpack_array, openpi_server
 from vla_interfaces import (
@@ -109,13 +110,7 @@ def test_joints_are_learned_as_differences_and_come_back(pi05):
 
 def test_our_client_and_the_recipe_speak_of_the_same(pi05):
     inputs = pi05.AomgenInputs()
-    task = RemoteTask(
-        instruction="open the drawer",
-        action_space="joint",
-        cameras=("side", "front"),
-        joints=pi05.ARM_JOINTS,
-        ee_poses=lambda joints: np.eye(4)[None],
-    )
+    suite = SimpleNamespace(task="open the drawer", action_space="joint", cameras=("side", "front"))
 
     def answer(observation):
         seen = inputs(observation)
@@ -124,7 +119,7 @@ def test_our_client_and_the_recipe_speak_of_the_same(pi05):
         return {"actions": msgpack_array(np.tile(seen["state"], (pi05.HORIZON, 1)))}
 
     with openpi_server(answer, pi05.train_config().policy_metadata) as served:
-        policy = open_remote(f"openpi://{served.address}", task)
+        policy = open_remote(f"openpi://{served.address}", suite, None)
         measured = np.arange(7, dtype=np.float32)
         action = policy.act({"pixels": {"side": 255 - IMAGE, "front": IMAGE}, "agent_pos": measured})
     np.testing.assert_array_equal(action, measured)

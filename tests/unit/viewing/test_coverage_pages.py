@@ -8,7 +8,7 @@ import pytest
 from aomgen.core.plan import Variation
 from aomgen.episodes.reach_map import front_line
 from aomgen.io.review import Review
-from aomgen.viewing.coverage_pages import find_holes, locate_draws, measure_coverage
+from aomgen.viewing.coverage_pages import describe_holes, find_holes, locate_draws, measure_coverage
 from aomgen.viewing.draw_list import Draw
 from toy_drawer import SUPPORT, fitted_drawer
 
@@ -28,18 +28,20 @@ def test_draws_are_placed_as_on_the_map_of_the_report(frame) -> None:
 def test_the_largest_hole_is_found_with_its_reasons() -> None:
     grid = np.stack(np.meshgrid(np.linspace(0, 1, 11), np.linspace(0, 1, 11)), -1).reshape(-1, 2)
     episodes = grid[np.linalg.norm(grid - (0.7, 0.3), axis=1) > 0.25]
-    others = np.array([[0.7, 0.35], [0.75, 0.3], [0.1, 0.1]])
-    first, *more = find_holes(AREA, episodes, others, ["blocked", "out_of_view", "off_table"])
-    assert (first.x, first.y) == pytest.approx((0.7, 0.3), abs=0.04)
-    assert first.radius_m == pytest.approx(0.28, abs=0.03)
-    assert (first.draws, first.reasons) == (2, {"blocked": 1, "out_of_view": 1})
-    assert all(hole.radius_m < 0.12 for hole in more)
+    others = [(0.7, 0.35, "blocked"), (0.75, 0.3, "out_of_view"), (0.1, 0.1, "off_table")]
+    rows = [{"x": x, "y": y, "outcome": "committed", "reason": ""} for x, y in episodes]
+    rows += [{"x": x, "y": y, "outcome": "rejected", "reason": reason} for x, y, reason in others]
+    first, *more = describe_holes(AREA, rows)
+    assert (first["x"], first["y"]) == pytest.approx((0.7, 0.3), abs=0.04)
+    assert first["radius_m"] == pytest.approx(0.28, abs=0.03)
+    assert (first["draws"], first["reasons"]) == (2, {"blocked": 1, "out_of_view": 1})
+    assert all(hole["radius_m"] < 0.12 for hole in more)
 
 
 def test_an_even_spread_has_no_hole() -> None:
     middles = np.linspace(0.05, 0.95, 10)
     episodes = np.stack(np.meshgrid(middles, middles), -1).reshape(-1, 2)
-    assert list(find_holes(AREA, episodes, np.zeros((0, 2)), [])) == []
+    assert list(find_holes(AREA, episodes)) == []
 
 
 def test_episodes_that_a_person_rejects_cover_nothing(tmp_path: Path) -> None:

@@ -9,7 +9,13 @@ from aomgen.core.joint import Joint
 from aomgen.twin.twin import TwinState
 from aomgen.viewing.lines import outline_geoms, outline_hull, project_segments
 from aomgen.viewing.observed import describe_support, project_coverage
-from aomgen.viewing.overlays import Colliders, Moment, outline_cameras, outline_contacts, outline_patches
+from aomgen.viewing.overlays import (
+    Moment,
+    outline_cameras,
+    outline_colliders,
+    outline_contacts,
+    outline_patches,
+)
 
 CAMERA = Camera(
     fx=100, fy=100, cx=50, cy=40, width=100, height=80, T_world_cam=look_at((-1, 0, 0), (0, 0, 0))
@@ -44,10 +50,10 @@ def test_an_outline_is_as_large_as_its_shape():
 
 def test_colliders_move_with_their_bodies():
     model = mujoco.MjModel.from_xml_string(SHAPES)
-    colliders = Colliders(model, lambda state: np.array([state.theta]))
+    colliders = outline_colliders(model, lambda state: np.array([state.theta]))
     shift = colliders(moment(0.5))["collider"] - colliders(moment(0.0))["collider"]
     np.testing.assert_allclose(shift, np.broadcast_to([0.5, 0, 0], shift.shape), atol=1e-12)
-    marked = Colliders(model, lambda state: np.array([state.theta]), ["b"])(moment())
+    marked = outline_colliders(model, lambda state: np.array([state.theta]), ["b"])(moment())
     assert (len(marked["pair"]), len(marked["pair"]) + len(marked["collider"])) == (12, len(shift))
 
 

@@ -139,7 +139,8 @@ def screen(rng: np.random.Generator) -> Texture:
         draw.rectangle((x0, y0, x1, y1), fill=(243, 243, 240), outline=(60, 60, 60))
         draw.rectangle((x0, y0, x1, y0 + 14), fill=draw_ink(rng))
         for y in range(y0 + 22, y1 - 10, 12):
-            write(draw, (x0 + 6, y), _words(rng, 3), 10, (40, 40, 50))
+            words = " ".join(f"{rng.choice(WORDS)} {rng.integers(10, 99)}" for _ in range(3))
+            write(draw, (x0 + 6, y), words, 10, (40, 40, 50))
     for icon in range(9):
         x = width * (0.2 + 0.068 * icon)
         draw.rounded_rectangle((x, height - 26, x + 20, height - 6), 4, fill=draw_ink(rng))
@@ -304,7 +305,3 @@ def _sticker(draw: ImageDraw.ImageDraw, rng: np.random.Generator, middle: ArrayL
         r = rng.uniform(0.08, 0.2) * min(a, b)
         draw.ellipse((x + dx - r, y + dy - r, x + dx + r, y + dy + r), fill=draw_ink(rng))
     write(draw, (x, y), str(rng.choice(WORDS)), int(np.clip(0.5 * b, 9, 30)), ink, "mm")
-
-
-def _words(rng: np.random.Generator, count: int) -> str:
-    return " ".join(f"{rng.choice(WORDS)} {rng.integers(10, 99)}" for _ in range(count))
