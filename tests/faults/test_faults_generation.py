@@ -16,7 +16,7 @@ import pytest
 
 from fault_run import start_workers
 from fault_trees import AFTER, read_tree
-from fault_workers import ray_deaths, worker_deaths
+from fault_workers import ray_deaths, ray_store, worker_deaths
 from faults import disk_full, kills, prepare
 
 pytestmark = pytest.mark.slow
@@ -69,3 +69,10 @@ def test_a_killed_ray_worker_and_node_change_nothing(tmp_path):
     if importlib.util.find_spec("ray") is None:
         pytest.skip("ray is not installed")
     assert ray_deaths(tmp_path) == {"killed": ["worker", "node"], "episodes": 6, "tree_equal": True}
+
+
+def test_a_store_replaces_shared_folders_and_may_vanish(tmp_path):
+    for package in ("ray", "fsspec"):
+        if importlib.util.find_spec(package) is None:
+            pytest.skip(f"{package} is not installed")
+    assert ray_store(tmp_path) == {"typed": True, "episodes": 6, "tree_equal": True}

@@ -3,29 +3,33 @@
 import multiprocessing
 import os
 import re
+import shutil
 import signal
 import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
+from dataclasses import replace
 from functools import partial
 from multiprocessing.process import BaseProcess
 from pathlib import Path
 from typing import Any, Final
+from unittest.mock import patch
 
 import numpy as np
 
 from aomgen.core.progress import silent
+from aomgen.episodes import stage as stage_module
 from aomgen.episodes.ledger import read_accounts
 from aomgen.episodes.stage import run as generate
-from aomgen.errors import WorkerError
+from aomgen.errors import StorageError, WorkerError
 from aomgen.executors import Done
 from aomgen.io.artifact import read_json
 from aomgen.io.atomic import STAGING_PREFIX, write_json
 from aomgen.io.episode_folder import list_committed, read_episode
 from fault_run import INPUTS, PARAMS, in_child
 from fault_trees import read_tree
-from toy_run import FOLDERS, ToyResults, elsewhere, toy_run
+from toy_run import FOLDERS, ToyResults, elsewhere, toy_results, toy_run
 
 ASSETS, WORKERS = 2, 2
 # A unit takes about a second: a worker dies at any moment of it, [s].
@@ -135,6 +139,57 @@ def _on_ray(results: ToyResults, scratch: Path) -> None:
         _generate(elsewhere(results, scratch / "disturbed", ray=cluster.address), heard)
     if faults:
         raise WorkerError("ray", f"was done after {units} units, before both faults")
+
+
+def ray_store(scratch: Path) -> dict[str, Any]:
+    """Generate episodes on a Ray cluster whose workers have only a store, which is deleted in the middle of the run.
+
+    Returns:
+        `typed` is whether the run ended with a `StorageError`, `episodes` and `tree_equal` are those of the continued run.
+    """
+    for name in ("undisturbed", "disturbed"):
+        toy_run(scratch / name, params=PARAMS, poses=RAY_POSES, assets=ASSETS)
+    code = in_child(partial(_on_ray_with_store, scratch), HANGS_S, "spawn")
+    if code:
+        raise WorkerError(scratch, f"ended with code {code}", "see its traceback")
+    disturbed = scratch / "disturbed"
+    return {
+        **read_json(scratch / "errors.json"),
+        "episodes": len(list_committed(disturbed / FOLDERS["episodes"])),
+        "tree_equal": read_tree(disturbed, staging=True) == read_tree(scratch / "undisturbed"),
+    }
+
+
+def _on_ray_with_store(scratch: Path) -> None:
+    """Make an undisturbed run in processes, then one on a cluster, from which the inputs of the run are hidden."""
+    plain, run = (
+        toy_results(scratch / name, params=PARAMS, poses=RAY_POSES, assets=ASSETS)
+        for name in ("undisturbed", "disturbed")
+    )
+    generate(replace(plain, workers=WORKERS), plain.folders["episodes"], silent)
+    store, fitted = scratch / "store", run.folders["replacement"]
+    opened, heard, typed = stage_module.open_executor, list[Done](), False
+
+    def open_hidden(*arguments: Any) -> Any:
+        fitted.rename(scratch / "hidden")
+        return opened(*arguments)
+
+    def vanish(done: Done) -> None:
+        heard.append(done)
+        if len(heard) == RAY_FAULTS_AFTER[0]:
+            shutil.rmtree(store)
+
+    with _cluster() as cluster, patch.object(stage_module, "open_executor", open_hidden):
+        cluster.add_node(**NODE)
+        results = replace(run, ray=cluster.address, store=str(store))
+        try:
+            generate(results, run.folders["episodes"], silent, vanish)
+        except StorageError:
+            typed = True
+        (scratch / "hidden").rename(fitted)
+        generate(results, run.folders["episodes"], silent, heard.append)
+    (scratch / "hidden").rename(fitted)
+    write_json(scratch / "errors.json", {"typed": typed})
 
 
 @contextmanager

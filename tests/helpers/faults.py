@@ -16,7 +16,7 @@ from aomgen.errors import StorageError, WorkerError
 from aomgen.ray_cluster import require_cluster
 from fault_run import INPUTS, PARAMS, RUN_S, at_operation, in_child, make_here, open_here, start_workers
 from fault_trees import AFTER, BEFORE, Left, begin_over, look, summary
-from fault_workers import ray_deaths, worker_deaths
+from fault_workers import ray_deaths, ray_store, worker_deaths
 from toy_run import toy_run
 
 # Kills come in turn at a time, at a file operation, and now and then at a time when worker processes are at work.
@@ -45,7 +45,7 @@ def run_faults(scratch: Path, points: int, tell: Callable[[str], None]) -> dict[
         for name, part in (("kills", partial(kills, points=points)), ("disk_full", disk_full)):
             figures[name] = part(pool, scratch)
             tell(f"{name}: {figures[name]}")
-    for name, alone in (("worker_deaths", worker_deaths), ("ray", ray_deaths)):
+    for name, alone in (("worker_deaths", worker_deaths), ("ray", ray_deaths), ("store", ray_store)):
         figures[name] = alone(scratch / name)
         tell(f"{name}: {figures[name]}")
     return figures

@@ -56,7 +56,8 @@ class Stage:
             continues there after a kill.
         amount: Settings that only change the number of items of an incremental stage; existing items remain.
         forget: Function that deletes the items to which damaged files belong, given the folder and the relative paths of
-            the files; None to compute the whole stage again. The items have digests of their own.
+            the files; None to compute the whole stage again.
+        bulky: The files may be too many to be read whenever a run is continued, so that only their sizes are checked.
     """
 
     name: str
@@ -70,6 +71,7 @@ class Stage:
     incremental: bool = False
     amount: tuple[str, ...] = ()
     forget: Callable[[Path, list[str]], None] | None = None
+    bulky: bool = False
 
 
 class Display(Protocol):
@@ -131,13 +133,12 @@ def run_stages(
         AomgenError: A stage failed; no incomplete file remains.
     """
     results = results_of(project, stages, **machine)
-    needed = {name for stage in stages for name in stage.needs}
     with lock(project.out):
         remove_staging(project.out)
         digests = dict(inputs)
         made: list[str] = []
         for stage in stages:
-            kept = _kept(results, stage, digests, content=stage.name in needed and stage.forget is None)
+            kept = _kept(results, stage, digests)
             if kept is None:
                 made.append(stage.name)
                 manifest = _make(results, stage, digests, display)
@@ -201,17 +202,16 @@ def _identify(results: Results, stage: Stage, digests: dict[str, str]) -> Identi
     return stage.version, inputs, parameters | ({"params": changed} if changed else {})
 
 
-def _kept(results: Results, stage: Stage, digests: dict[str, str], *, content: bool) -> Manifest | None:
+def _kept(results: Results, stage: Stage, digests: dict[str, str]) -> Manifest | None:
     """Return the manifest of a stage if its result was computed from the current inputs and is not damaged, else None.
 
-    Damaged items are forgotten, so that they are computed again. Files that no later stage reads, and files of items with
-    digests of their own, are compared by size (`content` is False), because they may be large.
+    Damaged items are forgotten, so that they are computed again.
     """
     folder = results.folders[stage.name]
     manifest = reuse(folder / MANIFEST, partial(read_manifest, folder))
     if manifest is None or manifest.identity != _identify(results, stage, digests):
         return None
-    damaged = list(find_damage(folder, manifest, content=content))
+    damaged = list(find_damage(folder, manifest, content=not stage.bulky))
     if not damaged:
         return manifest
     others = f" and {len(damaged) - 1} more" if len(damaged) > 1 else ""

@@ -165,6 +165,7 @@ STAGES: tuple[Stage, ...] = (
         incremental=True,
         amount=("poses",),
         forget=_forget_episodes,
+        bulky=True,
     ),
     Stage(
         name="dataset",
@@ -174,6 +175,7 @@ STAGES: tuple[Stage, ...] = (
         version=6,
         weight=2,
         function=_lazily("datasets.stage"),
+        bulky=True,
     ),
 )
 

@@ -12,7 +12,7 @@ from aomgen.io.review import ReviewChange, change_review
 from aomgen.pipeline.manifest import write_manifest
 from aomgen.pipeline.project_file import write_project
 from aomgen.pipeline.stages import PROJECT_FILE
-from command_line import aomgen, one_sentence
+from command_line import aomgen, one_sentence, started
 from small_episodes import commit
 
 
@@ -72,6 +72,12 @@ def test_shards_contain_every_episode_once_and_are_kept(run, tmp_path):
     # Without its request, a shard is as if its process had been killed; with other episodes, it is out of date.
     (tmp_path / "parts" / "shards" / "2-of-2.json").unlink()
     assert aomgen(*words, "2/2", folder=tmp_path).stdout == second.stdout
+    (tmp_path / "parts" / "shards" / "1-of-2.json").write_text("{")
+    damaged = started(*words, "1/2", folder=tmp_path)
+    assert (damaged.returncode, damaged.stdout) == (0, first.stdout)
+    assert damaged.stderr.startswith("warning: ")
+    assert damaged.stderr.endswith("; it is computed again\n")
+    assert damaged.stderr.count("\n") == 1
     change_review(reviewed, reviewed / "08_episodes" / "000002", ReviewChange(decision="rejected"))
     assert (
         "wrote parts/1-of-2: 1 training and 0 validation episodes, 12 frames"

@@ -47,6 +47,12 @@ def test_an_unknown_stage_lists_the_known(small_capture, tmp_path):
     one_sentence(result, 2, "dreaming", "structure, gaussians")
 
 
+def test_a_store_needs_a_cluster(small_capture, tmp_path):
+    aomgen("init", small_capture, folder=tmp_path)
+    result = aomgen("run", "project.toml", "--store", "memory://run", folder=tmp_path)
+    one_sentence(result, 2, "--store", "has no meaning without --ray")
+
+
 @pytest.fixture
 def unfinished(sample, tmp_path) -> Path:
     """Folder of a run in which no stage has finished."""

@@ -10,7 +10,15 @@ import pytest
 
 from aomgen.cli.app import main
 from aomgen.core.project import Project
-from aomgen.errors import BackendError, ConfigError, LockedError, MalformedFileError, StorageError
+from aomgen.errors import (
+    AomgenError,
+    BackendError,
+    ConfigError,
+    LockedError,
+    MalformedFileError,
+    StorageError,
+)
+from aomgen.io.reuse import StoredFileWarning
 from aomgen.pipeline import preflight
 from aomgen.pipeline.runner import lock
 from aomgen.pipeline.stages import PROJECT_FILE, run_pipeline
@@ -108,6 +116,25 @@ def test_a_cluster_that_does_not_answer_starts_nothing(small_capture, tmp_path, 
     assert not project.out.exists()
     run_pipeline(project, Heard(), until="twin", ray="127.0.0.1:1")
     assert no_work == ["stages"]
+
+
+def test_a_store_that_cannot_be_used_starts_nothing(small_capture, tmp_path, no_work):
+    project = project_of(small_capture, tmp_path / "out")
+    with pytest.raises(AomgenError, match=r"--store what://x: is not a known kind|fsspec: is not installed"):
+        run_pipeline(project, Heard(), store="what://x")
+    assert not project.out.exists()
+
+
+def test_a_damaged_record_of_the_check_is_replaced(small_capture, tmp_path, no_work):
+    project = project_of(small_capture, tmp_path / "out")
+    run_pipeline(project, Heard())
+    record = project.out / preflight.CHECKED_FILE
+    intact = record.read_bytes()
+    record.write_text("[")
+    with pytest.warns(StoredFileWarning, match=record.name) as warned:
+        run_pipeline(project, Heard())
+    assert len(warned) == 1
+    assert record.read_bytes() == intact
 
 
 def test_a_second_run_leaves_the_choices_of_the_first(small_capture, tmp_path, no_work):

@@ -44,7 +44,8 @@ def results(whole: Path) -> ToyResults:
     if importlib.util.find_spec("fsspec") is None:
         pytest.skip("fsspec is not installed")
     out = whole.with_name("run")
-    shutil.rmtree(out, ignore_errors=True)
+    for path in (out, out.with_name("store")):
+        shutil.rmtree(path, ignore_errors=True)
     return replace(toy_run(out, params=PARAMS), store=str(out.with_name("store")))
 
 

@@ -13,6 +13,7 @@ from aomgen.core.progress import silent
 from aomgen.core.recording import Prompt
 from aomgen.errors import MalformedFileError, ReconstructionError
 from aomgen.io.artifact import npz_bytes
+from aomgen.io.reuse import StoredFileWarning
 from aomgen.paper.affinity_features import (
     AffinityParams,
     gate_features,
@@ -171,6 +172,14 @@ def test_a_scan_that_was_cut_short_goes_on_where_it_was(tmp_path):
     assert np.array_equal(masks["1.jpg"][1], true_masks(gaussians, labels, views[1].camera)[1])
     *_, last = scanned(gaussians, labels, tmp_path)
     assert last.prepared == ["1.jpg"]
+    damaged = max(path for path in tmp_path.iterdir() if path.stem != "1")
+    intact = damaged.read_bytes()
+    damaged.write_bytes(intact[: len(intact) // 2])
+    with pytest.warns(StoredFileWarning, match=f"{damaged.name}.*computed again") as warned:
+        *_, repaired = scanned(gaussians, labels, tmp_path)
+    assert len(warned) == 1
+    assert set(repaired.prepared) == {"1.jpg", f"{damaged.stem}.jpg"}
+    assert damaged.read_bytes() == intact
 
 
 def test_training_needs_two_masks():

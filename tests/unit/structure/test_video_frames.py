@@ -10,6 +10,7 @@ from aomgen.core.progress import silent
 from aomgen.core.recording import frame_name
 from aomgen.errors import IncompleteCaptureError, MalformedFileError
 from aomgen.io.images import read_image
+from aomgen.io.reuse import StoredFileWarning
 from aomgen.io.video import encode_video
 from aomgen.structure import video_frames as frames_module
 from aomgen.structure.tracking import follow, new_tracks, pyramid
@@ -116,6 +117,18 @@ def test_a_kill_before_the_listing_starts_over(video, tmp_path):
     again = extract_frames(video, set(), tmp_path, silent)
     assert again == first
     assert read_image(next(iter(again.values()))).shape == (HEIGHT, WIDTH, 3)
+
+
+@pytest.mark.parametrize("file", ["frames.json", "a frame"])
+def test_damage_starts_over_with_one_warning(video, tmp_path, file):
+    first = extract_frames(video, set(), tmp_path, silent)
+    path = tmp_path / file if file == "frames.json" else max(first.values())
+    intact = path.read_bytes()
+    path.write_bytes(intact[: len(intact) // 2])
+    with pytest.warns(StoredFileWarning, match=r"frames\.json: cannot be reused") as warned:
+        assert extract_frames(video, set(), tmp_path, silent) == first
+    assert len(warned) == 1
+    assert path.read_bytes() == intact
 
 
 def test_a_video_from_one_spot_is_refused(walk, tmp_path):
