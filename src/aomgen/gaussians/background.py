@@ -5,6 +5,8 @@ of planes that were found in other pixels, or infinity. Each ambiguous pixel get
 neighboring views show the same color.
 """
 
+from concurrent.futures import ThreadPoolExecutor
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
@@ -77,25 +79,26 @@ def dominant_planes(points: Array, *, min_share: float = 0.03) -> list[Plane]:
 
 
 def explain(
-    maps: list[DepthMap], votes: list[NDArray[np.int32]], planes: list[Plane]
+    maps: list[DepthMap], votes: list[NDArray[np.int32]], planes: list[Plane], threads: int = 1
 ) -> tuple[Samples, Samples]:
     """Create samples for pixels that no neighboring view confirmed: points on planes, and rays to infinity.
 
     Args:
         votes: Number of confirmations of each pixel (H, W); from `MIN_CONFIRMATIONS` on its depth is known.
         planes: Candidate planes in addition to infinity.
+        threads: Views worked on at once.
 
     Returns:
-        Samples on planes, and samples whose points are unit directions: pixels at infinity and, with a very small
-            weight,
+        Samples on planes, and samples whose points are unit directions: pixels at infinity and, with a very small weight,
         unexplained pixels.
     """
     blurred = [ndimage.uniform_filter(m.image_srgb.astype(np.float32), (3, 3, 1)) for m in maps]  # pyright: ignore[reportArgumentType]
     trees = [cKDTree(support) for _, _, support in planes]
     extents = [np.linalg.norm(support - support.mean(0), axis=1).mean() for _, _, support in planes]
     reach = np.median(extents or [1.0])
-    on_planes, far = [], []
-    for index, depth_map in enumerate(maps):
+
+    def explain_view(index: int) -> tuple[Samples, Samples]:
+        depth_map = maps[index]
         grid = np.zeros(votes[index].shape, bool)
         grid[STRIDE // 2 :: STRIDE, STRIDE // 2 :: STRIDE] = True
         rows, columns = np.nonzero(grid)
@@ -137,9 +140,11 @@ def explain(
             detail=np.where(on_plane, PLANE_DETAIL, contrast_detail(depth_map.image_srgb)[rows, columns]),
             weights=np.where(explained, EXPLAINED_WEIGHT, OPEN_WEIGHT),
         )
-        on_planes.append(samples.select(on_plane))
-        far.append(samples.select(beyond))
-    return join_samples(on_planes), join_samples(far)
+        return samples.select(on_plane), samples.select(beyond)
+
+    with ThreadPoolExecutor(threads) as pool:
+        on_planes, far = zip(*pool.map(explain_view, range(len(maps))), strict=True)
+    return join_samples(list(on_planes)), join_samples(list(far))
 
 
 def _depth_on(normal: Array, offset: float, depth_map: DepthMap, rays: Array) -> Array:

@@ -19,6 +19,7 @@ from aomgen.gaussians.depth_fusion import (
     confirm_depth,
     confirm_samples,
     count_confirmations,
+    join_samples,
     plane_sweep,
     thin,
 )
@@ -98,10 +99,11 @@ def densify(
     progress(0.76, "comparing depth maps")
     with ThreadPoolExecutor(params.threads) as pool:
         votes = list(pool.map(lambda one: count_confirmations(one, maps), maps))
-    surfaces = confirm_samples(maps, votes).with_points(_sparse(structure, names, views))
+        surfaces = join_samples(list(pool.map(confirm_samples, maps, votes)))
+    surfaces = surfaces.with_points(_sparse(structure, names, views))
     progress(0.85, "continuing planes")
     planes = dominant_planes(thin(surfaces, params.target_points // 8).points_recon)
-    filled, rays = explain(maps, votes, planes)
+    filled, rays = explain(maps, votes, planes, params.threads)
     kept = thin(surfaces.with_points(filled), params.target_points)
     view_depths = [confirm_depth(one, own) for one, own in zip(maps, votes, strict=True)]
     kept = kept.select(~in_free_space(kept.points_recon, view_depths))

@@ -181,9 +181,18 @@ def confirm_depth(depth_map: DepthMap, votes: NDArray[np.int32]) -> ViewDepth:
     return ViewDepth(camera=depth_map.camera, depth=depth.astype(np.float32))
 
 
-def confirm_samples(maps: list[DepthMap], votes: list[NDArray[np.int32]]) -> Samples:
-    """Samples of every pixel whose depth at least `MIN_CONFIRMATIONS` neighbours share."""
-    return join_samples([_samples(depth_map, own) for depth_map, own in zip(maps, votes, strict=True)])
+def confirm_samples(depth_map: DepthMap, votes: NDArray[np.int32]) -> Samples:
+    """Return samples of every pixel whose depth at least `MIN_CONFIRMATIONS` neighbours share."""
+    keep = (votes >= MIN_CONFIRMATIONS) & (depth_map.score >= MIN_SCORE)
+    detail = contrast_detail(depth_map.image_srgb)
+    return Samples(
+        points_recon=_points(depth_map)[keep],
+        normals_recon=normals_recon(depth_map)[keep],
+        colors_srgb=depth_map.image_srgb[keep],
+        footprints=(1.0 / np.maximum(depth_map.inverse_depth[keep], depth_map.step)) / depth_map.camera.fx,
+        detail=detail[keep],
+        weights=np.minimum(votes[keep] - 1.0, 2.0).astype(np.float64),
+    )
 
 
 def count_confirmations(depth_map: DepthMap, maps: list[DepthMap]) -> NDArray[np.int32]:
@@ -268,19 +277,6 @@ def _points(depth_map: DepthMap) -> Array:
     inverse = np.maximum(depth_map.inverse_depth, 0.25 * depth_map.step)
     rays_cam = depth_map.camera.move(np.eye(4)).directions()
     return apply(depth_map.camera.T_world_cam, rays_cam / inverse[..., None])
-
-
-def _samples(depth_map: DepthMap, votes: NDArray[np.int32]) -> Samples:
-    keep = (votes >= MIN_CONFIRMATIONS) & (depth_map.score >= MIN_SCORE)
-    detail = contrast_detail(depth_map.image_srgb)
-    return Samples(
-        points_recon=_points(depth_map)[keep],
-        normals_recon=normals_recon(depth_map)[keep],
-        colors_srgb=depth_map.image_srgb[keep],
-        footprints=(1.0 / np.maximum(depth_map.inverse_depth[keep], depth_map.step)) / depth_map.camera.fx,
-        detail=detail[keep],
-        weights=np.minimum(votes[keep] - 1.0, 2.0).astype(np.float64),
-    )
 
 
 def _cell_keys(points: Array, sizes: Array) -> NDArray[np.uint64]:

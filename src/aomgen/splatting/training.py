@@ -80,7 +80,7 @@ class TrainingParams:
 
     iterations: int = 1800
     sh_degree: int = 2
-    downsampling: tuple[tuple[float, int], ...] = ((0.0, 4), (0.1, 2), (0.35, 1))
+    downsampling: tuple[tuple[float, int], ...] = ((0.0, 4), (0.15, 2), (0.5, 1))
     max_gaussians: int = 100_000
     grow_every: int = 100
     min_opacity: float = 0.01
