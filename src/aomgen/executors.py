@@ -137,11 +137,6 @@ class Processes:
         for worker in self._workers:
             worker.kill()
 
-    def start(self) -> Self:
-        """Start all workers, which open their work before the first unit is submitted."""
-        self._workers = [_Worker(self._opener) for _ in range(self.slots)]
-        return self
-
     def submit(self, unit: Any) -> None:
         """Start the execution of a unit in an idle worker, or in a new one."""
         idle = next((worker for worker in self._workers if worker.unit is None), None)
@@ -197,23 +192,19 @@ def _serve(opener: Opener, connection: Connection) -> None:
         signal.signal(number, signal.SIG_DFL)
     signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT, signal.SIGTERM})
     threading.Thread(target=_end_with_parent, daemon=True).start()
-    # The work is opened before its first unit arrives, while the parent may still be busy.
-    work, failure = _attempt(opener)
+    work: Work | None = None
     while True:
         try:
             unit = connection.recv()
         except EOFError:
             return
-        connection.send((None, failure) if failure else _attempt(work, unit))
-
-
-def _attempt(function: Callable[..., Any], *arguments: Any) -> tuple[Any, Exception | None]:
-    """Call a function and return its value and None, or None and its error with the traceback."""
-    try:
-        return function(*arguments), None
-    except Exception as error:
-        error.add_note(traceback.format_exc())
-        return None, error
+        try:
+            work = work or opener()
+            answer = work(unit), None
+        except Exception as error:
+            error.add_note(traceback.format_exc())
+            answer = None, error
+        connection.send(answer)
 
 
 def _end_with_parent() -> None:

@@ -6,7 +6,6 @@ workers is that of the processors, or of Ray.
 
 from collections import Counter
 from collections.abc import Callable
-from contextlib import ExitStack
 from dataclasses import asdict, replace
 from functools import partial
 from pathlib import Path
@@ -64,16 +63,19 @@ def run(
         episodes=results.project.poses,
         attempts=results.project.poses * factory.params.attempts_per_episode,
     )
+    check_ranges(factory, folder)
+    for number, found in enumerate(factory.reach_maps):
+        save_artifact(folder, REACH_MAP.format(number), found)
+    for category in {fitted.asset.category for fitted in results.fitted_assets}:
+        progress(0.0, f"usual grasp of the category {category}")
+        save_artifact(folder / GRASPS_FOLDER, category, factory.usual_grasp(category))
     # Workers get a copy without cached results.
-    opener, timeout_s = partial(open_factory, replace(results), folder), factory.params.timeout_s
-    with ExitStack() as stack:
-        # Workers on this machine open the run while it is prepared.
-        units = None if results.store else stack.enter_context(open_executor(results, opener, timeout_s))
-        _prepare(factory, folder, progress)
-        if units is None:
-            store, opener = share_inputs(results, folder)
-            executor = open_executor(results, opener, timeout_s)
-            units = stack.enter_context(StoredUnits(executor, store, folder))
+    opener = partial(open_factory, replace(results), folder)
+    store = None
+    if results.store:
+        store, opener = share_inputs(results, folder)
+    executor = open_executor(results, opener, factory.params.timeout_s)
+    with StoredUnits(executor, store, folder) if store else executor as units:
         generate(folder, request, units, factory.screen, progress, on_done)
     (folder / RUN_FILE).unlink(missing_ok=True)
     accounts = read_accounts(folder)
@@ -101,16 +103,6 @@ def run(
     }
 
 
-def _prepare(factory: EpisodeFactory, folder: Path, progress: Progress) -> None:
-    """Store the reach maps and the usual grasps, which all workers use."""
-    check_ranges(factory, folder)
-    for number, found in enumerate(factory.reach_maps):
-        save_artifact(folder, REACH_MAP.format(number), found)
-    for category in {fitted.asset.category for fitted in factory.results.fitted_assets}:
-        progress(0.0, f"usual grasp of the category {category}")
-        save_artifact(folder / GRASPS_FOLDER, category, factory.usual_grasp(category))
-
-
 def open_executor(results: Results, opener: Opener, timeout_s: float) -> Executor:
     """Open workers as requested for the run.
 
@@ -119,7 +111,7 @@ def open_executor(results: Results, opener: Opener, timeout_s: float) -> Executo
     """
     if results.ray:
         return RayCluster(opener, results.ray, timeout_s)
-    return Processes(opener, results.workers, timeout_s).start()
+    return Processes(opener, results.workers, timeout_s)
 
 
 def account_sentence(account: Account) -> str:

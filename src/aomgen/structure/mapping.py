@@ -17,9 +17,6 @@ from aomgen.structure.sparse_model import Links, Pair, SparseModel, adjust, lens
 
 # SIFT contrast threshold; half of COLMAP's default, for plain surfaces.
 PEAK_THRESHOLD = 0.0035
-# Largest number of RANSAC trials for a pair of images, a tenth of COLMAP's default. Most pairs do not overlap and would use
-# all trials; 99.9 % of the verified matches are found in a third of the time.
-MAX_TRIALS = 1000
 # Twice the error that verified matches may have: a lens that bends the border by more costs some.
 MAX_SHIFT_PX = 8.0
 
@@ -311,7 +308,6 @@ class Workspace:
     def _verification(self) -> pycolmap.TwoViewGeometryOptions:
         verification = pycolmap.TwoViewGeometryOptions()
         verification.ransac.random_seed = self.seed
-        verification.ransac.max_num_trials = MAX_TRIALS
         return verification
 
     @property
