@@ -3,6 +3,7 @@
 import copy
 from dataclasses import replace
 from functools import cache
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -28,6 +29,7 @@ from aomgen.core.transforms import (
 )
 from aomgen.core.values import Array
 from aomgen.io.video import Video
+from aomgen.motion import contact, joint_trajectory
 from aomgen.motion.estimate import MotionParams, estimate_motion
 from aomgen.motion.inputs import MotionInput
 from aomgen.motion.joint_estimation import JointParams
@@ -249,8 +251,18 @@ def test_the_joint_is_found(kind: str) -> None:
     assert found.thetas == pytest.approx(thetas_at(joint, FRAMES_S), abs=7 * UNIT[kind])
 
 
-def test_contacts_are_where_the_hand_is_when_the_answered_motion_begins() -> None:
+def test_contacts_are_where_the_hand_is_when_the_answered_motion_begins(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     """The first round may read the hand's way about a poor joint, and find another beginning."""
+    grasps_ee = []
+
+    def find(*args: Any) -> contact.Contacts:
+        patches, grasp_ee = contact.find_contacts(*args)
+        grasps_ee.append(grasp_ee)
+        return patches, grasp_ee
+
+    monkeypatch.setattr(joint_trajectory, "find_contacts", find)
     demo = world("drawer")
     with robot_masks(demo.robot, demo.camera, demo.log) as masks_at:
         view = VideoObservations.of(demo, masks_at, QUICK.width)
@@ -262,7 +274,7 @@ def test_contacts_are_where_the_hand_is_when_the_answered_motion_begins() -> Non
     _, found = recovery.recover(poor, "prismatic")
     hand = demo.ee_poses_at(found.start_s + np.linspace(0, WINDOW_S, QUICK.contact_steps))
     touch = np.mean([patch.point for patch in found.contacts], axis=0)
-    assert touch == pytest.approx(apply(hand, found.grasp_ee).mean(0), abs=1e-3)
+    assert touch == pytest.approx(apply(hand, grasps_ee[-1]).mean(0), abs=1e-4)
 
 
 @pytest.mark.parametrize(("kind", "lean"), [("door", (0.1, -0.15)), ("drawer", (0.0, 0.0))])
