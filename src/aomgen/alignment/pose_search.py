@@ -146,7 +146,8 @@ def select_distinct(
         Ss, scores: Poses `S_world_recon` (H, 4, 4) and their scores (H,), larger is better.
         points_world: Points (P, 3) on the robot, [m].
     """
-    placed = _transform_points(np.asarray(np.linalg.inv(Ss), np.float64), points_world)
+    Ss_recon_world = np.asarray(np.linalg.inv(Ss), np.float64)
+    placed = points_world @ np.swapaxes(Ss_recon_world[:, :3, :3], 1, 2) + Ss_recon_world[:, None, :3, 3]
     sizes = np.linalg.norm(placed - placed.mean(1, keepdims=True), axis=2).mean(1)
     left = np.argsort(-scores, kind="stable")
     kept = []
@@ -181,11 +182,6 @@ def _views_on(views: list[AlignmentImage], centers: Array, count: int) -> list[A
     usable = [view for view, share in zip(views, shown, strict=True) if share >= 0.7 * max(shown)]
     chosen = far_apart([view.camera_recon.center for view in usable], np.median(centers, axis=0), count)
     return [usable[i] for i in chosen]
-
-
-def _transform_points(Ss: Array, points: Array) -> Array:
-    """Transform points (P, 3) by each of a stack (H, 4, 4): (H, P, 3)."""
-    return np.asarray(points @ np.swapaxes(Ss[:, :3, :3], 1, 2) + Ss[:, None, :3, 3], np.float64)
 
 
 class ColorScore:

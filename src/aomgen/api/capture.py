@@ -54,7 +54,8 @@ class Capture:
             >>> ag.Capture.load("my_capture").check()
             ()
         """
-        return check_capture(self.recording)[2] + category_warnings(self.recording)
+        _, _, warnings = check_capture(self.recording)
+        return warnings + category_warnings(self.recording)
 
     @property
     def folder(self) -> Path:
