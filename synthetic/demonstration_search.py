@@ -160,7 +160,7 @@ def simulate(scene: Scene, script: CommandedTrajectory) -> SimulatedDemonstratio
     model = copy.copy(scene.model)
     model.opt.timestep = CONTROL_STEP_S
     model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
-    model.actuator_forcerange[scene.gripper.actuator] *= script.grip
+    model.actuator_forcerange[model.actuator(scene.gripper.actuator).id] *= script.grip
     start = scene.qpos(script.joints[:1], script.gripper[0], script.theta_start)[0]
     commands = Commands(script.joints, np.gradient(script.joints, CONTROL_STEP_S, axis=0), script.gripper)
     qpos = np.empty((len(script.times_s), model.nq))
@@ -173,11 +173,12 @@ def simulate(scene: Scene, script: CommandedTrajectory) -> SimulatedDemonstratio
         warned = bool(data.warning.number.sum() > 0)
     contacts, foreign = _sort_touches(scene, find_touches(scene, touched), len(qpos))
     opened, closed = scene.gripper.driver_range
+    driver = model.joint(scene.gripper.driver).qposadr[0]
     return SimulatedDemonstration(
         times_s=script.times_s,
         qpos=qpos,
         joints=qpos[:, scene.arm.qpos],
-        gripper=(qpos[:, scene.gripper.driver] - opened) / (closed - opened),
+        gripper=(qpos[:, driver] - opened) / (closed - opened),
         theta=qpos[:, scene.object_qpos],
         contacts=contacts,
         foreign=foreign,

@@ -153,7 +153,9 @@ def _cell(value: object, tag: str = "td", right: bool = False) -> str:
 
 
 def _is_number(value: object) -> bool:
-    """Numbers, and numbers written with their digits."""
+    """Numbers, and numbers written with their digits, except in markup."""
+    if isinstance(value, Markup):
+        return False
     if isinstance(value, str):
         return value.replace(",", "").replace(".", "", 1).lstrip("-").isdigit()
     return isinstance(value, int) and not isinstance(value, bool)

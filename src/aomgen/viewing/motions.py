@@ -1,8 +1,8 @@
 """Motions on the timeline of the twin page: the recording, and committed episodes."""
 
-from collections.abc import Collection, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any, Final
 
@@ -22,30 +22,6 @@ KEPT_VIDEOS: Final = 4
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class MotionVideo:
-    """A video of a motion.
-
-    Attributes:
-        file: Path of the video.
-        lens: Distortion that is removed; None for a video of a pinhole camera.
-        offset_s: Video time = time of the motion + this, [s].
-    """
-
-    file: Path
-    lens: Lens | None = None
-    offset_s: float = 0.0
-
-    def read_frame(self, time_s: float) -> bytes:
-        """Return the JPEG of the frame nearest to a time of the motion.
-
-        Raises:
-            InputError: The video is missing or damaged.
-        """
-        times, frames = read_frames_jpeg(self.file, self.lens)
-        return frames[int(np.argmin(np.abs(times - (time_s + self.offset_s))))]
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
 class ShownMotion:
     """A motion on the timeline.
 
@@ -54,14 +30,14 @@ class ShownMotion:
         times_s: Increasing times (T,), [s].
         trajectory: States at these times; None before the motion is estimated.
         cameras: Cameras of the videos, each with one pose or T poses.
-        videos: Videos by camera.
+        videos: Functions by camera that return the JPEG of the frame nearest to a time of the motion, [s].
     """
 
     title: str
     times_s: Array
     trajectory: SceneTrajectory | None
     cameras: Mapping[str, CameraPath]
-    videos: Mapping[str, MotionVideo]
+    videos: Mapping[str, Callable[[float], bytes]]
 
     def describe(self) -> dict[str, Any]:
         """Return the data of the motion for the page: times, states, cameras and names of the videos."""
@@ -99,10 +75,20 @@ def _read_frames_jpeg(file: Path, lens: Lens | None, changed_ns: int) -> tuple[A
     return np.array(times), tuple(frames)
 
 
-def read_frames_jpeg(file: Path, lens: Lens | None = None) -> tuple[Array, tuple[bytes, ...]]:
+def read_frames_jpeg(file: Path, lens: Lens | None) -> tuple[Array, tuple[bytes, ...]]:
     """Return the times (T,) [s] of a video's frames and their JPEG bytes, cached while the video does not change."""
     changed_ns = file.stat().st_mtime_ns if file.is_file() else 0
     return _read_frames_jpeg(file, lens, changed_ns)
+
+
+def read_frame_jpeg(file: Path, lens: Lens | None, offset_s: float, time_s: float) -> bytes:
+    """Return the JPEG of the frame of a video nearest to a time of a motion, [s]; the time in the video is later by `offset_s`.
+
+    Raises:
+        InputError: The video is missing or damaged.
+    """
+    times, frames = read_frames_jpeg(file, lens)
+    return frames[int(np.argmin(np.abs(times - (time_s + offset_s))))]
 
 
 def read_recording(results: Results, done: Collection[str]) -> ShownMotion:
@@ -113,7 +99,8 @@ def read_recording(results: Results, done: Collection[str]) -> ShownMotion:
     """
     cameras, videos = {}, {}
     aligned = "alignment" in done
-    lenses = results.structure.demo_lenses if "structure" in done else {}
+    lenses = {item.name: item.lens for item in results.recorded.cameras}
+    lenses |= results.structure.demo_lenses if "structure" in done else {}
     first = results.alignment.cameras[results.demo_camera].clock if aligned else None
     for item in results.recorded.cameras:
         fixed = results.alignment.cameras.get(item.name) if aligned else None
@@ -122,13 +109,12 @@ def read_recording(results: Results, done: Collection[str]) -> ShownMotion:
         offset = first.offset_s - clock.offset_s if first and clock else 0.0
         if fixed:
             cameras[item.name] = CameraPath(camera=fixed.camera, Ts_world_cam=fixed.camera.T_world_cam[None])
-        videos[item.name] = MotionVideo(
-            file=item.video, lens=lenses.get(item.name, item.lens), offset_s=offset
-        )
+        videos[item.name] = partial(read_frame_jpeg, item.video, lenses[item.name], offset)
     if "motion" in done:
         times = results.motion.times_s
     else:
-        times = read_frames_jpeg(videos[results.demo_camera].file, videos[results.demo_camera].lens)[0]
+        files = {item.name: item.video for item in results.recorded.cameras}
+        times, _ = read_frames_jpeg(files[results.demo_camera], lenses[results.demo_camera])
     trajectory = None
     if "twin" in done:
         T_world_object = results.twin.T_world_object
@@ -152,7 +138,7 @@ def show_episode(committed: CommittedEpisode) -> ShownMotion:
         name: CameraPath(camera=camera, Ts_world_cam=episode.camera_poses.get(name, camera.T_world_cam[None]))
         for name, camera in episode.cameras.items()
     }
-    videos = {name: MotionVideo(file=file) for name, file in committed.videos.items()}
+    videos = {name: partial(read_frame_jpeg, file, None, 0.0) for name, file in committed.videos.items()}
     return ShownMotion(
         title=f"{'episode' if videos else 'draw'} {episode.index}: {episode.asset}",
         times_s=episode.times_s,

@@ -2,7 +2,6 @@
 
 from collections import Counter
 from collections.abc import Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +10,13 @@ import numpy as np
 from aomgen.api.evaluation import EVALUATION_FOLDER
 from aomgen.core.values import Array
 from aomgen.errors import InputError, MalformedFileError
-from aomgen.evaluation.evaluate import ROLLOUTS_FOLDER, VIDEOS_FOLDER, RolloutRecord, interval_95
+from aomgen.evaluation.evaluate import (
+    ROLLOUTS_FOLDER,
+    VIDEOS_FOLDER,
+    EvaluationRequest,
+    RolloutRecord,
+    interval_95,
+)
 from aomgen.evaluation.suite import Suite, read_suite
 from aomgen.io.artifact import load_artifact, read_json
 from aomgen.report.episodes import place_words, reasons
@@ -49,23 +54,8 @@ class FailureRequest(RequestFields):
     trial: int
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Evaluation:
-    """Stored rollouts of one policy in a suite.
-
-    Attributes:
-        folder: Folder of its rollouts and videos.
-        policy, visuals, action_space: Requested values.
-        records: Records of the finished trials, by number.
-        filmed: Numbers of the trials with a video.
-    """
-
-    folder: Path
-    policy: str
-    visuals: str
-    action_space: str
-    records: Mapping[int, RolloutRecord]
-    filmed: frozenset[int]
+# Stored evaluation of a policy: folder of its rollouts and videos, request, and records of the finished trials by number.
+Evaluation = tuple[Path, EvaluationRequest, Mapping[int, RolloutRecord]]
 
 
 class PolicyRoutes:
@@ -107,7 +97,7 @@ class PolicyRoutes:
                     }
                     for trial in suite.trials
                 ],
-                "policies": [_describe_policy(item) for item in found],
+                "policies": [_describe_policy(asked, records) for _, asked, records in found],
                 "meanings": reasons(),
             }
         )  # fmt: skip
@@ -117,14 +107,14 @@ class PolicyRoutes:
         asked = request.parse(TrialRequest)
         suite, found = self._find(asked.suite)
         chosen = [_choose(found, number) for number in (asked.first, asked.second)]
-        records = [item.records.get(asked.trial) for item in chosen]
+        records = [stored.get(asked.trial) for _, _, stored in chosen]
         first, second = records
         both = (first, second) if first is not None and second is not None else None
         return send_json(
             {
                 "fps": suite.fps,
                 "courses": [_describe_course(record) for record in records],
-                "filmed": [asked.trial in item.filmed for item in chosen],
+                "filmed": [_video_file(folder, asked.trial).is_file() for folder, _, _ in chosen],
                 "apart_mm": distances_mm(*both).round(2).tolist() if both else [],
                 "differs": first_difference(*both) if both else None,
             }
@@ -133,10 +123,10 @@ class PolicyRoutes:
     def send_video(self, request: PageRequest) -> Response:
         """Send the video of a failed trial."""
         asked = request.parse(FailureRequest)
-        chosen = _choose(self._find(asked.suite)[1], asked.policy)
-        if asked.trial not in chosen.filmed:
+        folder, _, _ = _choose(self._find(asked.suite)[1], asked.policy)
+        path = _video_file(folder, asked.trial)
+        if not path.is_file():
             raise ValueError(f"trial {asked.trial} has no video")
-        path = chosen.folder / VIDEOS_FOLDER / f"{unit_name(asked.trial)}.mp4"
         return Response("video/mp4", path.read_bytes())
 
     def _find(self, number: int) -> tuple[Suite, list[Evaluation]]:
@@ -169,25 +159,17 @@ def find_evaluations(path: Path, suite: Suite) -> list[Evaluation]:
         request = read_json(place)
         if not isinstance(request, dict) or request.get("suite") != suite.digest:
             continue
-        folder = place.parent
         try:
-            found.append(
-                Evaluation(
-                    folder=folder.parent,
-                    policy=request["policy"],
-                    visuals=request["visuals"],
-                    action_space=request["action_space"] or suite.action_space,
-                    records={
-                        int(file.stem): load_artifact(folder, file.stem, RolloutRecord)
-                        for file in sorted(folder.glob("[0-9]*.json"))
-                    },
-                    filmed=frozenset(
-                        int(file.stem) for file in (folder.parent / VIDEOS_FOLDER).glob("[0-9]*.mp4")
-                    ),
-                )
+            asked = EvaluationRequest(
+                policy=request["policy"],
+                visuals=request["visuals"],
+                action_space=request["action_space"] or suite.action_space,
             )
         except KeyError as error:
             raise MalformedFileError(place, f"lacks {error}", "evaluate the policy again") from error
+        numbers = sorted(int(file.stem) for file in place.parent.glob("[0-9]*.json"))
+        records = {k: load_artifact(place.parent, unit_name(k), RolloutRecord) for k in numbers}
+        found.append((place.parent.parent, asked, records))
     return found
 
 
@@ -222,18 +204,21 @@ def _choose(found: list[Evaluation], number: int) -> Evaluation:
     return found[number]
 
 
-def _describe_policy(item: Evaluation) -> dict[str, Any]:
-    records = item.records.values()
-    failures = Counter(record.fail_reason for record in records if record.fail_reason)
+def _video_file(folder: Path, trial: int) -> Path:
+    return folder / VIDEOS_FOLDER / f"{unit_name(trial)}.mp4"
+
+
+def _describe_policy(asked: EvaluationRequest, records: Mapping[int, RolloutRecord]) -> dict[str, Any]:
+    failures = Counter(record.fail_reason for record in records.values() if record.fail_reason)
     successes = len(records) - failures.total()
     return {
-        "name": item.policy,
-        "sees": f"{item.visuals}, {item.action_space}",
+        "name": asked.policy,
+        "sees": f"{asked.visuals}, {asked.action_space}",
         "done": len(records),
         "successes": successes,
         "interval": interval_95(successes, len(records)) if records else [0.0, 1.0],
         "failures": dict(failures.most_common()),
-        "trials": {number: _describe_result(record) for number, record in item.records.items()},
+        "trials": {number: _describe_result(record) for number, record in records.items()},
     }
 
 

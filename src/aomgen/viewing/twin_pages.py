@@ -119,7 +119,7 @@ class TwinPages:
         motion = self._work.submit(self._viewed.last.motion, wanted.motion).result()[0]
         if wanted.camera not in motion.videos:
             raise UnknownNameError("camera", wanted.camera, motion.videos)
-        return Response("image/jpeg", motion.videos[wanted.camera].read_frame(wanted.time))
+        return Response("image/jpeg", motion.videos[wanted.camera](wanted.time))
 
     def _get_capture(self, request: PageRequest) -> Response:
         opened = self._viewed.last

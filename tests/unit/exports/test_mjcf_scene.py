@@ -53,7 +53,7 @@ def test_the_controls_open_the_drawer_in_plain_mujoco(folder: Path, motion: Scen
 def test_the_model_is_that_of_the_verification(folder: Path, results: Results, motion: SceneMotion) -> None:
     found = mujoco.MjModel.from_xml_path(str(folder / "scene.xml"))
     scene = simulate_motion_scene(results, motion)
-    wanted = describe_nominal(results, scene, motion, visual=True).compile()
+    wanted = describe_nominal(results, scene, motion).compile()
     for name in ("body_pos", "body_mass", "jnt_range", "dof_damping", "dof_frictionloss", "geom_pos", "geom_friction", "mesh_texcoord"):  # fmt: skip
         np.testing.assert_allclose(getattr(found, name), getattr(wanted, name), atol=1e-4, err_msg=name)
     # Drives may exceed their largest torque for a moment, as in the verification.

@@ -39,7 +39,7 @@ def test_a_half_finished_run_shows_what_it_has(toy_run_copy, stage, word, overla
     motion, problem = opened.motion(RECORDING)
     assert not problem
     assert len(motion.times_s) == 48
-    assert motion.videos["front"].read_frame(1.0).startswith(b"\xff\xd8")
+    assert motion.videos["front"](1.0).startswith(b"\xff\xd8")
     if stage == "gaussians":
         assert opened.scene(RECORDING) is None
     elif stage != "replacement":

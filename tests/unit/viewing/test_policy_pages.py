@@ -105,4 +105,4 @@ def test_the_first_difference_is_that_of_paths_openings_or_outcomes() -> None:
 def test_unfinished_evaluations_are_shown(out: Path) -> None:
     (out.parent / "suite-second" / "rollouts" / "0002.json").unlink()
     path, suite = find_suites(out)[0][0]
-    assert [len(item.records) for item in find_evaluations(path, suite)] == [3, 2]
+    assert [len(records) for _, _, records in find_evaluations(path, suite)] == [3, 2]

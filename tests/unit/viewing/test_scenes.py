@@ -56,7 +56,7 @@ def test_a_hidden_part_changes_its_pixels_alone(opened, toy_scene):
 
 def test_an_episode_is_shown_as_its_video(opened):
     motion = opened.motion("7")[0]
-    frames = read_video(motion.videos["front"].file).frames_srgb
+    frames = read_video(opened.episode("7").videos["front"]).frames_srgb
     scene = posable(opened, "7")
     for frame in (0, len(frames) - 1):
         state = TwinState(
