@@ -29,7 +29,11 @@ def run(results: Results, folder: Path, progress: Progress) -> dict[str, Any]:
     training = replace(params.training, iterations=project.iterations, max_gaussians=project.gaussians)
     params = replace(params, training=training)
     figures = train_in(folder, results.structure, results.scan_images, progress, params)
-    return {key: figures[key] or 0.0 for key in ("gaussians", "heldout_psnr", "heldout_ssim")}
+    return {
+        "gaussians": figures["gaussians"],
+        "heldout_psnr": figures["heldout_psnr"] or 0.0,
+        "heldout_ssim": figures["heldout_ssim"] or 0.0,
+    }
 
 
 def train_in(
