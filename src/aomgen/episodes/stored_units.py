@@ -13,7 +13,7 @@ import tempfile
 import uuid
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
-from functools import partial
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any, Final, Self
 
@@ -114,15 +114,17 @@ class StoredUnits:
         executor: Executor of the workers.
         store: Store of the run.
         folder: Folder of all episodes.
-
-    Raises:
-        StorageError: The store cannot be used.
     """
 
     def __init__(self, executor: Executor, store: Store, folder: Path) -> None:
         self.slots = executor.slots
         self._executor, self._store, self._folder = executor, store, folder
-        self._earlier, self._found = store.names(), list[Done]()
+        self._found = list[Done]()
+
+    @cached_property
+    def _earlier(self) -> set[str]:
+        """Names of the archives that an interrupted run has left in the store."""
+        return self._store.names()
 
     def __enter__(self) -> Self:
         self._executor.__enter__()
