@@ -12,6 +12,7 @@ from typing import Any, Final
 
 from aomgen.api.run import bring_up_to_date
 from aomgen.capture.read import read_capture
+from aomgen.core.recording import CAPTURE_FILE
 from aomgen.errors import AomgenError, MissingFileError
 from aomgen.executors import LOST, Executor, Work, try_units
 from aomgen.io.atomic import write_json
@@ -20,7 +21,6 @@ from aomgen.pipeline.preflight import new_project
 from aomgen.pipeline.stages import STAGES
 
 CORPUS_FILE: Final = "corpus.json"
-CAPTURE_FILE: Final = "capture.toml"
 # A capture that takes longer is given up, [s]: hours are usual for a large scan on one core, a day is not.
 CAPTURE_S: Final = 24 * 3600.0
 # Metrics in the table of results, by column: stage and name.

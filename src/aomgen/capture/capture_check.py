@@ -11,7 +11,7 @@ from aomgen.capture.label_images import check_masks, read_demo_masks
 from aomgen.capture.prompts import prompt_warnings
 from aomgen.capture.scan_images import check_scan
 from aomgen.capture.scan_poses import SCAN_POSES_FILE
-from aomgen.core.recording import Recording
+from aomgen.core.recording import CAPTURE_FILE, Recording
 from aomgen.core.values import Array
 from aomgen.errors import UnitsError
 from aomgen.io.video import Video, probe_video
@@ -122,7 +122,7 @@ def check_robot(capture: Recording) -> RobotModel:
     worst = int(np.argmax(outside))
     if not outside[worst] <= LIMIT_SLACK:
         raise UnitsError(
-            capture.folder / "capture.toml",
+            capture.folder / CAPTURE_FILE,
             f"'{robot.joint_names[worst]}' is at {capture.robot.scan_joints[worst]:.2f}, but {robot.name} "
             f"allows {low[worst]:.2f} to {high[worst]:.2f}",
             "check the order of robot.joints, and the log's units and zero",

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from aomgen.capture.read import check_intrinsics
 from aomgen.core.lens import undistorter
-from aomgen.core.recording import DemoCamera, Recording
+from aomgen.core.recording import CAPTURE_FILE, DemoCamera, Recording
 from aomgen.core.values import Array
 from aomgen.errors import IncompleteCaptureError, LimitExceededError
 from aomgen.io.images import resize
@@ -47,7 +47,7 @@ def _read(capture: Recording, camera: DemoCamera) -> Video:
     video = read_video(camera.video)
     count, height, width = video.frames_srgb.shape[:3]
     if camera.intrinsics:
-        where = f"{capture.folder / 'capture.toml'}: demo.cameras.{camera.name}.intrinsics"
+        where = f"{capture.folder / CAPTURE_FILE}: demo.cameras.{camera.name}.intrinsics"
         check_intrinsics(camera.intrinsics, (width, height), where)
     if not count >= MIN_FRAMES:
         raise IncompleteCaptureError(

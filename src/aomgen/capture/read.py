@@ -15,7 +15,15 @@ from aomgen.capture.joint_log import REST_S, read_joint_log
 from aomgen.capture.prompts import list_proposals, read_prompts
 from aomgen.capture.scan_images import common_size, find_images
 from aomgen.capture.scan_poses import SCAN_POSES_FILE, read_scan_poses
-from aomgen.core.recording import DemoCamera, Intrinsics, JointLog, Recording, RobotChoice, frame_name
+from aomgen.core.recording import (
+    CAPTURE_FILE,
+    DemoCamera,
+    Intrinsics,
+    JointLog,
+    Recording,
+    RobotChoice,
+    frame_name,
+)
 from aomgen.core.values import Array
 from aomgen.errors import (
     CalibrationError,
@@ -49,7 +57,7 @@ def read_capture(folder: Path, *, complete: bool = True) -> Recording:
     """
     if not folder.is_dir():
         raise MissingFileError(folder, "is not a folder", "give the folder that holds capture.toml")
-    path = folder / "capture.toml"
+    path = folder / CAPTURE_FILE
     manifest = read_manifest(path)
     scan = resolve_inside(folder, manifest.scan.images, named_by=path)
     video = scan if scan.is_file() else None

@@ -31,7 +31,8 @@ def scan(
     whole scan is usable.
     """
     from aomgen.core.progress import silent
-    from aomgen.importers.scan_import import CAPTURE_FILE, import_scan
+    from aomgen.core.recording import CAPTURE_FILE
+    from aomgen.importers.scan_import import import_scan
 
     kind, written, is_new = import_scan(source, capture, long_side, silent)
     lens = f", lens distortion removed from {written.resampled}" if written.resampled else ""

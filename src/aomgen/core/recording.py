@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Final
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -10,6 +10,8 @@ from numpy.typing import ArrayLike, NDArray
 from aomgen.core.lens import Lens
 from aomgen.core.values import Array, Matrix4, freeze_arrays
 
+# File that describes a capture, in its folder.
+CAPTURE_FILE: Final = "capture.toml"
 # Relative standard deviation of a focal length from a data sheet: lenses differ between specimens and with focus.
 STATED_FOCAL_SD = 0.02
 # Relative standard deviation of a focal length that was calibrated with a target.

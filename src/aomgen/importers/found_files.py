@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Final
 
+from aomgen.core.recording import CAPTURE_FILE
 from aomgen.errors import ConfigError, InputError, MissingFileError, UnknownNameError
 from aomgen.importers.capture_tables import JOINTS_FILE, DemoTables, write_new_capture
 from aomgen.importers.csv_tables import read_episode
@@ -72,6 +73,6 @@ def describe_capture(capture: Path, tables: DemoTables, columns: Sequence[str]) 
     for name in (*tables.joints, tables.gripper):
         if name not in columns:
             raise UnknownNameError(capture / JOINTS_FILE, name, dict.fromkeys(columns))
-    path = capture / "capture.toml"
+    path = capture / CAPTURE_FILE
     write_text(path, write_new_capture(capture.resolve().name, tables))
     return path

@@ -14,6 +14,7 @@ import numpy as np
 
 from aomgen.capture.capture_schema import RobotSection
 from aomgen.capture.joint_log import check_log, read_joint_log
+from aomgen.core.recording import CAPTURE_FILE
 from aomgen.core.values import Array
 from aomgen.errors import ConfigError, InputError, MalformedFileError, NonFiniteError
 from aomgen.importers.camera_names import choose_videos
@@ -82,7 +83,7 @@ def import_demo(
     """
     if options.unit not in ("", *UNITS):
         raise ConfigError("--unit", f"is '{options.unit}'", f"expected {', '.join(UNITS)}")
-    demo, manifest = capture / "demo", capture / "capture.toml"
+    demo, manifest = capture / "demo", capture / CAPTURE_FILE
     if capture.exists() and not capture.is_dir():
         raise ConfigError(capture, "is a file", "give the folder of a capture")
     if demo.exists() and any(demo.iterdir()) and not options.replace:

@@ -6,6 +6,7 @@ from typing import Final
 
 from aomgen.capture.manifest_text import read_manifest_text
 from aomgen.core.progress import Progress, part
+from aomgen.core.recording import CAPTURE_FILE
 from aomgen.errors import ConfigError, IncompleteCaptureError
 from aomgen.importers.scan_formats import read_scan_source
 from aomgen.importers.scan_table import change_scan_table
@@ -13,7 +14,6 @@ from aomgen.importers.scan_writing import WrittenScan, write_scan
 from aomgen.io.atomic import stage_folder, write_text
 
 SCAN_FOLDER: Final = "scan"
-CAPTURE_FILE: Final = "capture.toml"
 # Smallest number of images: with fewer, some sides of the object are seen by less than three views.
 MIN_IMAGES: Final = 12
 

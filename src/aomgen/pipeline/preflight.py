@@ -9,7 +9,7 @@ from aomgen.capture.capture_check import check_capture
 from aomgen.core.asset import ArticulatedAsset
 from aomgen.core.episode import NEW_CAMERA
 from aomgen.core.project import Project, split_light
-from aomgen.core.recording import Recording
+from aomgen.core.recording import CAPTURE_FILE, Recording
 from aomgen.errors import BackendError, ConfigError, MissingFileError, StorageError, suggest
 from aomgen.io.atomic import write_json
 from aomgen.io.hdr_image import read_environment
@@ -116,7 +116,7 @@ def category_warnings(capture: Recording) -> tuple[str, ...]:
     if is_made(capture.category):
         return ()
     return (
-        f"{capture.folder / 'capture.toml'}: no asset of category '{capture.category}' can be made "
+        f"{capture.folder / CAPTURE_FILE}: no asset of category '{capture.category}' can be made "
         f"({suggest_category(capture.category)}): correct it, or name assets with `aomgen init --asset`",
     )
 
@@ -135,7 +135,7 @@ def new_project(capture: Recording, out: Path, assets: Sequence[str]) -> Project
     """
     if not assets and not is_made(capture.category):
         raise ConfigError(
-            capture.folder / "capture.toml",
+            capture.folder / CAPTURE_FILE,
             f"no asset of category '{capture.category}' can be made",
             f"{suggest_category(capture.category)} Correct it, or name assets with --asset",
         )
@@ -170,7 +170,7 @@ def _fitting_size(capture: Recording, width: int) -> tuple[int, int]:
 
 
 def _check_cameras(project: Project, capture: Recording) -> None:
-    path = capture.folder / "capture.toml"
+    path = capture.folder / CAPTURE_FILE
     if project.assets and capture.cameras[0].name == NEW_CAMERA:
         raise ConfigError(
             path,

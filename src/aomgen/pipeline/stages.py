@@ -13,7 +13,7 @@ from aomgen.capture.read import read_capture
 from aomgen.capture.scan_poses import SCAN_POSES_FILE
 from aomgen.core.progress import Progress
 from aomgen.core.project import Project, split_light
-from aomgen.core.recording import Recording
+from aomgen.core.recording import CAPTURE_FILE, Recording
 from aomgen.errors import ConfigError, MissingFileError, OutdatedRunError, suggest
 from aomgen.io.review import read_reviews
 from aomgen.io.schema import override
@@ -290,7 +290,7 @@ def find_project(path: Path) -> Project:
 
 def capture_digest(capture: Recording) -> str:
     """Compute the digest of a capture's capture.toml and all files to which it refers."""
-    files: list[Path] = [capture.folder / "capture.toml", *capture.scan_images]
+    files: list[Path] = [capture.folder / CAPTURE_FILE, *capture.scan_images]
     if capture.scan_video is not None:
         files.append(capture.scan_video)
     if capture.scan_poses is not None:

@@ -24,7 +24,7 @@ from aomgen.core.alignment import Alignment
 from aomgen.core.lens import Lens
 from aomgen.core.progress import Progress, part
 from aomgen.core.project import Project
-from aomgen.core.recording import Recording
+from aomgen.core.recording import CAPTURE_FILE, Recording
 from aomgen.core.transforms import apply
 from aomgen.core.values import Array
 from aomgen.errors import AlignmentError, ConfigError, NoMotionError
@@ -84,7 +84,7 @@ def write_proposals(capture: Path, progress: Progress) -> list[PromptSection]:
         ConfigError: The capture already has prompts of all parts.
         InputError, BackendError, EstimationError: The capture, the machine or the video is not sufficient.
     """
-    path = capture / "capture.toml"
+    path = capture / CAPTURE_FILE
     recorded = read_capture(capture, complete=False)
     present = read_manifest(path).prompts
     missing = [name for name, images in list_boxed_images(present).items() if not images]

@@ -15,6 +15,7 @@ from aomgen.capture.manifest_text import PLACEHOLDER
 from aomgen.capture.prompts import PARTS, check_prompt, list_boxed_images
 from aomgen.capture.read import measure_scan
 from aomgen.capture.scan_images import find_images
+from aomgen.core.recording import CAPTURE_FILE
 from aomgen.errors import BackendError
 from aomgen.io.paths import resolve_inside
 from aomgen.prompting.prompts_file import save_prompts
@@ -46,7 +47,7 @@ class PromptSession:
         Raises:
             InputError: The capture has no valid capture.toml or no readable scan.
         """
-        self._file = capture / "capture.toml"
+        self._file = capture / CAPTURE_FILE
         manifest = read_manifest(self._file)
         scan = resolve_inside(capture, manifest.scan.images, named_by=self._file)
         video = scan if scan.is_file() else None

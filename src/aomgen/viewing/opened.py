@@ -11,6 +11,7 @@ import numpy as np
 from aomgen.capture.read import read_capture
 from aomgen.core.camera import Camera, CameraPath
 from aomgen.core.project import Project
+from aomgen.core.recording import CAPTURE_FILE
 from aomgen.core.transforms import apply
 from aomgen.core.values import Array
 from aomgen.episodes.ledger import unit_of
@@ -48,7 +49,6 @@ from aomgen.viewing.scenes import (
 )
 
 RECORDING: Final = "recording"
-CAPTURE_FILE: Final = "capture.toml"
 # Number of episodes that are kept open; each contains a copy of the twin of some ten MB.
 KEPT_EPISODES: Final = 2
 # Depth of a displayed camera as a share of the median distance between scan cameras and object.
