@@ -49,7 +49,7 @@ class Project(BaseModel):
     light_yaw_deg: float = Field(default=0.0, ge=-360, le=360)
     inpainter: str = ""
     image_size: tuple[Side, Side] = (320, 240)
-    iterations: int = Field(default=900, ge=10, le=200_000)
+    iterations: int = Field(default=1050, ge=10, le=200_000)
     gaussians: int = Field(default=100_000, ge=1_000, le=3_000_000)
     segmenter: str = Field(default="auto", pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]{0,63}$")
     alignment_method: Literal["outlines", "paper"] = "outlines"
