@@ -25,8 +25,9 @@ FOLDER: Final = "surfels"
 VERSION: Final = 1
 # Number of assets that are kept, the most recently used ones; one takes about 10 MB.
 KEPT: Final = 64
-# Files of an asset without suffix; the last one is written last, so that it marks a complete asset.
+# Files of an asset without suffix, and the file that is written last, so that it marks a complete asset.
 LINKS: Final = ("static", "moving")
+LAST_FILE: Final = "moving.json"
 # Largest time to fit the surfels of one asset, which takes half a minute, [s].
 FIT_S: Final = 1800.0
 DIGEST_LENGTH: Final = 64
@@ -43,7 +44,7 @@ def find_surfels(asset: ArticulatedAsset) -> tuple[Surfels, Surfels]:
     Raises:
         AssetError, BackendError: See `fit_surfels`.
     """
-    entry = cache_folder(FOLDER) / _digest(asset)
+    entry = _entry(asset)
     try:
         entry.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -72,14 +73,10 @@ def find_all_surfels(
 
     Every fit has its own process. Errors as for `find_surfels`.
     """
-    entries = {number: cache_folder(FOLDER) / _digest(asset) for number, asset in assets.items()}
-    missing = list[int]()
-    for number, entry in entries.items():
-        found = _load(entry)
-        if found is None:
-            missing.append(number)
-        else:
-            yield number, found
+    missing = [number for number, asset in assets.items() if not (_entry(asset) / LAST_FILE).is_file()]
+    for number, asset in assets.items():
+        if number not in missing:
+            yield number, find_surfels(asset)
     if missing:
         executor = Processes(partial(_open, assets), min(workers, len(missing)), FIT_S)
         for done in run_units(missing, executor):
@@ -129,12 +126,13 @@ def _load(entry: Path) -> tuple[Surfels, Surfels] | None:
         static, moving = (load_artifact(entry, name, Surfels) for name in LINKS)
         return static, moving
 
-    return reuse(entry / f"{LINKS[-1]}.json", read)
+    return reuse(entry / LAST_FILE, read)
 
 
-def _digest(asset: ArticulatedAsset) -> str:
-    """Compute the digest of what determines an asset's surfels: its links, its joint and the effort of the fit."""
-    return artifact_digest((VERSION, asset_surfels.effort(), asset.static, asset.moving, asset.joint))
+def _entry(asset: ArticulatedAsset) -> Path:
+    """Return the folder of an asset, named by the digest of its links, its joint and the effort of the fit."""
+    parts = VERSION, asset_surfels.effort(), asset.static, asset.moving, asset.joint
+    return cache_folder(FOLDER) / artifact_digest(parts)
 
 
 def _forget_oldest(folder: Path) -> None:

@@ -1,5 +1,6 @@
 """Surfels of assets are fitted once, and again if the stored ones are damaged."""
 
+import os
 import time
 from dataclasses import replace
 from pathlib import Path
@@ -73,6 +74,20 @@ def test_a_damaged_entry_is_fitted_again_with_one_warning(
     assert len(caught) == 1
     assert same(find_surfels(asset), first)
     assert len(fits) == 2
+
+
+def test_stored_assets_of_a_run_are_checked_once_and_count_as_used(
+    asset: ArticulatedAsset, fits: list[str], tmp_path: Path
+) -> None:
+    first = find_surfels(asset)
+    (entry,) = (tmp_path / "cache" / "surfels").iterdir()
+    os.utime(entry, (0, 0))
+    (entry / "static.npz").write_bytes(b"")
+    with pytest.warns(StoredFileWarning, match="cannot be reused") as caught:
+        ((number, found),) = find_all_surfels({4: asset}, 1)
+    assert (number, len(caught), len(fits)) == (4, 1, 2)
+    assert same(found, first)
+    assert entry.stat().st_mtime > 0
 
 
 def test_without_a_writable_folder_nothing_is_stored(
