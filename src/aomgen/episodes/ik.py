@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import solveh_banded
 
 from aomgen.core.plan import Rejection, measure_excess
-from aomgen.core.transforms import interpolate, path_steps, skew, transform
+from aomgen.core.transforms import cross, interpolate, path_steps, skew, transform
 from aomgen.core.values import Array, Matrix4, freeze_arrays
 from aomgen.episodes.joint_limits import IkLimits
 from aomgen.robots.robot import RobotModel
@@ -81,7 +81,7 @@ class IkSolver:
         directions = (before.reshape(len(q), -1, 4) @ self.lines).reshape(*q.shape, 4, 2)
         axes, slides = directions[..., :3, 0], self.robot.slides
         jacobians = np.empty((*q.shape, 6))
-        jacobians[..., :3] = _cross(axes, T[:, :3, 3] - directions[..., :3, 1])
+        jacobians[..., :3] = cross(axes, T[:, :3, 3] - directions[..., :3, 1])
         jacobians[..., 3:] = axes
         jacobians[slides, :, :3], jacobians[slides, :, 3:] = axes[slides], 0.0
         return T, np.ascontiguousarray(jacobians.transpose(1, 2, 0))
@@ -317,8 +317,3 @@ def path_residuals(solver: IkSolver, Ts_world_ee: Array, joints: Array) -> tuple
     """Compute distances of joints (N, J) to poses (N, 4, 4): (N,), [mm] and [deg]."""
     errors, _ = solver.errors(Ts_world_ee, joints)
     return 1000 * np.linalg.norm(errors[:, :3], axis=1), np.rad2deg(np.linalg.norm(errors[:, 3:], axis=1))
-
-
-def _cross(a: Array, b: Array) -> Array:
-    """Compute cross products (..., 3); numpy's own is several times slower on short arrays."""
-    return a[..., [1, 2, 0]] * b[..., [2, 0, 1]] - a[..., [2, 0, 1]] * b[..., [1, 2, 0]]
