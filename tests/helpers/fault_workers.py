@@ -8,9 +8,11 @@ import signal
 import threading
 import time
 from collections.abc import Callable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager, suppress
 from dataclasses import replace
 from functools import partial
+from itertools import count
 from multiprocessing.process import BaseProcess
 from pathlib import Path
 from typing import Any, Final
@@ -124,21 +126,23 @@ def _on_ray(results: ToyResults, scratch: Path) -> None:
     _generate(elsewhere(results, scratch / "undisturbed", workers=WORKERS), lambda done: None)
     with _cluster() as cluster:
         node = cluster.add_node(**NODE)
-        faults = [
-            partial(_kill_ray_worker, cluster),
-            partial(cluster.remove_node, node, allow_graceful=False),
-        ]
-        units = 0
+        faults = {
+            RAY_FAULTS_AFTER[0]: partial(_kill_ray_worker, cluster),
+            RAY_FAULTS_AFTER[1]: partial(cluster.remove_node, node, allow_graceful=False),
+        }
+        # The run goes on beside a fault: both workers may be idle at this moment, until it submits the next units.
+        with ThreadPoolExecutor(1) as thread:
+            heard, happened = count(1), list[Future[None]]()
 
-        def heard(_: Done) -> None:
-            nonlocal units
-            units += 1
-            if units in RAY_FAULTS_AFTER:
-                faults.pop(0)()
+            def hear(_: Done) -> None:
+                if fault := faults.get(next(heard)):
+                    happened.append(thread.submit(fault))
 
-        _generate(elsewhere(results, scratch / "disturbed", ray=cluster.address), heard)
-    if faults:
-        raise WorkerError("ray", f"was done after {units} units, before both faults")
+            _generate(elsewhere(results, scratch / "disturbed", ray=cluster.address), hear)
+        for fault in happened:
+            fault.result()
+    if len(happened) < len(faults):
+        raise WorkerError("ray", "was done before both faults")
 
 
 def ray_store(scratch: Path) -> dict[str, Any]:
