@@ -1,4 +1,4 @@
-"""An asset's links covered with lit discs: seconds instead of the minute of a fit, for images of a few hundred pixels."""
+"""Cover of an asset's links by lit discs, in seconds instead of the minute of a fit, for images of a few hundred pixels."""
 
 from dataclasses import replace
 from typing import Final
@@ -12,10 +12,10 @@ from aomgen.lighting.link_occlusion import estimate_link_transfer
 from aomgen.lighting.visibility import Occluders, turn_outward
 from aomgen.splatting.surfels import Surfels, hiding_points, surfels_of
 
-# Points on each link that are in the way of light.
+# Points on each link that occlude light.
 POINTS: Final = 100_000
-# Discs on each link of an asset that is not fitted to images, about one for a pixel of an image that is 256 pixels wide;
-# candidates for each of them; and discs to which light is traced.
+# Discs on each link of an asset that is not fitted to images, about one for each pixel of an image that is 256 pixels wide;
+# candidates for each disc; and discs to which light is traced.
 DISCS, OVERSAMPLING, COARSE = 14_000, 2.0, 1800
 # A difference of direction between two discs counts as this distance, [m].
 ALIKE_M: Final = 0.2
@@ -36,9 +36,9 @@ def cover_links(
 
 
 def cover_asset(asset: ArticulatedAsset, rng: np.random.Generator) -> tuple[tuple[Surfels, Surfels], ...]:
-    """Cover an asset's static and moving link finely, with discs that know which light reaches them, and coarsely.
+    """Cover an asset's static and moving link with fine discs that include their light transfer, and with coarse discs.
 
-    Light is traced to the coarse discs, and the fine ones take it from their neighbors.
+    Light is traced to the coarse discs; the transfer of the fine discs is interpolated from their neighbors.
 
     Raises:
         AssetError: A link has no surface.
@@ -65,7 +65,7 @@ def cover_asset(asset: ArticulatedAsset, rng: np.random.Generator) -> tuple[tupl
 
 
 def _turn_like(cover: Surfels, before: Surfels, after: Surfels) -> Surfels:
-    """The cover with its normals turned as those of the nearest discs of another cover of the same meshes were turned."""
+    """Turn the normals of a cover as those of the nearest discs of another cover of the same meshes were turned."""
 
     def places(discs: Surfels) -> Array:
         return np.column_stack([discs.gaussians.means, ALIKE_M * discs.normals]).astype(np.float64)

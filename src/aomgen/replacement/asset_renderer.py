@@ -1,4 +1,4 @@
-"""Images of an asset's meshes in their own colors, without light: the targets of the fit of its Gaussians."""
+"""Images of an asset's meshes in their own colors, without light; the Gaussians of the asset are fitted to them."""
 
 from dataclasses import replace
 from typing import Final
@@ -15,14 +15,14 @@ from aomgen.robots.silhouette import ModelRenderer, depth_of
 
 # Cosine between the normals of two corners of a pixel that lie on one face.
 FLAT: Final = 0.99
-# Samples along each side of a pixel: what a camera shows there is a mean.
+# Samples along each side of a pixel, because a camera averages over the pixel.
 SAMPLES: Final = 2
-# Rendering before a white sphere, [m], measures transparency; it is drawn only then, as a separate group.
+# Radius of the white sphere, [m], and its geometry group: rendering in front of it measures transparency.
 BACKDROP_M, BACKDROP_GROUP = 15.0, 4
 
 
 class AssetRenderer(ModelRenderer):
-    """Draws one asset with MuJoCo's rasterizer; holds an OpenGL context until closed. Not thread safe."""
+    """Renderer of one asset by MuJoCo's rasterizer; holds an OpenGL context until it is closed. Not thread safe."""
 
     def __init__(self, asset: ArticulatedAsset, size: int) -> None:
         """Create a context for images of up to size x size, [px].
@@ -52,7 +52,7 @@ class AssetRenderer(ModelRenderer):
         self._scene.flags[mujoco.mjtRndFlag.mjRND_CULL_FACE] = False
 
     def draw(self, camera: Camera, theta: float) -> NDArray[np.float32]:
-        """Colors and cover (H, W, 4), 0..1, the mean of `SAMPLES` squared samples a pixel; zero where nothing is.
+        """Render colors and coverage (H, W, 4), 0..1, each pixel the mean of `SAMPLES` squared samples; zero outside the asset.
 
         Args:
             camera: Pose in the asset's frame.
@@ -71,7 +71,9 @@ class AssetRenderer(ModelRenderer):
         return np.concatenate([rgb, np.clip(1 - shone, 0, 1)], -1)
 
     def draw_normals(self, camera: Camera, theta: float) -> NDArray[np.float32]:
-        """Unit normals (H, W, 3) towards the camera, asset frame; zero at edges, where nothing is and where it shows through."""
+        """Render unit normals (H, W, 3) towards the camera, asset frame; zero outside the asset, at its edges and where it is
+        transparent.
+        """
         _, buffer = self._render(camera, [theta], ids=False)
         points = (camera.directions() * depth_of(buffer)[..., None]).astype(np.float32)
         normals = _normals(points) * (buffer > 0)[..., None]
@@ -82,7 +84,7 @@ class AssetRenderer(ModelRenderer):
 
 
 def _pool(image: NDArray[np.uint8]) -> NDArray[np.float32]:
-    """The means 0..1 of squares of an image (H, W, C) of 0..255."""
+    """Average the squares of `SAMPLES` x `SAMPLES` pixels of an image (H, W, C) of 0..255; the means are 0..1."""
     sums = np.zeros((image.shape[0] // SAMPLES, image.shape[1] // SAMPLES, image.shape[2]), np.float32)
     for row in range(SAMPLES):
         for column in range(SAMPLES):
@@ -91,7 +93,7 @@ def _pool(image: NDArray[np.uint8]) -> NDArray[np.float32]:
 
 
 def _drawn_twice(mesh: Mesh) -> Mesh:
-    """The mesh with such opacity that two layers are as opaque as it: MuJoCo blends what is clear twice."""
+    """Reduce a mesh's opacity so that two layers are as opaque as it, because MuJoCo blends transparent meshes twice."""
     if not mesh.see_through:
         return mesh
     maps = dict(mesh.maps)
@@ -101,7 +103,7 @@ def _drawn_twice(mesh: Mesh) -> Mesh:
 
 
 def _normals(points: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Unit normals (H, W, 3) of points (H, W, 3) towards the camera, the origin; zero where those of two corners differ."""
+    """Compute unit normals (H, W, 3), towards the camera at the origin, of points (H, W, 3); zero where two corners differ."""
     right, down = np.diff(points, axis=1), np.diff(points, axis=0)
     found = []
     for corner in (0, 1):

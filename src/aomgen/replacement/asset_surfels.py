@@ -1,7 +1,7 @@
-"""An asset's meshes as lit Gaussians, fitted to images of the meshes.
+"""Lit Gaussians of an asset, fitted to images of its meshes.
 
-Discs on a surface overhang its edges and smear its prints. Fitted to images, by the same engine that draws them
-later, they end where the surface ends, and there are more of them where there is more to see.
+Discs that are only distributed over a surface extend beyond its edges and blur its texture. The fit, by the engine that renders
+them later, ends them at the edges and adds discs where the image has more detail.
 """
 
 from dataclasses import dataclass, replace
@@ -39,7 +39,7 @@ from aomgen.splatting.surfels import OPACITY, Surfels, bend_normals
 from aomgen.splatting.training import one_torch_thread
 from aomgen.twin.twin import move_bodies
 
-# Discs before the fit, half on each link, and the most there are after it.
+# Number of discs before the fit, half on each link, and largest number after it.
 DISCS, MAX_GAUSSIANS = 30_000, 58_000
 # Number of images, and their size, [px]; each is used at full and at half size in turns.
 IMAGES, IMAGE_PX = 40, 512
@@ -47,30 +47,30 @@ IMAGES, IMAGE_PX = 40, 512
 ROUNDS: Final = 8
 # Gaussians are added after these passes, where the error of this number of images is largest.
 GROW_AFTER, ERROR_IMAGES = (0, 1, 2), 12
-# A Gaussian that covers this area in every other image, [px] of half their size, takes the normal that they show there, if
-# the mean of the unit normals is at least this long.
+# A Gaussian that covers this area in every other image, at half size, [px], takes the mean normal of these pixels, if the mean
+# of the unit normals is at least this long.
 SEEN_PX, ONE_SIDE = 0.5, 0.7
-# Opaque enough to hide what is behind, with a gradient left.
+# Opacity at the start: hides the surfaces behind, and its gradient does not vanish.
 START_OPACITY: Final = 0.7
-# Squared error that a surface may cost which is opaque: what shines through it would be lit as what lies behind.
+# Weight of the mean opacity of opaque surfaces: colors that shine through a surface would be lit as part of it.
 OPAQUE: Final = 0.003
 # Weight of the error of normals, and its interval in steps: a Gaussian that lies over an edge would be lit as the wrong face.
 NORMAL, NORMAL_EVERY = 0.05, 4
-# Fainter ones are used elsewhere.
+# Gaussians with a smaller opacity are relocated.
 MIN_OPACITY: Final = 0.02
-# Gaussians move this much in a step at the start, [px] of an image.
+# Distance that Gaussians move in a step at the start, [px].
 STEP_PX: Final = 0.12
 # Learning rates at the end, as a share of those at the start.
 DECAY: Final = 0.1
-# Cameras look from around, down by these angles, [rad]; the asset's sphere fills these shares of their images.
+# Range of the cameras' elevation, [rad], and of the share of an image's height that the asset's bounding sphere covers.
 ELEVATIONS, FILLED = (-0.2, 1.2), (0.8, 1.1)
-# Focal length over the width of an image: that of a usual camera.
+# Focal length over the width of an image: that of a typical camera.
 FOCAL: Final = 1.2
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Image:
-    """Image of the meshes; colors and cover (4, H, W), and normals (3, H, W), zero where a pixel shows several faces."""
+    """Image of the meshes; colors and coverage (4, H, W), and normals (3, H, W), zero where a pixel shows several faces."""
 
     camera: Camera
     theta: float
@@ -96,7 +96,7 @@ def effort() -> tuple[int, ...]:
 
 
 def fit_surfels(asset: ArticulatedAsset, rng: np.random.Generator) -> tuple[Surfels, Surfels]:
-    """Fit Gaussians that look like the meshes of an asset's static and moving link from all around.
+    """Fit Gaussians whose images equal those of the meshes of an asset's static and moving link from all directions.
 
     Raises:
         AssetError: A link has no surface.
@@ -141,14 +141,14 @@ def fit_surfels(asset: ArticulatedAsset, rng: np.random.Generator) -> tuple[Surf
 def _bend_transfer(
     transfer: NDArray[np.float32], normals: NDArray[np.float32], bends: NDArray[np.float32]
 ) -> NDArray[np.float32]:
-    """Transfer (N, 9) with normals bent: changed as that of an open surface, as far as it is open."""
+    """Change the transfer (N, 9) for bent normals: as that of an unoccluded surface, times the unoccluded share."""
     open_ = np.clip(transfer[:, :1] / SH_C0, 0, 1)
     change = open_transfer(bend_normals(normals, bends)) - open_transfer(normals)
     return (transfer + open_ * change).astype(np.float32)
 
 
 def _images(asset: ArticulatedAsset, rng: np.random.Generator) -> list[_Image]:
-    """From all around, over the joint's whole range."""
+    """Render images from random directions, at random values of the joint over its whole range."""
     static, moving = (
         np.concatenate([m.vertices for m in link.meshes]) for link in (asset.static, asset.moving)
     )
@@ -179,7 +179,7 @@ def _fit(
     images: list[_Image],
     rng: np.random.Generator,
 ) -> tuple[Parameters, NDArray[np.int64]]:
-    """Fitted Gaussians of links 0 and 1 in the asset's frame at joint value 0, and the disc that each comes from."""
+    """Fit Gaussians of links 0 and 1, asset frame at joint value 0; also return the index of the disc that each comes from."""
     compute, sources = NativeCompute(), np.arange(len(surface.links))
     small = [_halve(image) for image in images]
     distance = float(np.median([np.linalg.norm(item.camera.center) for item in images]))
@@ -217,7 +217,7 @@ def _gradients(
     image: _Image,
     with_normals: bool,
 ) -> dict[str, Tensor]:
-    """Gradients of the squared error of an image's colors and cover, and optionally of its normals, by name."""
+    """Compute by name the gradients of the squared error of an image's colors and coverage, optionally also of its normals."""
     leaves, poses = parameters.leaves(), _link_poses(asset, image.theta)
     parts = PartTensors(
         indices=torch.tensor(surface.links, dtype=torch.int32),
@@ -242,7 +242,7 @@ def _gradients(
 
 
 def _to_eye(means: Array, Ts_world_link: Array, normals: NDArray[np.float32], camera: Camera) -> Array:
-    """Normals (N, 3) of Gaussians of posed links on the side that a camera sees: sheets have two."""
+    """Orient the normals (N, 3) of Gaussians of posed links towards a camera, because thin sheets are seen from both sides."""
     R = Ts_world_link[:, :3, :3]
     turned = np.einsum("nij,nj->ni", R, normals)
     places = np.einsum("nij,nj->ni", R, means) + Ts_world_link[:, :3, 3]
@@ -256,7 +256,7 @@ def _shares(
     images: list[_Image],
     rng: np.random.Generator,
 ) -> Array:
-    """Contribution of each Gaussian to the error of some images."""
+    """Sum the contribution of each Gaussian to the errors of some images."""
     gaussians, shares = gaussians_of(parameters), np.zeros(len(links))
     for index in rng.choice(len(images), ERROR_IMAGES, replace=False):
         image = images[index]
@@ -268,8 +268,8 @@ def _shares(
 def _seen_normals(
     asset: ArticulatedAsset, gaussians: Gaussians, surface: _Surface, images: list[_Image]
 ) -> NDArray[np.float32]:
-    """Unit normals (N, 3), link frames, that images show where Gaussians are visible: some have moved over an edge, or
-    through a wall. Those that are not seen, or from both sides, keep theirs.
+    """Average for each Gaussian the unit normals (N, 3), link frames, of the pixels that show it, because some Gaussians have
+    moved over an edge or through a wall. Gaussians that are not visible, or visible from both sides, keep their normal.
     """
     sums, weights = np.zeros((len(gaussians), 3)), np.zeros(len(gaussians))
     for image in map(_halve, images[::2]):

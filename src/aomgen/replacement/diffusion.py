@@ -1,7 +1,7 @@
-"""Light and unobserved table by diffusion models that diffusers has saved in a folder; nothing is downloaded in a run.
+"""Light and unobserved table regions by diffusion models that diffusers has saved in a folder; a run downloads nothing.
 
-Light from all around follows from one photograph: a model inpaints a mirroring ball into it at several exposures, guided by
-the scan's depth. Source: Phongthawee et al., DiffusionLight, CVPR 2024.
+The light from all directions is estimated from one photograph: a model inpaints a mirror ball into it at several exposures,
+guided by the scan's depth. Source: Phongthawee et al., DiffusionLight, CVPR 2024.
 """
 
 import importlib
@@ -37,7 +37,7 @@ BALL_SHARE, MASK_SHARE = 0.125, 0.135
 BALLS, SECOND_STRENGTH = 5, 0.8
 # Sampling of the paper: steps, guidance by the text, weight of the depth.
 LIGHT_STEPS, LIGHT_GUIDANCE, DEPTH_WEIGHT = 30, 5.0, 0.5
-# Quantile of nearness that is white to the depth network; single Gaussians float before the camera.
+# Quantile of the inverse depth that is white for the depth network, because single Gaussians float in front of the camera.
 NEAREST: Final = 0.98
 TABLE: Final = "an empty table top seen from straight above, its material going on evenly"
 NO_TABLE: Final = "objects, shadows, reflections, text, borders"
@@ -118,7 +118,7 @@ def crop_square(photograph: Photograph, side: int) -> Photograph:
 
 
 def measure_nearness(world: Gaussians, camera: Camera) -> NDArray[np.uint8]:
-    """Inverse depth (S, S) of a scene as the depth network takes it, with a ball before everything else."""
+    """Render the inverse depth (S, S) of a scene, scaled as the depth network expects, with a ball in front of the scene."""
     depth = render(world, camera).depth
     nearness = np.divide(1, depth, out=np.zeros_like(depth), where=depth > 0)
     low, high = nearness.min(), max(np.quantile(nearness, NEAREST), 1e-6)
@@ -127,7 +127,7 @@ def measure_nearness(world: Gaussians, camera: Camera) -> NDArray[np.uint8]:
 
 
 def mark_disc(side: int, radius: float) -> NDArray[np.bool_]:
-    """Pixels of a square image in a disc at its middle; the radius is a share of the side."""
+    """Mark the pixels of a square image in a disc at its center; the radius is a fraction of the side."""
     across = (np.arange(side) + 0.5) / side - 0.5
     return np.hypot(across, across[:, None]) < radius
 
@@ -135,7 +135,7 @@ def mark_disc(side: int, radius: float) -> NDArray[np.bool_]:
 def _add_ball(
     pipeline: Any, square: Photograph, nearness: NDArray[np.uint8], exposure: float, seed: int
 ) -> Array:
-    """The photograph (S, S, 3), 0..1, with a ball: the median of several, inpainted again."""
+    """Inpaint a ball in a photograph; return (S, S, 3), 0..1. The median of several balls is inpainted once more."""
     darkness = exposure / EXPOSURES[-1]
     (bright, no, bright_pooled, no_pooled), (dark, _, dark_pooled, _) = (
         pipeline.encode_prompt(words, negative_prompt=NO_BALL) for words in (BRIGHT, DARK)
@@ -212,10 +212,10 @@ def inpaint_table(folder: Path, image: Array, known: NDArray[np.bool_], seed: in
 
 
 def _image_side(pipeline: Any) -> int:
-    """Side of the square images that a pipeline was trained on, [px]."""
+    """Return the side of the square images that a pipeline was trained on, [px]."""
     return int(pipeline.unet.config.sample_size * pipeline.vae_scale_factor)
 
 
 def _seed_noise(seed: int) -> Any:
-    """Generator of the initial noise, on the processor, so that every machine starts from the same."""
+    """Create the generator of the initial noise on the CPU, so that the noise is the same on every computer."""
     return importlib.import_module("torch").Generator("cpu").manual_seed(seed)

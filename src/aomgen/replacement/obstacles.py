@@ -1,7 +1,7 @@
-"""Obstacles within the robot's reach besides the object, as upright boxes, and the free rectangle of the table.
+"""Obstacles within the robot's reach other than the object, as upright boxes, and the free rectangle of the table.
 
-Solid Gaussians fill cells of a grid on the table; what is connected and stands on the table, or goes on below it,
-becomes boxes. Hanging specks, and what lies flat, do not.
+Opaque Gaussians fill cells of a grid on the table. Boxes are fitted to connected cells that touch the table or extend below it;
+floating and flat components are ignored.
 """
 
 from collections.abc import Iterator
@@ -23,31 +23,31 @@ from aomgen.robots.robot import Reach, RobotConfiguration
 from aomgen.twin.plan_view import PlanView
 from aomgen.twin.support import Support
 
-# Lower objects do not hinder a gripper and vanish in the surface's own noise, [m].
+# Lower objects do not obstruct a gripper and cannot be distinguished from noise of the surface, [m].
 LOWEST_M: Final = 0.015
-# Side of a grid cell: gaps of the size are closed, [m].
+# Side of a grid cell, [m]; gaps of this size are closed.
 CELL_M: Final = 0.02
 # Each sample stands for this much opaque surface, [m^2]; a cell that a surface crosses has about sixteen.
 SAMPLE_M2: Final = 2.5e-5
-# An object that the arm reaches in front may stand so much farther back, [m].
+# Distance by which an obstacle may be farther away than the arm reaches, [m]: the arm still touches its front.
 BEHIND_M: Final = 0.3
-# A Gaussian's disc counts no farther than this, [m]: larger ones are sky.
+# Largest radius of a Gaussian's disc, [m]: larger ones belong to the distant background.
 LARGEST_M: Final = 0.1
 # Samples of a solid cell.
 SOLID_SAMPLES: Final = 8
 # An obstacle begins at most this high above the table, [m]; the hidden part of its foot is seldom higher.
 FOOT_M: Final = 0.06
-# Fewer cells, seen from above, are a speck: a computer mouse covers some fifteen.
+# Smallest number of cells of an obstacle, seen from above: a computer mouse covers about fifteen.
 LEAST_CELLS: Final = 8
 # Gaussians within this distance of the scanned robot belong to it or to its shadow, [m].
 ROBOT_M: Final = 0.04
-# Boxes keep this distance from the robot, which was not hindered there, [m]: a box may be larger than its visible surface.
+# Distance between boxes and the recorded robot, [m]: the robot moved there freely, and boxes exceed the visible surfaces.
 CLEAR_M: Final = 0.01
-# Points on its surface: one every 1.5 cm.
+# Number of points on the robot's surface: one every 1.5 cm.
 ROBOT_SAMPLES: Final = 5000
 # Gaussians within this distance of the object's location belong to the object, [m].
 OBJECT_M: Final = 0.03
-# A box is cut in two where that saves this share of its volume.
+# A box is split in two if that reduces the volume by this share.
 SAVED_SHARE: Final = 0.15
 # Share of the samples beyond a side of a box that count as outliers.
 BEYOND: Final = 0.01
@@ -56,7 +56,7 @@ TABLE_REACH_M = 1.0
 # Cell of the image in which the table is found, and of the grid on which free table grows, [m]: finer than its
 # outline has to be known.
 TABLE_CELL_M, FREE_CELL_M = 0.01, 0.02
-# A cell with less accumulated alpha than this was not seen.
+# Cells with less accumulated alpha are unobserved.
 SURFACE_ALPHA = 0.15
 # Holes of this many cells between Gaussians are closed, and a strip of cells counts as free table when no run of
 # hidden ones in it is longer.
@@ -86,13 +86,13 @@ def find_obstacles(
     robot = configuration.surface_world(ROBOT_SAMPLES, rng)
     own, _ = cKDTree(robot).query(points, distance_upper_bound=ROBOT_M)
     plane = plane[np.isinf(own)]
-    parts = (part for thing in _standing(plane) for part in _parts(thing))
+    parts = (part for obstacle in _standing(plane) for part in _parts(obstacle))
     boxes = (_beside(_box(part, support.T_world_plane), robot) for part in parts)
     return tuple(box for box in boxes if box is not None)
 
 
 def _samples(gaussians: Gaussians, rng: np.random.Generator) -> Array:
-    """Points (N, 3) spread over the discs that Gaussians cover, as many as they are large and opaque."""
+    """Sample points (N, 3) on the discs of Gaussians, in proportion to their area and opacity."""
     order = np.argsort(-gaussians.scales, axis=1)[:, :2]
     rows = np.arange(len(gaussians))
     sizes = np.minimum(np.take_along_axis(gaussians.scales, order, 1).astype(np.float64), LARGEST_M)
@@ -105,7 +105,7 @@ def _samples(gaussians: Gaussians, rng: np.random.Generator) -> Array:
 
 
 def _standing(plane: Array) -> Iterator[Array]:
-    """Samples (N, 3) of each connected obstacle that stands on the table, plane frame."""
+    """Yield the samples (N, 3) of each connected obstacle that stands on the table, plane frame."""
     if not len(plane):
         return
     low = np.append(plane[:, :2].min(0), LOWEST_M)
@@ -122,13 +122,13 @@ def _standing(plane: Array) -> Iterator[Array]:
             yield plane[owners == index]
 
 
-def _parts(thing: Array) -> list[Array]:
-    """Samples (N, 3) of the parts of an obstacle: cut where two boxes are clearly smaller than one."""
-    R = find_upright_axes(thing)
-    turned = thing @ R
+def _parts(obstacle: Array) -> list[Array]:
+    """Split the samples (N, 3) of an obstacle into parts where two boxes are clearly smaller than one."""
+    R = find_upright_axes(obstacle)
+    turned = obstacle @ R
     cells = np.floor((turned[:, :2] - turned[:, :2].min(0)) / CELL_M).astype(int)
     heights, counts = np.zeros(cells.max(0) + 1), np.zeros(cells.max(0) + 1, int)
-    np.maximum.at(heights, tuple(cells.T), thing[:, 2])
+    np.maximum.at(heights, tuple(cells.T), obstacle[:, 2])
     np.add.at(counts, tuple(cells.T), 1)
     heights[counts < SOLID_SAMPLES] = 0.0
     if np.count_nonzero(heights) < LEAST_CELLS:
@@ -140,13 +140,13 @@ def _parts(thing: Array) -> list[Array]:
             if volume < best:
                 best, where = volume, (axis, cut)
     if where is None:
-        return [thing]
+        return [obstacle]
     before = cells[:, where[0]] < where[1]
-    return [*_parts(thing[before]), *_parts(thing[~before])]
+    return [*_parts(obstacle[before]), *_parts(obstacle[~before])]
 
 
 def _volume(heights: Array) -> float:
-    """Volume of the box around columns (X, Y), in cells of the table times [m]."""
+    """Compute the volume of the box around columns (X, Y), in cells of the table times [m]."""
     rows, columns = heights.any(1), heights.any(0)
     if not rows.any():
         return 0.0
@@ -156,7 +156,7 @@ def _volume(heights: Array) -> float:
 
 
 def _box(part: Array, T_world_plane: Array) -> OrientedBox:
-    """The box around samples (N, 3), from the table up, world frame."""
+    """Compute the box around samples (N, 3), from the table upwards, world frame."""
     R = find_upright_axes(part)
     low, high = np.quantile(part @ R, (BEYOND, 1 - BEYOND), axis=0)
     low[2] = 0.0
@@ -165,7 +165,7 @@ def _box(part: Array, T_world_plane: Array) -> OrientedBox:
 
 
 def _beside(box: OrientedBox, robot_world: Array) -> OrientedBox | None:
-    """The box without what the robot (N, 3) stood in: cut at the side or the top where that costs least."""
+    """Cut from a box the part that contains points of the robot (N, 3), at the side or the top where the least is lost."""
     points, half = box.coordinates(robot_world), box.half_extents
     inside = points[(np.abs(points) < half + CLEAR_M).all(1)]
     if not len(inside):
@@ -184,7 +184,7 @@ def _beside(box: OrientedBox, robot_world: Array) -> OrientedBox | None:
 
 
 def support_plane(cleared: Cleared) -> SupportPlane:
-    """Height of the cleared scene's table, and the rectangle about the old object that is there and free."""
+    """Compute the height of the cleared scene's table and its free rectangle around the recorded object, world frame, [m]."""
     support = cleared.support
     low, high = support.low - TABLE_REACH_M, support.high + TABLE_REACH_M
     plan = PlanView(support=support, low=low, high=high, cell=TABLE_CELL_M)
@@ -205,8 +205,8 @@ def support_plane(cleared: Cleared) -> SupportPlane:
 def free_rectangle(surface_xy: ArrayLike, low: ArrayLike, high: ArrayLike) -> tuple[Array, Array]:
     """Grow a rectangle over the surface around an object, until it meets an edge or another object.
 
-    What stands on the surface hides it, so its cells are empty and stop the growth: the rectangle
-    is table that is there and has nothing else on it.
+    Cells below other objects are empty, because the objects hide the surface, and stop the growth. The rectangle is therefore
+    observed table without objects.
 
     Args:
         surface_xy: Points of the surface (N, 2), seen from above, [m].
@@ -236,6 +236,6 @@ def free_rectangle(surface_xy: ArrayLike, low: ArrayLike, high: ArrayLike) -> tu
 
 
 def _longest_gap(free: NDArray[np.bool_]) -> int:
-    """Length of the longest run of cells that are not free."""
+    """Count the cells of the longest run of cells that are not free."""
     edges = np.flatnonzero(np.concatenate([[True], free, [True]]))
     return int(np.diff(edges).max()) - 1

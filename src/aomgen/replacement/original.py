@@ -1,4 +1,4 @@
-"""The recorded object itself as an asset: boxes from its points, the recovered joint, its own Gaussians.
+"""The recorded object itself as an asset: boxes around its points, its estimated joint and its own Gaussians.
 
 Source: AOMGen, sec. 4.3, "Pose Generalization", which moves the reconstructed object.
 """
@@ -25,21 +25,21 @@ from aomgen.errors import EstimationError
 from aomgen.replacement.correspondence import RecordedContact, face_sides, slide_along_handle
 from aomgen.twin.twin import OBJECT, PART, TwinModel
 
-# A door or flap is taken to be this thick: through its window the scan shows what is behind it, [m].
+# Assumed thickness of a door or flap, [m]: through its window the scan shows the surfaces behind it.
 DOOR_M: Final = 0.03
-# Gaussians farther behind it than this are no part of it, [m].
+# Gaussians farther behind the door than this do not belong to it, [m].
 BEHIND_M: Final = 0.01
 # A handle is searched within these distances of the held point, across its bar and along it, [m].
 AROUND_M, ALONG_M = 0.03, 0.15
-# It ends this far before the face that it stands on, [m].
+# Distance between the handle and the face on which it is mounted, [m].
 FACE_M: Final = 0.005
-# Shares of its points between which it lies.
+# Quantiles of the handle's points that bound its box.
 HANDLE_QUANTILES: Final = (0.05, 0.95)
-# Fewer points show no handle.
+# Smallest number of points of a handle.
 LEAST_POINTS: Final = 30
-# Left free between the body and the part that it encloses, [m].
+# Gap between the body and the part that it encloses, [m].
 GAP_M: Final = 0.002
-# The joint ends a little beyond what the recording shows, as a share of it: farther nothing is known.
+# Upper joint limit as a multiple of the largest recorded joint value: the range beyond is unobserved.
 BEYOND: Final = 1.001
 # Name of the collider of the moving part without its handle.
 PANEL: Final = "panel"
@@ -48,12 +48,13 @@ PANEL: Final = "panel"
 def fit_original(
     demo: Demonstration, contact: RecordedContact, recorded: RecordedObject, category: str
 ) -> FittedAsset:
-    """The recorded object where it stood, closed, with the motion that was recorded.
+    """Describe the recorded object as an asset at its recorded location, closed, with its recorded motion.
 
-    Its parts are solid boxes, the body without the room of the part, as heavy as assets that name no mass.
+    The links are solid boxes; the space of the moving part is removed from the body. Their density is that of assets without a
+    stated mass.
 
     Raises:
-        EstimationError: It was recorded while it was closed, or no handle stands off the part where it was held.
+        EstimationError: The recorded motion closes the object, or no handle protrudes from the part at the held point.
     """
     if contact.direction == "closing":
         raise EstimationError("original", "was scanned open", "record its opening, or name other assets")
@@ -114,9 +115,9 @@ def _as_boxes(
 
 
 def original_twin(background: TwinModel, recorded: TwinModel, fitted: FittedAsset) -> TwinModel:
-    """The cleared scene with the recorded Gaussians of the object as an asset's, in the colors of the scan.
+    """Add the recorded Gaussians of the object, in the colors of the scan, to the cleared scene as those of an asset.
 
-    What was seen through a door's window stays with the body.
+    Gaussians behind a door's window belong to the body.
     """
     T_asset_object = invert(fitted.T_world_asset) @ recorded.T_world_object
     which = np.isin(recorded.labels, (STATIC, MOVING))
@@ -136,7 +137,7 @@ def original_twin(background: TwinModel, recorded: TwinModel, fitted: FittedAsse
 
 
 def _part_boxes(moving: Array, held: Array, bar: int, across: int) -> tuple[Array, Array]:
-    """Corners (2, 3) of the boxes of panel and handle.
+    """Fit the corners (2, 3) of the boxes of panel and handle, asset frame, [m].
 
     Args:
         moving: Points (N, 3), asset frame, as all here.
@@ -165,7 +166,7 @@ def _part_boxes(moving: Array, held: Array, bar: int, across: int) -> tuple[Arra
 
 
 def subtract_box(box: Array, hole: Array) -> list[Array]:
-    """Boxes (2, 3) that fill a box around a hole."""
+    """Fill a box, except for a hole in it, with boxes; all are corners (2, 3)."""
     rest, pieces = box.copy(), []
     hole = hole + GAP_M * np.array([[-1.0], [1.0]])
     if not ((hole[0] < box[1]) & (hole[1] > box[0])).all():
@@ -180,7 +181,7 @@ def subtract_box(box: Array, hole: Array) -> list[Array]:
 
 
 def box_link(name: str, boxes: Mapping[str, Array]) -> AssetLink:
-    """A link that is seen as its colliders (2, 3), for those who use the asset without its Gaussians."""
+    """Create a link whose visible mesh is its collider boxes (2, 3), for programs that use the asset without its Gaussians."""
     shapes = {key: AlignedBox(lower=tuple(low), upper=tuple(high)) for key, (low, high) in boxes.items()}
     colliders = tuple(shape.collider(key) for key, shape in shapes.items())
     mesh = boxes_mesh(name, list(shapes.values()), Material())

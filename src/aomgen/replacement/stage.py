@@ -1,4 +1,4 @@
-"""The scene without its object, its light, and every asset fitted to the motion. [paper 4.3]"""
+"""Replacement stage: the scene without its object, its light, and every asset fitted to the motion. [paper 4.3]"""
 
 from dataclasses import replace
 from functools import partial
@@ -44,7 +44,7 @@ from aomgen.twin.twin import TwinModel, pose_twin
 
 
 def run(results: Results, folder: Path, progress: Progress) -> dict[str, Any]:
-    """Take the object away, fit the project's assets, and choose the cameras of the episodes."""
+    """Remove the object, fit the project's assets, and choose the cameras of the episodes."""
     project = results.project
     progress(0.0, "removing the object")
     views = [
@@ -105,7 +105,7 @@ def inpainter_of(project: Project) -> Inpaint:
 
 
 def _light_at_object(results: Results, cleared: Cleared) -> SceneLight:
-    """The light in the middle of where the recorded object stood."""
+    """Estimate the light at the center of the recorded object."""
     return estimate_light(
         results.twin,
         results.robot,
@@ -118,7 +118,7 @@ def _light_at_object(results: Results, cleared: Cleared) -> SceneLight:
 
 
 def light_of_assets(results: Results, scan_light: SceneLight, view: Photograph) -> SceneLight:
-    """The light that a project chooses for its assets.
+    """Return the light that the project selects for its assets.
 
     Args:
         results: Results of the previous stages.
@@ -138,7 +138,7 @@ def light_of_assets(results: Results, scan_light: SceneLight, view: Photograph) 
 
 
 def _remove_wall_shadow(results: Results, cleared: Cleared, light: SceneLight) -> TwinModel:
-    """The cleared scene without the recorded object's shadow on walls and clutter."""
+    """Remove the recorded object's shadow from the walls and the clutter of the cleared scene."""
     twin, recorded, T_world_plane = cleared.twin, results.twin, cleared.support.T_world_plane
     body = pose_twin(recorded, results.robot, recorded.scan_state).select(
         np.isin(recorded.labels, (STATIC, MOVING))
@@ -153,14 +153,14 @@ def _remove_wall_shadow(results: Results, cleared: Cleared, light: SceneLight) -
 
 
 def _middle(cleared: Cleared) -> Array:
-    """Middle of the recorded object (3,), world frame."""
+    """Compute the center of the recorded object (3,), world frame."""
     support = cleared.support
     middle = np.append((support.low + support.high) / 2, support.top / 2)
     return apply(support.T_world_plane, middle)
 
 
 def describe_recorded_object(results: Results, support: SupportPlane) -> RecordedObject:
-    """Points of a run's recorded object, above a support plane."""
+    """Collect the surface points (N, 3) of a run's recorded object, world frame, [m]; `support` is the plane below it."""
     moving, static = (
         surface_points(results.scene, results.parts.labels, label) for label in (MOVING, STATIC)
     )
@@ -168,7 +168,8 @@ def describe_recorded_object(results: Results, support: SupportPlane) -> Recorde
 
 
 def fit_assets(results: Results, recorded: RecordedObject) -> tuple[list[FittedAsset], dict[str, Rejection]]:
-    """The project's assets that the recorded motion fits, in the project's order, and why the others do not.
+    """Fit the recorded motion to the project's assets; return the fitted assets in the project's order, and a rejection for
+    each other asset.
 
     Raises:
         EstimationError: None fits.
@@ -216,7 +217,7 @@ def examine_fit(results: Results, asset: ArticulatedAsset) -> Finding:
 def asset_twin(
     background: TwinModel, fitted: FittedAsset, light: SceneLight, surfels: tuple[Surfels, Surfels]
 ) -> TwinModel:
-    """The cleared scene with a fitted asset, whose links have these surfels, where the recorded object stood."""
+    """Add a fitted asset, whose links are represented by the surfels, to the cleared scene at the recorded object's location."""
     T = fitted.T_world_asset
     static, moving = (show_in_light(link, light, T[:3, :3]) for link in surfels)
     return with_object(background, static, moving, fitted.asset.joint, light.shown, T)

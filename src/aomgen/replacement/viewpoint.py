@@ -1,4 +1,4 @@
-"""Cameras of episodes: the demonstration's, and one that the scan shows the action from another side."""
+"""Cameras of episodes: that of the demonstration, and one at a scan camera that shows the action from another side."""
 
 from collections.abc import Mapping, Sequence
 
@@ -18,19 +18,19 @@ from aomgen.robots.robot import RobotModel
 from aomgen.splatting.rasterizer import render
 from aomgen.twin.twin import TwinModel, TwinState, pose_twin
 
-# Size of the images in which visibility is judged, [px].
+# Size of the images in which visibility is evaluated, [px].
 LOOK_PX = (160, 120)
-# A point is seen when nothing lies nearer than this before it, [m].
+# A point is visible if the rendered surface is at most this much nearer than the point, [m].
 CLEARANCE_M = 0.06
-# The second camera is turned towards the action by at most this angle [rad], and this share of the key
-# points must lie in the image; if no camera can, the second pair holds.
+# Largest angle by which the second camera is turned towards the action, [rad], and smallest share of the key points that its
+# image contains; the second pair applies if no camera satisfies the first.
 DEMANDS = ((0.35, 0.9), (0.9, 0.6))
-# Share of the image's width that the action should span, in its view.
+# Desired share of the second camera's image width that the action spans.
 WANTED_SPAN = 0.6
 
 
 def episode_cameras(results: Results) -> dict[str, Camera]:
-    """The demonstration's camera and a new viewpoint, at the size of the episodes' images."""
+    """Return the demonstration's camera and a new viewpoint, at the size of the episodes' images."""
     demo = results.demonstration
     first = results.fixed_camera.camera.resize(*results.project.image_size)
     frames = np.linspace(0, len(demo.times_s) - 1, 4).astype(int)
@@ -88,7 +88,7 @@ def choose_viewpoint(
 
 
 def _corners(points: ArrayLike) -> Array:
-    """Corners (8, 3) of the box around points (N, 3), outliers left out."""
+    """Compute the corners (8, 3) of the box around points (N, 3), without the outermost 2 % at each end of each axis."""
     low, high = np.quantile(np.asarray(points, np.float64), (0.02, 0.98), axis=0)
     return np.where(np.indices((2, 2, 2)).reshape(3, 8).T == 0, low, high)
 
@@ -108,7 +108,7 @@ def _framing_score(camera: Camera, first: Camera, points: Array, share: float) -
 
 
 def _visible_share(camera: Camera, scenes: list[Gaussians], key_points: Sequence[Array]) -> float:
-    """Share of the key points that nothing hides."""
+    """Compute the fraction of the key points that no surface hides."""
     shares = []
     for scene, points in zip(scenes, key_points, strict=True):
         pixels, depths = camera.project(points)
