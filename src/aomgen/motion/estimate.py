@@ -52,7 +52,7 @@ OnCurve = Callable[[MotionCurve], None]
 
 
 def ignore_curve(curve: MotionCurve) -> None:
-    """Default callback; does nothing."""
+    """Ignore the motion curve; default of the callback."""
 
 
 def estimate_motion(

@@ -60,7 +60,7 @@ class JointModel:
         return replace(self, start=axis), np.concatenate([np.zeros(2), place, x[4:]])
 
     def grasp(self, x: Array) -> Array:
-        """Held point (..., 3), end-effector frame, [m]."""
+        """Compute the held point (..., 3), end-effector frame, [m]."""
         return np.broadcast_to(self.path.hold.point_ee, (*x.shape[:-1], 3))
 
     def prior_residuals(self, x: Array) -> Array:
@@ -115,7 +115,7 @@ class Revolute(JointModel):
     closing_alignment = 1.0
 
     def grasp(self, x: Array) -> Array:
-        """Held point (..., 3), end-effector frame, [m]."""
+        """Compute the held point (..., 3), end-effector frame, [m]."""
         return self.path.hold.point_ee + x[..., 6:9]
 
     def values(self, x: Array) -> Array:
@@ -123,7 +123,7 @@ class Revolute(JointModel):
         return self._roll(x, self._frame(x))[2]
 
     def data(self, x: Array) -> Array:
-        """Residuals (..., 5, K) in the order of `kinds`, [m] or [rad], of unknowns (..., 10)."""
+        """Compute the residuals (..., 5, K) in the order of `kinds`, [m] or [rad], of unknowns (..., 10)."""
         frame = self._frame(x)
         radii, heights, angles = self._roll(x, frame)
         axis, first, second = ((self.path.turns_world @ unit[..., None])[..., 0] for unit in frame[1:])
@@ -184,7 +184,7 @@ class Prismatic(JointModel):
         return along - along[0]
 
     def data(self, x: Array) -> Array:
-        """Residuals (..., 5, K) in the order of `kinds`, [m] or [rad], of unknowns (..., 4)."""
+        """Compute the residuals (..., 5, K) in the order of `kinds`, [m] or [rad], of unknowns (..., 4)."""
         _, first, second = self._coordinates(self.path.points_world, self._frame(x))
         across = self.tangents @ self.path.closing_world
         c, s = across / np.linalg.norm(across) if np.linalg.norm(across) > 1e-9 else (1.0, 0.0)
