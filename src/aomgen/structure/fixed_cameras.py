@@ -170,7 +170,7 @@ def _choose(name: str, found: dict[str, Resection]) -> tuple[tuple[str, ...], st
 
 
 def resect(links: Links, lens: Lens, *, focal_known: bool, seed: int) -> Resection | None:
-    """Camera from matches, or None when fewer than `MIN_INLIERS` agree on one.
+    """Estimate a camera from matches; None if fewer than `MIN_INLIERS` are consistent with one.
 
     Args:
         lens: Optics; only its distortion and image size count when the focal length is unknown.
@@ -209,7 +209,7 @@ def resect(links: Links, lens: Lens, *, focal_known: bool, seed: int) -> Resecti
 
 
 def difference(a: Resection, b: Resection) -> tuple[float, float]:
-    """Rotation [deg] between two placements of a camera, and their distance as a share of the scene's depth."""
+    """Compute the rotation [deg] between two estimates of a camera, and their distance as a share of the scene's depth."""
     turn = rotvec_from_matrix(a.camera_recon.T_world_cam[:3, :3].T @ b.camera_recon.T_world_cam[:3, :3])
     distance = np.linalg.norm(a.camera_recon.center - b.camera_recon.center)
     return float(np.degrees(np.linalg.norm(turn))), float(distance / min(a.depth, b.depth))
@@ -262,7 +262,7 @@ def choose_view_lens(
 
 
 def _plain_lens(stated: Intrinsics | None, camera: Camera) -> Lens:
-    """Stated optics where they have a distortion, else the pinhole of a camera."""
+    """Return the stated optics if they include a distortion, else the pinhole optics of a camera."""
     if stated is None or stated.distortion is None:
         stated = Intrinsics(fx=camera.fx, fy=camera.fy, cx=camera.cx, cy=camera.cy)
     return stated.lens(camera.width, camera.height)
@@ -271,7 +271,7 @@ def _plain_lens(stated: Intrinsics | None, camera: Camera) -> Lens:
 def _refine_camera(
     links: Links, use: NDArray[np.bool_], lens: Lens, start: Camera, kind: LensModel, *, focal: bool = True
 ) -> tuple[Lens, Array]:
-    """Lens and pose (4, 4) fitted to some matches; the focal length can be held."""
+    """Fit the lens and the pose (4, 4) of a camera to the selected matches; `focal` frees the focal length."""
     camera = pycolmap.Camera(model="PINHOLE", width=lens.width, height=lens.height, params=[1.0] * 4)
     set_camera(camera, lens)
     free_lens(camera, kind)

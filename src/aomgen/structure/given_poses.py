@@ -40,7 +40,7 @@ class PoseCheck:
         return len(self.Ts_scan_cam) > 1 and len(self.Ts_scan_cam) >= MIN_USED_SHARE * given
 
     def describe(self) -> tuple[str, ...]:
-        """Warnings about poses that are not used."""
+        """Describe the given poses that are not used as warnings."""
         if not self.contradicted:
             return ()
         names = sorted(self.contradicted)

@@ -127,7 +127,7 @@ class Workspace:
         return again
 
     def lens(self, group: str) -> Lens:
-        """The optics that a set's matches are verified with."""
+        """Return the optics with which a set's matches are verified."""
         with pycolmap.Database.open(self.database) as database:
             return lens_of(self._camera(database, group))
 
@@ -136,14 +136,14 @@ class Workspace:
         self._files[group] = {name: file for name, file in self._files[group].items() if name not in names}
 
     def map(self, group: str) -> SparseModel | None:
-        """Incremental mapping of one set; the largest model, or None."""
+        """Map one set incrementally; return the largest model, or None."""
         models = pycolmap.incremental_mapping(
             self.database, self.folder / "images", self.folder / "models", self._mapper_options(group)
         )
         return self._take_largest(models, group)
 
     def map_globally(self, group: str) -> SparseModel | None:
-        """Global mapping of one set: all rotations at once, then all positions; the model, or None.
+        """Map one set globally, first all rotations and then all positions; return the model, or None.
 
         Source: Pan et al., Global Structure-from-Motion Revisited (GLOMAP), 2024.
         """
@@ -174,7 +174,7 @@ class Workspace:
         return self._model
 
     def remap(self, mapped: SparseModel, bad: set[str]) -> SparseModel:
-        """The model without some images: points triangulated again, poses adjusted again."""
+        """Remove some images from the model; triangulate the points and adjust the poses again."""
         model = self.model
         keep = [self._files["scan"][name] for name in mapped.Ts_recon_cam if name not in bad]
         for image in list(model.images.values()):
@@ -228,7 +228,7 @@ class Workspace:
         return self._take_largest(models, group)
 
     def pairs(self, group: str, lens: Lens) -> list[Pair]:
-        """Every pair of a set that was tried, with its verified matches, in undistorted pixels."""
+        """List every pair of a set that was matched, with its verified matches in undistorted pixels."""
         names = {file: name for name, file in self._files[group].items()}
         tried = [line.split() for line in self._listing.read_text("utf-8").splitlines()]
         result = []
@@ -252,7 +252,7 @@ class Workspace:
         return result
 
     def links(self, group: str, stills: tuple[str, ...], mapped: SparseModel) -> Links:
-        """Pixels of stills of one camera, as photographed, and the scan's points they were matched to."""
+        """Match the stills of one camera to points of the scan; the pixels are those of the recorded images."""
         pixels: list[Array] = [np.zeros((0, 2))]
         points: list[NDArray[np.int64]] = [np.zeros(0, np.int64)]
         with pycolmap.Database.open(self.database) as database:
@@ -315,7 +315,7 @@ class Workspace:
         return self.folder / "pairs.txt"
 
     def read_model(self, group: str) -> SparseModel:
-        """The model as values."""
+        """Return the model of a set as values."""
         return read_model(self.model, {file: name for name, file in self._files[group].items()})
 
 
@@ -324,10 +324,10 @@ def _pixels(database: pycolmap.Database, image_id: int) -> Array:
 
 
 def choose_pairs(count: int, exhaustive_limit: int) -> list[tuple[int, int]]:
-    """Pairs (i, j), i < j, of `count` images in recording order.
+    """Choose pairs (i, j), i < j, of `count` images in recording order.
 
-    All of them up to `exhaustive_limit` images; beyond, each image meets its ten successors,
-    those at power-of-two distances, and every image of a coarse grid that closes loops.
+    These are all pairs up to `exhaustive_limit` images. Beyond it, each image is paired with its ten successors,
+    with those at power-of-two distances, and with every image of a coarse grid that closes loops.
     """
     if count <= exhaustive_limit:
         return [(i, j) for i in range(count) for j in range(i + 1, count)]

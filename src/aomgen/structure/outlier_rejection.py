@@ -123,7 +123,7 @@ def find_wrong_groups(
 
 
 def duplicates(pairs: list[Pair], preferred: set[str]) -> dict[str, str]:
-    """Images that show nothing but what another one shows, and that other one.
+    """Find images that show only the content of another image; return that image for each.
 
     Args:
         preferred: Images that are kept if two images are equal.
@@ -144,7 +144,9 @@ def duplicates(pairs: list[Pair], preferred: set[str]) -> dict[str, str]:
 def _evidence(
     names: list[str], Ts_recon_cam: dict[str, Array], depths: dict[str, float], K: Array, pairs: list[Pair]
 ) -> Array:
-    """Symmetric (N, N): matches in favor of two images' poses, less those against them."""
+    """Compute the evidence for each pair of poses, symmetric (N, N): the matches that support it minus those that contradict
+    it.
+    """
     order = {name: index for index, name in enumerate(names)}
     known = [pair for pair in pairs if pair.a in order and pair.b in order]
     counts = np.zeros((len(names), len(names)))
@@ -175,7 +177,7 @@ def _near(T_recon_a: Array, T_recon_b: Array, depth: float) -> bool:
 
 
 def _worst_split(evidence: Array) -> NDArray[np.bool_] | None:
-    """The split (N,) with most evidence against its cut, or None when all cuts are supported.
+    """Find the split (N,) with the most evidence against its cut; None if all cuts are supported.
 
     Source: the leading eigenvectors solve the relaxed problem max s^T E s over s = +-1 (as for
     modularity, Newman 2006, doi:10.1073/pnas.0601602103); single images are then moved to the side
@@ -205,7 +207,7 @@ def _converge_signs(evidence: Array, side: Array) -> Array:
 
 
 def epipolar_errors_px(pair: Pair, T_recon_a: Array, T_recon_b: Array, K: Array) -> Array:
-    """Sampson distance (M,) of matched pixels under two poses, [px]."""
+    """Compute the Sampson distances (M,) of matched pixels under two poses, [px]."""
     T_b_a = np.linalg.inv(T_recon_b) @ T_recon_a
     K_inverse = np.linalg.inv(K)
     F = K_inverse.T @ skew(T_b_a[:3, 3]) @ T_b_a[:3, :3] @ K_inverse

@@ -157,7 +157,7 @@ def measure_overlap(images: Mapping[str, NDArray[np.float32]]) -> ScanOverlap:
 
 
 def _map_quickly(work: Workspace, count: int) -> dict[str, Array]:
-    """Poses by incremental mapping, or by global mapping, which takes longer, where few features join few images."""
+    """Estimate poses by incremental mapping, and by the slower global mapping if features join too few images."""
     # An unsuccessful mapping is stated by `describe_walk`; the next workspace logs errors again.
     pycolmap.logging.minloglevel = pycolmap.logging.FATAL.value
     found: dict[str, Array] = {}
@@ -171,9 +171,9 @@ def _map_quickly(work: Workspace, count: int) -> dict[str, Array]:
 
 
 def _solve_exposures(ratios_ev: Array) -> Array:
-    """Exposures (N,) that explain the ratios (N, N) of pairs, NaN where there is none; the median image has 0.
+    """Compute the exposures (N,) that explain the ratios (N, N) of pairs, NaN for unknown ratios; the median exposure is 0.
 
-    Each image in turn takes the median of what its partners say of it: coordinate descent of the sum of absolute errors.
+    Each image in turn takes the median of the values that its pairs imply: coordinate descent on the sum of absolute errors.
     """
     exposures = np.zeros(len(ratios_ev))
     for _ in range(SWEEPS):

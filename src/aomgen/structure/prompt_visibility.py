@@ -133,7 +133,7 @@ def require_coverage(found: list[PromptVisibility]) -> None:
 
 
 def _place(prompt: Prompt, camera: Camera, points_recon: Array) -> Array | None:
-    """Position of a prompted location (3,): on the ray of its middle, at the depth of the points there."""
+    """Compute the position (3,) of a prompt: on the ray through its center, at the depth of the points there."""
     pixel = _middle(prompt)
     if not len(points_recon):
         return None

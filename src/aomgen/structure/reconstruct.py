@@ -138,7 +138,7 @@ def _extract(work: Workspace, photographs: Photographs, params: StructureParams,
 def _solve(
     work: Workspace, intrinsics: Intrinsics | None, count: int, given: PoseCheck | None, progress: Progress
 ) -> tuple[InlierModel, Figures]:
-    """The first model that has nearly all images, else the best: from given poses, by incremental and global mapping.
+    """Map from given poses, incrementally and globally; return the first model that has nearly all images, else the best.
 
     Raises:
         ReconstructionError: None passes the gates.

@@ -64,7 +64,7 @@ class Links:
 
 
 def read_model(model: pycolmap.Reconstruction, names: dict[str, str]) -> SparseModel:
-    """Values of a model of one camera; `names` gives the image name of each file."""
+    """Convert a model of one camera to values; `names` gives the image name of each file."""
     rows = {point_id: row for row, point_id in enumerate(sorted(model.points3D))}
     points = [model.points3D[point_id] for point_id in sorted(model.points3D)]
     poses, features, observations = {}, {}, []
@@ -88,7 +88,7 @@ def read_model(model: pycolmap.Reconstruction, names: dict[str, str]) -> SparseM
 
 
 def T_recon_cam(cam_from_recon: pycolmap.Rigid3d) -> Array:
-    """Pose (4, 4) of a placed camera."""
+    """Return the pose (4, 4) of a registered camera."""
     T_cam_recon = np.eye(4)
     T_cam_recon[:3] = cam_from_recon.matrix()
     return invert(T_cam_recon)
@@ -101,7 +101,7 @@ def adjust(
     distortion: bool = False,
     points_only: bool = False,
 ) -> None:
-    """Robust bundle adjustment of a whole model in place (COLMAP's own call turns its log on for good).
+    """Adjust a whole model in place by robust bundle adjustment, because COLMAP's own function permanently enables its log.
 
     Args:
         focal, distortion: Refine these.
@@ -124,7 +124,7 @@ def adjust(
 
 
 def camera_lens(model: pycolmap.Reconstruction) -> Lens:
-    """Optics of a model of one camera."""
+    """Return the optics of a model of one camera."""
     return lens_of(next(iter(model.cameras.values())))
 
 
@@ -151,7 +151,7 @@ def free_lens(camera: pycolmap.Camera, kind: LensModel) -> None:
 
 
 def lens_of(camera: pycolmap.Camera) -> Lens:
-    """Optics of a pinhole camera, or of one with one or OpenCV's four coefficients."""
+    """Convert a COLMAP camera without distortion, or with one or OpenCV's four coefficients, to optics."""
     K = camera.calibration_matrix()
     bent = [float(camera.params[index]) for index in camera.extra_params_idxs()]
     k1, k2, p1, p2 = (*bent, 0.0, 0.0, 0.0, 0.0)[:4]
@@ -170,5 +170,5 @@ def lens_of(camera: pycolmap.Camera) -> Lens:
 
 
 def opencv_params(lens: Lens) -> list[float]:
-    """A lens as the parameters of COLMAP's OPENCV camera."""
+    """Convert optics to the parameters of COLMAP's OPENCV camera."""
     return [lens.fx, lens.fy, lens.cx, lens.cy, lens.k1, lens.k2, lens.p1, lens.p2]

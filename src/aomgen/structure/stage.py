@@ -30,7 +30,7 @@ JPEG_QUALITY = 98
 
 
 def run(results: Results, folder: Path, progress: Progress) -> dict[str, Any]:
-    """Reconstruct, and write the images of a pinhole camera where the recorded ones are none."""
+    """Reconstruct the scan; undistort its images if their camera is not a pinhole camera."""
     capture = results.recorded
     images = {path.name: path for path in capture.scan_images}
     if capture.scan_video is not None:

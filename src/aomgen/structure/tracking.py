@@ -54,7 +54,7 @@ class Tracks:
 
 
 def pyramid(gray: NDArray[np.uint8]) -> Pyramid:
-    """An image (H, W) and its halves."""
+    """Build the image pyramid of an image (H, W); each level has half the size of the previous one."""
     levels = [gray.astype(np.float32)]
     for _ in range(LEVELS - 1):
         above = levels[-1]
@@ -64,7 +64,7 @@ def pyramid(gray: NDArray[np.uint8]) -> Pyramid:
 
 
 def new_tracks(image: Pyramid) -> Tracks:
-    """The best textured point of every cell of a grid, where there is texture.
+    """Find the point with the most texture in every cell of a grid; cells without texture have none.
 
     Source: Shi & Tomasi, Good features to track (1994).
     """
@@ -129,14 +129,14 @@ def _track_level(
 def _correlation(
     image_a: NDArray[np.float32], points_a: Array, image_b: NDArray[np.float32], points_b: Array
 ) -> Array:
-    """Normalized correlation of patches: 1 = equal up to gain and offset, 0 = unrelated."""
+    """Compute the normalized correlation of patches: 1 if they are equal up to gain and offset, 0 if unrelated."""
     a, b = _patches(image_a, points_a), _patches(image_b, points_b)
     a, b = a - a.mean(1, keepdims=True), b - b.mean(1, keepdims=True)
     return (a * b).sum(1) / np.sqrt(np.maximum((a * a).sum(1) * (b * b).sum(1), 1e-6))
 
 
 def _patches(image: NDArray[np.float32], points: Array) -> Array:
-    """Bilinear windows (N, P) around points; outside the image its border goes on."""
+    """Interpolate windows (N, P) around points bilinearly; outside the image the border is repeated."""
     offsets = np.arange(-HALF_WINDOW, HALF_WINDOW + 1)
     x = points[:, 0, None, None] + offsets[None, None, :]
     y = points[:, 1, None, None] + offsets[None, :, None]

@@ -120,7 +120,7 @@ def _read_kept(folder: Path) -> dict[str, Path]:
 
 
 def choose_frames(candidates: list[FrameCandidate]) -> list[int]:
-    """Numbers of the frames to keep, ascending; see the top of this file."""
+    """Choose the frames to keep; return their numbers in ascending order. The docstring of this module describes the criteria."""
     if not candidates:
         return []
     moved, lengths = _select_moved(candidates)
@@ -142,7 +142,7 @@ def choose_frames(candidates: list[FrameCandidate]) -> list[int]:
 
 
 def _as_forced(chosen: list[int], forced: set[str]) -> set[int]:
-    """Chosen frames with a forced one nearby: within a third of the distance to a neighbour."""
+    """Find the chosen frames that have a forced frame nearby: within a third of the distance to a neighbor."""
     found = set()
     for place, number in enumerate(chosen):
         others = [chosen[k] for k in (place - 1, place + 1) if 0 <= k < len(chosen)]
@@ -153,13 +153,14 @@ def _as_forced(chosen: list[int], forced: set[str]) -> set[int]:
 
 
 def _near(sharpness: Array, middle: int) -> Array:
-    """Sharpness with a slight preference for the middle, which decides between equals."""
+    """Weight the sharpness slightly towards the middle, which decides between equal values."""
     distance = np.abs(np.arange(len(sharpness)) - middle) / max(1, len(sharpness))
     return sharpness * (1 - 0.1 * distance)
 
 
 def _select_moved(candidates: list[FrameCandidate]) -> tuple[list[int], Array]:
-    """Indices of the candidates at which the view has moved on by a step each, and the path length up to each.
+    """Find the candidates before each of which the view has moved by one step; return their indices and the path length at
+    each.
 
     The path length is the sum of the motions, as shares of the width; a view that was lost counts as the
     largest step.
@@ -201,7 +202,7 @@ def _candidates(video: Path, progress: Progress) -> Iterator[FrameCandidate]:
 
 
 def sharpness_of(gray: NDArray[np.uint8]) -> float:
-    """Energy of the second differences of an image (H, W) of mean brightness 1."""
+    """Compute the energy of the second differences of an image (H, W), normalized to mean brightness 1."""
     image = gray.astype(np.float32)
     second = np.square(np.diff(image, 2, axis=0)).mean() + np.square(np.diff(image, 2, axis=1)).mean()
     return float(second / max(float(image.mean()) ** 2, 1.0))
