@@ -144,9 +144,7 @@ def duplicates(pairs: list[Pair], preferred: set[str]) -> dict[str, str]:
 def _evidence(
     names: list[str], Ts_recon_cam: dict[str, Array], depths: dict[str, float], K: Array, pairs: list[Pair]
 ) -> Array:
-    """Compute the evidence for each pair of poses, symmetric (N, N): the matches that support it minus those that contradict
-    it.
-    """
+    """Compute the evidence for each pair of poses, symmetric (N, N): supporting minus contradicting matches."""
     order = {name: index for index, name in enumerate(names)}
     known = [pair for pair in pairs if pair.a in order and pair.b in order]
     counts = np.zeros((len(names), len(names)))

@@ -159,8 +159,7 @@ def _near(sharpness: Array, middle: int) -> Array:
 
 
 def _select_moved(candidates: list[FrameCandidate]) -> tuple[list[int], Array]:
-    """Find the candidates before each of which the view has moved by one step; return their indices and the path length at
-    each.
+    """Find the candidates before which the view has moved by one step, and the path length at each.
 
     The path length is the sum of the motions, as shares of the width; a view that was lost counts as the
     largest step.
