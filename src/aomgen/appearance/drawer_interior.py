@@ -98,7 +98,7 @@ def add_drawer_interior(twin: TwinModel, robot: RobotModel, view: PosedImages) -
 
 
 def _front(twin: TwinModel, travel_m: float) -> _Front | None:
-    """None for what is no drawer: parts that turn, slide along their body or into it; level axes only."""
+    """Describe the front of a drawer; None if the part rotates, slides along or into its body, or has no level axis."""
     outward = np.asarray(twin.joint.axis, np.float64)
     up = np.array([0.0, 0.0, 1.0]) - outward[2] * outward
     members, body = (surface_points(twin.gaussians, twin.labels, part) for part in (MOVING, STATIC))
@@ -143,7 +143,7 @@ def _shots(twin: TwinModel, robot: RobotModel, view: PosedImages, travel_m: floa
 
 
 def _spacing(shot: _Shot, front: _Front) -> float:
-    """Distance between discs, [m]: about a pixel, or more for large trays."""
+    """Compute the distance between discs, [m]: about one pixel, or more for large trays."""
     middle = apply(shot.T_world_part, (front.axes @ ((front.low + front.high) / 2))[None])
     pixel = float(shot.camera.project(middle)[1][0]) / shot.camera.fx
     width, height = front.high[:2] - front.low[:2]
@@ -152,7 +152,7 @@ def _spacing(shot: _Shot, front: _Front) -> float:
 
 
 def _discs(front: _Front, inset: float, height: float, spacing_m: float) -> Gaussians:
-    """Gray discs of both walls and the bottom, part frame."""
+    """Create gray discs on both walls and the bottom, part frame."""
     low, high = front.low, front.high
     margin = inset * (high[0] - low[0])
     left, right, floor = low[0] + margin, high[0] - margin, low[1] + margin
@@ -175,14 +175,14 @@ def _discs(front: _Front, inset: float, height: float, spacing_m: float) -> Gaus
 
 
 def _ids(discs: Gaussians, shot: _Shot) -> NDArray[np.int64]:
-    """Index of the disc that each pixel (H, W) of a shot shows, -1 for none."""
+    """Render the index of the disc that each pixel (H, W) of a shot shows, -1 for none."""
     drawn = render(discs.transform(shot.T_world_part), shot.camera, with_ids=True)
     shown = (drawn.alpha > 0.5) & (np.asarray(drawn.median_depth) < shot.drawn_depth)
     return np.where(shown, np.asarray(drawn.max_id), -1).astype(np.int64)
 
 
 def _predict(discs: Gaussians, shots: list[_Shot]) -> tuple[list[Array], Array]:
-    """Each shot as the others' colors of the tray foretell it, and colors (N, 3) of the discs by all of them."""
+    """Predict each shot from the tray's colors in the other shots; also return the colors (N, 3) of the discs from all shots."""
     count = len(discs)
     ids = [_ids(discs, shot) for shot in shots]
     sums, pixels = np.zeros((len(shots), count, 3)), np.zeros((len(shots), count))
@@ -199,7 +199,7 @@ def _predict(discs: Gaussians, shots: list[_Shot]) -> tuple[list[Array], Array]:
 
 
 def _mean_colors(discs: Gaussians, sums: Array, pixels: Array) -> Array:
-    """Colors (N, 3) of discs; unseen ones take their nearest neighbor's, as a pixel shows several."""
+    """Average the colors (N, 3) of discs; unobserved discs get the color of their nearest neighbor."""
     colors = sums / np.maximum(pixels, 1)[:, None]
     seen = pixels > 0
     if seen.any() and not seen.all():
@@ -208,7 +208,7 @@ def _mean_colors(discs: Gaussians, sums: Array, pixels: Array) -> Array:
 
 
 def _error(images: list[Array], shots: list[_Shot], regions: list[NDArray[np.bool_]]) -> float:
-    """Mean squared difference to the video in the regions."""
+    """Compute the mean squared difference to the video in the regions."""
     squares = [
         np.square(image - shot.seen_srgb)[region]
         for image, shot, region in zip(images, shots, regions, strict=True)

@@ -23,7 +23,7 @@ from aomgen.twin.relighting import NEGLIGIBLE, Relit, ResidualAppearance, orient
 # Turn over which a seen color fades. A link's specular term moves twice as fast as the link; halves and
 # doubles of this were worse or no better on images between those that were fitted.
 REACH_RAD: Final = float(np.radians(10.0))
-# Orientations are remembered this far apart, in reaches.
+# Distance between the orientations at which residual colors are stored, as a share of REACH_RAD.
 SPACING: Final = 1.5
 # Alternations of the least-squares fits, which share what none of them explains alone.
 ROUNDS: Final = 4
@@ -92,7 +92,7 @@ def fit_robot_colors(observations: SurfelObservations, discs: RobotDiscs) -> tup
 
 
 def _fit_specular(observations: SurfelObservations, views: Array, left: Array, count: int) -> Array:
-    """Harmonics (M, 8, 3) that explain what is left (N, 3), each disc alone, pulled to none."""
+    """Fit harmonics (M, 8, 3) to the residuals (N, 3), separately for each disc and regularized towards zero."""
     weights, disc = np.sqrt(observations.pixels), observations.disc
     normal, right = np.empty((count, 8, 8)), np.empty((count, 8, 3))
     for i in range(8):
@@ -106,7 +106,7 @@ def _fit_specular(observations: SurfelObservations, views: Array, left: Array, c
 def _predict_residual_colors(
     observations: SurfelObservations, discs: RobotDiscs, memories: tuple[ResidualAppearance, ...]
 ) -> Array:
-    """Color (N, 3) that memories add to every observation."""
+    """Compute the colors (N, 3) that stored residuals add to the observations."""
     result = np.zeros((len(observations.disc), 3))
     owners = discs.bodies[observations.disc]
     for memory in memories:
@@ -123,9 +123,9 @@ def _predict_residual_colors(
 def _fit(
     observations: SurfelObservations, discs: RobotDiscs, answers: Array, seen: Array
 ) -> tuple[Array, Array, Array]:
-    """Ratios (M, 3), radiance (P, 9, 3) and lit colors (N, 3), alternately by weighted least squares.
+    """Fit ratios (M, 3), radiance (P, 9, 3) and lit colors (N, 3) by alternating weighted least squares.
 
-    Errors are weighed as sRGB shows them.
+    Errors are weighted by the slope of sRGB, so that they are differences of sRGB values.
     """
     disc, pixels = observations.disc, observations.pixels[:, None]
     materials = discs.materials[disc]
@@ -152,7 +152,7 @@ def _fit(
 
 
 def _radiance(answers: Array, ratio: Array, seen: Array, weights: Array, near: Array) -> Array:
-    """Radiance (9, 3) that explains seen colors (N, 3), pulled a little towards another."""
+    """Fit the radiance (9, 3) that explains observed colors (N, 3), regularized towards the radiance `near`."""
     result = np.empty((9, 3))
     for channel in range(3):
         A = answers * ratio[:, channel : channel + 1]
@@ -167,7 +167,7 @@ def _radiance(answers: Array, ratio: Array, seen: Array, weights: Array, near: A
 def _fit_residual_colors(
     observations: SurfelObservations, discs: RobotDiscs, difference: Array
 ) -> tuple[ResidualAppearance, ...]:
-    """Remaining differences of every body's observations, averaged near a few of its orientations."""
+    """Average the residuals of every body's observations near a few of its orientations."""
     memories = []
     owners = discs.bodies[observations.disc]
     for body in np.unique(discs.bodies):
@@ -177,7 +177,7 @@ def _fit_residual_colors(
             continue
         Rs = observations.Ts_world_body[:, body, :3, :3]
         chosen = _select_spaced(Rs, SPACING * REACH_RAD)
-        # Not normalised: an image far from all remembered orientations teaches none of them.
+        # The weights are not normalized: an image far from all selected orientations contributes to none of them.
         kernel = orientation_weights(Rs[chosen], Rs, REACH_RAD)
         column = np.searchsorted(rows, observations.disc[mine])
         weights = kernel[observations.image_index[mine]] * observations.pixels[mine, None]
@@ -199,7 +199,7 @@ def _fit_residual_colors(
 
 
 def _select_spaced(Rs: Array, spacing_rad: float) -> NDArray[np.int64]:
-    """Orientations (T, 3, 3), the first and then the farthest from all chosen, until none is far."""
+    """Select from orientations (T, 3, 3) the first, then repeatedly the one farthest from all selected, until all are near one."""
     chosen = [0]
     nearest = _turn(Rs, Rs[0])
     while nearest.max() > spacing_rad:
@@ -213,7 +213,7 @@ def _turn(Rs: Array, R: Array) -> Array:
 
 
 def _spread(ratio: Array, seen: NDArray[np.bool_], discs: RobotDiscs) -> Array:
-    """Ratios (M, 3) where discs that no image shows take the mean of their nearest seen neighbours."""
+    """Fill the ratios (M, 3) of unobserved discs with the mean of their nearest observed neighbors."""
     result, means = ratio.copy(), discs.gaussians.means.astype(np.float64)
     groups = np.stack([discs.bodies, discs.materials], 1)
     for body, material in np.unique(groups[~seen], axis=0):
@@ -227,7 +227,7 @@ def _spread(ratio: Array, seen: NDArray[np.bool_], discs: RobotDiscs) -> Array:
 
 
 def _srgb_slope(linear: Array) -> Array:
-    """Derivative of sRGB by linear light."""
+    """Compute the derivative of sRGB with respect to linear light."""
     step = 1e-4
     at = np.clip(linear, BLACK, 1)
     return (np.asarray(srgb_from_linear(at + step)) - np.asarray(srgb_from_linear(at))) / step

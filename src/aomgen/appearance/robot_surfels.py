@@ -63,7 +63,7 @@ def replace_robot_gaussians(
 
 
 def _cover(robot: RobotModel, pixel_m: float, rng: np.random.Generator) -> RobotDiscs:
-    """Discs on every body; materials are the distinct colors of the model."""
+    """Cover every body with discs; the materials are the distinct colors of the model."""
     palette, material_of = np.unique(
         np.round([mesh.color_srgb for mesh in robot.meshes], 4), axis=0, return_inverse=True
     )
@@ -91,14 +91,14 @@ def _cover(robot: RobotModel, pixel_m: float, rng: np.random.Generator) -> Robot
 
 
 def _inset_discs(surfels: Surfels, depth_m: float) -> Gaussians:
-    """Discs drawn back by a pixel beneath the surface, less where it is thin.
+    """Move discs by one pixel below the surface, and by less where the body is thin.
 
-    The rasterizer widens whatever it draws by about half a pixel, and many opaque discs that
-    overlap at an outline add to that.
+    The rasterizer widens each disc by about half a pixel, and many opaque discs that overlap at an outline widen it
+    further.
     """
     places = np.asarray(surfels.gaussians.means, np.float64)
     normals = np.asarray(surfels.normals, np.float64)
-    # The other side: discs that look the other way within reach, straight below.
+    # Discs with an opposite normal, at this depth directly below, belong to the other side of the body.
     tree = cKDTree(places)
     room = np.full(len(places), depth_m)
     for depth in np.array([2.0, 1.5, 1.0, 0.5]) * depth_m:
@@ -121,7 +121,7 @@ def _plain_mesh(robot: RobotModel, index: int) -> Mesh:
 
 
 def _with_cover(twin: TwinModel, cover: RobotDiscs) -> TwinModel:
-    """The twin with discs, in an even light, in the place of scanned Gaussians near the model."""
+    """Replace the scanned Gaussians near the robot model by discs under uniform light."""
     kept = ~((twin.labels == ROBOT) & (twin.bodies > 0)) | _is_attached(twin, cover)
     rest = twin.select(kept)
     count = len(cover.gaussians)
@@ -136,7 +136,7 @@ def _with_cover(twin: TwinModel, cover: RobotDiscs) -> TwinModel:
 
 
 def _is_attached(twin: TwinModel, cover: RobotDiscs) -> NDArray[np.bool_]:
-    """Scanned Gaussians (N,) of a link that the model does not have."""
+    """Mark the scanned Gaussians (N,) of a link that the model does not contain."""
     attached = np.zeros(len(twin.gaussians), bool)
     for body in np.unique(cover.bodies):
         mine = np.flatnonzero((twin.labels == ROBOT) & (twin.bodies == body))
@@ -147,7 +147,7 @@ def _is_attached(twin: TwinModel, cover: RobotDiscs) -> NDArray[np.bool_]:
 
 
 def _orient_normals(cover: RobotDiscs, observations: SurfelObservations) -> RobotDiscs:
-    """The cover with normals on the side from which images see the discs."""
+    """Orient the normals towards the side from which images show the discs."""
     towards = np.einsum("ni,ni->n", cover.normals[observations.disc], -observations.directions_body)
     sides = np.bincount(observations.disc, towards * observations.pixels, len(cover.normals))
     return replace(cover, normals=np.where(sides[:, None] < 0, -cover.normals, cover.normals))

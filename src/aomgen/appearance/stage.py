@@ -55,7 +55,7 @@ def run(results: Results, folder: Path, progress: Progress) -> dict[str, Any]:
 
 
 def bind_scan(scene: Gaussians, parts: Parts, joint: Joint, configuration: RobotConfiguration) -> TwinModel:
-    """The scan, Gaussians in the world frame, bound to the bodies that carry it, in the scan's state."""
+    """Bind the Gaussians of the scan, world frame, to the bodies that carry them, in the state of the scan."""
     static, moving = (surface_points(scene, parts.labels, label) for label in (STATIC, MOVING))
     state = TwinState(
         joints=configuration.joints,
@@ -82,13 +82,13 @@ def pose_scan_images(results: Results, twin: TwinModel) -> list[PosedImages]:
 
 
 def select_training_frames(images: int, frames: int) -> NDArray[np.int64]:
-    """Indices of the first fixed camera's frames that the twin is fitted to, for a number of images of the scan."""
+    """Select the indices of the first fixed camera's frames to which the twin is fitted, given the number of scan images."""
     count = max(int(DEMO_SHARE * min(images, MAX_SCAN_IMAGES)), MIN_DEMO_FRAMES)
     return np.unique(np.linspace(0, frames - 1, count).astype(np.int64))
 
 
 def pose_demo_video(results: Results, twin: TwinModel) -> PosedImages:
-    """The first fixed camera's video, as the scan would have exposed it, evenly chosen."""
+    """Select evenly spaced frames of the first fixed camera's video, with their states and at the exposure of the scan."""
     video = results.videos[results.demo_camera]
     camera = results.fixed_camera.camera
     chosen = select_training_frames(len(results.scan_images), len(video.times_s))
@@ -103,10 +103,10 @@ def pose_demo_video(results: Results, twin: TwinModel) -> PosedImages:
 def refine_appearance(
     twin: TwinModel, robot: RobotModel, views: Sequence[PosedImages], progress: Progress
 ) -> TwinModel:
-    """The twin as all images show it, those of the scan, and last of a fixed camera.
+    """Refine the twin so that its renderings match all images: those of the scan, and last those of a fixed camera.
 
-    The robot's Gaussians are replaced by surfels of its model, the moving shadow is separated from the
-    surface it falls on, then everything is fitted.
+    The robot's Gaussians are replaced by surfels of its model, and the moving shadow is separated from the surface below it.
+    Then all Gaussians are fitted.
     """
     rng = np.random.default_rng(0)
     progress(0.1, "the robot's surface")
@@ -114,12 +114,12 @@ def refine_appearance(
     progress(0.3, "direction of the light")
     lamp = _lamp(with_surfels, robot, views[-1])
     lit = with_surfels if lamp is None else remove_baked_shadow(with_surfels, robot, lamp)
-    progress(0.4, "pictures in every configuration")
+    progress(0.4, "images in every configuration")
     return refine_twin(lit, robot, views, rng)
 
 
 def _lamp(twin: TwinModel, robot: RobotModel, view: PosedImages) -> DirectionalLight | None:
-    """The directional light that casts shadows on the object's support; None when there is none or it has no support."""
+    """Estimate the directional light that casts shadows on the object's support; None without such a light or support."""
     world = pose_twin(twin, robot, twin.scan_state)
     of_object = np.isin(twin.labels, (STATIC, MOVING))
     try:

@@ -89,7 +89,7 @@ def match_exposure(view: PosedImages, drawn_srgb: Array, compared: NDArray[np.bo
 
 
 def pixel_size(robot: RobotModel, twin: TwinModel, views: Sequence[PosedImages]) -> float:
-    """Size of a pixel at the robot in the usual image, [m]."""
+    """Compute the size of a pixel at the robot, [m], as the median over the images."""
     places = body_poses(twin, robot, twin.scan_state)[1 : 1 + len(robot.body_names), :3, 3]
     sizes = [
         np.median(np.linalg.norm(places - view.camera.center, axis=1)) / max(view.camera.fx, view.camera.fy)
