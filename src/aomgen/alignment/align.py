@@ -187,7 +187,7 @@ def _likeliest(
 
 
 def _ee_sd_m(evidence: list[ViewEvidence], errors: CameraErrors | None) -> float:
-    """Standard deviation of the end effector; errors of the cameras in the world frame."""
+    """Compute the standard deviation of the end effector, [m]; `errors` are those of the cameras in the world frame."""
     covariance = similarity_covariance(evidence)
     if errors is not None:
         covariance = covariance + covariance_from_cameras(evidence, errors)
@@ -195,7 +195,7 @@ def _ee_sd_m(evidence: list[ViewEvidence], errors: CameraErrors | None) -> float
 
 
 def unit_frame(centers_recon: list[Array], T_recon_cam: Array) -> Array:
-    """Similarity (4, 4) to a frame that does not depend on the scale and axes of `recon`.
+    """Compute a similarity (4, 4) to a frame that does not depend on the scale and axes of `recon`.
 
     Args:
         centers_recon: Camera centres; they have mean zero and unit spread afterwards.
@@ -273,7 +273,7 @@ def _make_joint_error(name: str, offset_rad: float, measured: str) -> AlignmentE
 
 
 def _distance(S_a: Array, S_b: Array, configuration: RobotConfiguration) -> float:
-    """Mean distance [m] between the robot placed by one similarity and by another."""
+    """Compute the mean distance [m] between the robot's surface under two similarities."""
     points = configuration.points_world(200)
     moved = apply(S_a @ np.linalg.inv(S_b), points)
     return float(np.linalg.norm(moved - points, axis=1).mean())

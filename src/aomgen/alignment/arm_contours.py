@@ -62,7 +62,7 @@ class LoggedRobot:
     __post_init__ = freeze_arrays
 
     def states(self, log_times_s: Array) -> tuple[Array, Array]:
-        """Joints (T, J) and gripper (T,) at log times (T,), encoder noise averaged."""
+        """Interpolate joints (T, J) and gripper (T,) at log times (T,), averaged over encoder noise."""
         offsets = np.linspace(-_READING_S, _READING_S, 5)
         readings = [self.log.at(log_times_s + offset) for offset in offsets]
         return np.mean([q for q, _ in readings], 0) + self.zeros_rad, np.mean([g for _, g in readings], 0)
@@ -90,14 +90,14 @@ class ArmContour:
     log_time_s: float = 0.0
 
     def at(self, camera: Camera, zeros_rad: Array, log_time_s: float = 0.0) -> Contour:
-        """The contour for a nearby camera pose, joint zeros and log time, to first order."""
+        """Extrapolate the contour to a nearby camera pose, joint zeros and log time, to first order."""
         turned = np.einsum("j,cjd->cd", zeros_rad - self.zeros_rad, self.turns)
         points = self.contour.points + (log_time_s - self.log_time_s) * self.velocities + turned
         return self.contour.move(points, camera)
 
 
 def read_gray_frames(video: Video, frames: NDArray[np.int64], width: int) -> GrayFrames:
-    """Gray levels of some frames, at most `width` wide."""
+    """Convert some frames to gray levels, at most `width` wide."""
     if not len(frames):
         return NO_FRAMES
     full = video.frames_srgb.shape[2]
@@ -107,7 +107,7 @@ def read_gray_frames(video: Video, frames: NDArray[np.int64], width: int) -> Gra
 
 
 def choose_frames(video: Video, arm: LoggedRobot, clock: Clock, count: int) -> NDArray[np.int64]:
-    """At most `count` frames, evenly along the end effector's path, that the log covers."""
+    """Choose at most `count` frames that the log covers, evenly along the end effector's path."""
     covered = np.flatnonzero(arm.log.covers(clock.log_times(video.times_s)))
     if not len(covered):
         return covered
@@ -122,7 +122,7 @@ def choose_frames(video: Video, arm: LoggedRobot, clock: Clock, count: int) -> N
 def trace(
     frames: GrayFrames, camera: Camera, clock: Clock, arm: LoggedRobot, points: int
 ) -> list[ArmContour]:
-    """Contours in the frames that show enough of the arm, at most `points` points each."""
+    """Render contours for the frames that show enough of the arm, each with at most `points` points."""
     if not len(frames.times_s):
         return []
     times = clock.log_times(frames.times_s)
@@ -158,7 +158,7 @@ def trace_scan(
     S_world_recon: Array,
     zeros_rad: Array,
 ) -> list[ArmContour]:
-    """Contours of the robot as scanned, with joint zeros, in the views (with gray levels) that show enough of it."""
+    """Render contours of the scanned robot, with joint zeros, in the views that show enough of it; `grays` are theirs."""
     configuration = replace(drawing.configuration, joints=drawing.configuration.joints + zeros_rad)
     contours = []
     for index, view in enumerate(views):
@@ -180,7 +180,7 @@ def trace_scan(
 
 
 def common_bias(shifts: Array, sds: Array, kernel: Kernel) -> float:
-    """By how much contours are rendered too narrow, in the mean, [px]."""
+    """Estimate by how much contours are rendered too narrow on average, [px]."""
     bias = 0.0
     for _ in range(5):
         weights = kernel.weights(shifts - bias) / sds**2
@@ -189,7 +189,7 @@ def common_bias(shifts: Array, sds: Array, kernel: Kernel) -> float:
 
 
 def misfits(frames: GrayFrames, camera: Camera, clock: Clock, arm: LoggedRobot) -> Array:
-    """Mean robust distance (F,), 0..1, between image edges and rendered contour in each frame; one bias is free.
+    """Compute the mean robust distance (F,), 0..1, between image edges and rendered contours, after removing a common bias.
 
     NaN for frames that do not show the arm.
     """
@@ -206,6 +206,6 @@ def misfits(frames: GrayFrames, camera: Camera, clock: Clock, arm: LoggedRobot) 
 
 
 def misfit(frames: GrayFrames, camera: Camera, clock: Clock, arm: LoggedRobot) -> float:
-    """Mean of `misfits` over the frames; infinite when none shows the arm."""
+    """Average `misfits` over the frames; infinite if no frame shows the arm."""
     costs = misfits(frames, camera, clock, arm)
     return float(np.nanmean(costs)) if np.isfinite(costs).any() else float("inf")

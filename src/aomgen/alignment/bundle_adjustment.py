@@ -181,7 +181,7 @@ def _held_out_misfits(problem: BundleProblem, found: BundleSolution) -> Array:
 
 
 def _without_contradiction(problem: BundleProblem, name: str, found: BundleSolution) -> CameraEvidence | None:
-    """A camera without the calibration or the video that a solution contradicts; None when there is none."""
+    """Remove from a camera the calibration or the video that a solution contradicts; None if it contradicts neither."""
     item, state, arm = problem.cameras[name], found.cameras[name], problem.arm
     if item.T_world_cam is not None:
         turn, move = np.split(pose_difference(state.camera, item.T_world_cam), 2)

@@ -140,7 +140,7 @@ class Bundle:
         self.dimension = self.scan_bias + 1 + _COLUMNS * len(self.first)
 
     def move(self, x: BundleSolution, step: Array) -> BundleSolution:
-        """After the robot was found to stand a step away before each camera, and the clocks likewise."""
+        """Update a solution by a step: robot relative to each camera, similarity, joint zeros, biases and clocks."""
         cameras = {}
         for name, item in x.cameras.items():
             own = step[self.first[name] :][:_COLUMNS]
@@ -163,7 +163,7 @@ class Bundle:
         )
 
     def priors(self) -> list[ResidualTerm[BundleSolution]]:
-        """Terms that need no contour."""
+        """List the terms that need no contour."""
         terms: list[ResidualTerm[BundleSolution]] = [
             ResidualTerm(
                 name="joint zeros", residual=lambda x: x.zeros_rad, sd=self.problem.params.zero_sd_rad
@@ -175,7 +175,7 @@ class Bundle:
         return terms
 
     def contours(self, x: BundleSolution, reach: int, kernel: Kernel) -> list[ResidualTerm[BundleSolution]]:
-        """Contours rendered now: of the scan, and of each segment of each video."""
+        """Render contours at a solution, and list the terms of the scan and of each segment of each video."""
         problem, S = self.problem, x.S_world_recon
         scan = trace_scan(problem.views, self.grays, problem.drawing, S, x.zeros_rad)
         if scan:
@@ -198,9 +198,9 @@ class Bundle:
     def _edges(
         self, name: str | None, x: BundleSolution, parts: list[list[ArmContour]], reach: int, kernel: Kernel
     ) -> list[ResidualTerm[BundleSolution]]:
-        """Shifts of contours to image edges, less their common bias, [px]: in parts of a video, or in the scan.
+        """List the terms of shifts from contours to image edges, less their bias, [px], for parts of a video or for the scan.
 
-        Their standard deviation is that of what is left of them now.
+        Their standard deviation is that of the current residuals.
         """
         if not parts:
             return []
@@ -231,7 +231,7 @@ class Bundle:
         return x.cameras[name].bias_px if name else x.scan_bias_px
 
     def _see(self, name: str | None, x: BundleSolution, one: ArmContour) -> tuple[Camera, Contour]:
-        """A contour where a state puts it, in the camera that sees it."""
+        """Return the camera of a contour at a solution, and the contour as this camera sees it."""
         if name is None:
             camera = camera_in_world(x.S_world_recon, self.problem.views[one.index].camera_recon)
             return camera, one.at(camera, x.zeros_rad)
@@ -261,7 +261,7 @@ class Bundle:
 def _camera_priors(
     name: str, item: CameraEvidence, points_recon: Array
 ) -> list[ResidualTerm[BundleSolution]]:
-    """Terms of a camera's pose by structure and calibration, its bias, and its clock if that is known."""
+    """List the terms of a camera's pose by structure and calibration, of its bias, and of its clock if that is known."""
     terms: list[ResidualTerm[BundleSolution]] = [
         ResidualTerm(
             name=f"{name} bias", residual=lambda x: np.array([x.cameras[name].bias_px]), sd=_BIAS_SD_PX
@@ -299,7 +299,7 @@ def _camera_priors(
 
 
 def pose_difference(camera: Camera, T_world_cam: Array) -> Array:
-    """Rotation vector [rad] and translation [m] (6,) from a pose (4, 4) to a camera, world axes."""
+    """Compute the rotation vector [rad] and translation [m], together (6,), from a pose (4, 4) to a camera, world axes."""
     turn = rotvec_from_matrix(camera.T_world_cam[:3, :3] @ T_world_cam[:3, :3].T)
     return np.concatenate([turn, camera.center - T_world_cam[:3, 3]])
 

@@ -51,12 +51,12 @@ class Contour:
     points: Array
 
     def move(self, points: Array, camera: Camera) -> "Contour":
-        """The contour after robot or camera moved a little: its points are there now; normals are kept."""
+        """Move the points of the contour after a small motion of robot or camera; the normals are kept."""
         return replace(self, points=points, pixels=camera.project(points)[0] + 0.5 * self.normals)
 
 
 def outline(camera: Camera, mask: NDArray[np.bool_], depth: NDArray[np.float32], limit: int) -> Contour:
-    """The outline of a silhouette, thinned to `limit` points, image border left out."""
+    """Trace the outline of a silhouette, thinned to `limit` points, without the image border."""
     window = _window(mask, 10)
     low_v, low_u = window[0].start, window[1].start
     small = mask[window]
@@ -88,7 +88,7 @@ def outline(camera: Camera, mask: NDArray[np.bool_], depth: NDArray[np.float32],
 
 
 def _window(mask: NDArray[np.bool_], margin: int) -> tuple[slice, slice]:
-    """Rows and columns of a mask that is not empty, with a margin."""
+    """Return the rows and columns of a non-empty mask, with a margin."""
     rows, columns = np.flatnonzero(mask.any(1)), np.flatnonzero(mask.any(0))
     return (
         slice(max(0, int(rows[0]) - margin), int(rows[-1]) + 1 + margin),
@@ -116,7 +116,7 @@ def _histogram(bins: NDArray[np.int32]) -> Array:
 
 
 def region_shifts(contour: Contour, ratio: NDArray[np.float32], reach: int) -> tuple[Array, Array]:
-    """Signed shifts (C,) outwards and their standard deviations (C,), [px], from color on either side."""
+    """Estimate signed shifts (C,) outwards and their standard deviations (C,), [px], from the colors on both sides."""
     offsets = np.arange(-reach, reach + 1)
     lines = _along(ratio, contour, offsets)
     # Score of the outline lying between samples k-1 and k: inside before, outside after.
@@ -131,12 +131,12 @@ def region_shifts(contour: Contour, ratio: NDArray[np.float32], reach: int) -> t
 
 
 def border_kernel(reach: int) -> Kernel:
-    """Robust kernel of shifts to color borders: at half of the search reach they lose half of their weight."""
+    """Return the robust kernel of shifts to color borders: a shift of half the search reach has half the weight."""
     return Kernel(scale=0.5 * reach, power=1.0)
 
 
 def edge_shifts(contour: Contour, gray: NDArray[np.float32], reach: int) -> tuple[Array, Array]:
-    """Signed shifts (C,) to the strongest image edge across the outline, and its strength (C,).
+    """Measure signed shifts (C,) to the strongest image edge across the outline, [px], and its strength (C,).
 
     Strength is the step across the edge, in gray levels 0..1; sub-pixel by a parabola.
     """
@@ -154,7 +154,7 @@ def edge_shifts(contour: Contour, gray: NDArray[np.float32], reach: int) -> tupl
 
 
 def edge_sds(strength: Array) -> Array:
-    """Standard deviations (C,) of shifts to edges of a strength, [px]: that of a clear edge is 1."""
+    """Compute standard deviations (C,) of shifts to edges of some strength, [px], relative to that of a strong edge."""
     return 1 / np.sqrt(np.clip(strength / CLEAR_EDGE, 1e-9, 1.0))
 
 

@@ -82,12 +82,12 @@ def calibrate_fixed_cameras(
     progress: Progress,
     params: BundleParams | None = None,
 ) -> Alignment:
-    """The alignment with pose and clock of every fixed camera, joint zeros, and the similarity that fits them.
+    """Estimate the pose and clock of every fixed camera, the joint zeros, and the similarity that is consistent with them.
 
     Raises:
         AlignmentError: A calibrated camera grossly contradicts the scan.
 
-    A clock that is not determined, or that drifts, is kept as refused with its reason.
+    A clock that cannot be determined, or that drifts, is stored as rejected with the reason.
     """
     params = params or BundleParams()
     S = scene.alignment.S_world_recon
@@ -151,7 +151,7 @@ def _first_clock(scene: AlignedScan, item: FixedCameraVideo) -> Clock | SyncErro
 def _evidence(
     S: Array, item: FixedCameraVideo, clock: Clock | SyncError, arm: LoggedRobot, params: BundleParams
 ) -> CameraEvidence:
-    """A camera with frames to fit and frames to validate, if enough of them show the arm."""
+    """Select frames of a camera for the fit and for its validation, if enough of them show the arm."""
     small = item.camera_recon.narrow(params.width)
     unused = CameraEvidence(
         camera_recon=small,
@@ -214,7 +214,7 @@ def _make_fixed_camera(
 
 
 def _apart(camera: Camera, T_world_cam: Array) -> tuple[float, float]:
-    """Distance [mm] and angle [deg] between a camera and a pose."""
+    """Compute the distance [mm] and the angle [deg] between a camera and a pose."""
     turn, move = np.split(pose_difference(camera, T_world_cam), 2)
     return 1e3 * float(np.linalg.norm(move)), float(np.degrees(np.linalg.norm(turn)))
 
@@ -242,7 +242,7 @@ def refuse_gross(name: str, T_world_cam: Array, camera: Camera, robot_world: Arr
     """
 
     def shift_share(T: Array) -> float:
-        """Median shift of the robot in the image, as share of its width; infinite when it is behind."""
+        """Compute the median shift of the robot in the image as a share of its width; infinite if it is behind the camera."""
         there, depths = camera.move(T).project(robot_world)
         shifts = np.linalg.norm(there - camera.project(robot_world)[0], axis=1)
         return float(np.median(shifts)) / camera.width if np.median(depths) > 0 else float("inf")

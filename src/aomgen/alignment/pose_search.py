@@ -85,7 +85,7 @@ class Scan:
     __post_init__ = freeze_arrays
 
     def view_from(self, S_other_recon: Array) -> "Scan":
-        """The same in another frame."""
+        """Express the scan in another frame."""
         return Scan(
             views=[
                 replace(view, camera_recon=camera_in_world(S_other_recon, view.camera_recon))
@@ -160,7 +160,7 @@ def select_distinct(
 
 
 def _near(Ss: Array, points_world: Array, generation: Generation, rng: np.random.Generator) -> Array:
-    """Children (C, 4, 4): the robot turned, moved and scaled a little about its middle."""
+    """Sample candidates (C, 4, 4) near a pose: the robot slightly rotated, moved and scaled about its center."""
     middle = points_world.mean(0)
     size = np.linalg.norm(points_world - middle, axis=1).mean()
     count = len(Ss) * generation.children
@@ -173,7 +173,7 @@ def _near(Ss: Array, points_world: Array, generation: Generation, rng: np.random
 
 
 def _views_on(views: list[AlignmentImage], centers: Array, count: int) -> list[AlignmentImage]:
-    """Views that show most of the likely robot centres (H, 3), from different sides, widest first."""
+    """Select the views that show most of the likely robot centers (H, 3), from different sides, widest first."""
     shown = []
     for view in views:
         camera = view.camera_recon
@@ -221,7 +221,7 @@ class ColorScore:
         return divergence(inside, outside) * length * np.minimum(seen / SEEN, 1.0)
 
     def _silhouettes(self, view: AlignmentImage, Ss_recon_world: Array) -> tuple[NDArray[np.bool_], Array]:
-        """Masks (H, h, w), and which share of the robot is in the image (H,)."""
+        """Render masks (H, h, w), and compute the share of the robot that is in the image (H,)."""
         camera = view.camera_recon
         K = np.array([[camera.fx, 0, camera.cx], [0, camera.fy, camera.cy], [0, 0, 1]])
         Ms = K @ (camera.T_cam_world @ Ss_recon_world)[:, :3]
@@ -239,7 +239,7 @@ class ColorScore:
 
 
 def divergence(inside: Array, outside: Array) -> Array:
-    """Jensen-Shannon divergence (H,) between two rows of counts (H, K), 0..1, less its bias.
+    """Compute the Jensen-Shannon divergence (H,), 0..1, between pairs of rows of counts (H, K), corrected for bias.
 
     Few counts differ by chance; to first order by (K - 1) / (4 ln 2) * (1/n + 1/m) bits over 2.
     """
@@ -259,13 +259,13 @@ def _relative_bits(p: Array, mean: Array) -> Array:
 
 
 def _palette(pixels: NDArray[np.float32], rng: np.random.Generator) -> NDArray[np.float32]:
-    """The images' most typical colors (COLORS or fewer, 3), from some of the pixels."""
+    """Find the typical colors (K, 3) of the images, at most COLORS, from a sample of the pixels."""
     sample = pixels[rng.permutation(len(pixels))[:6000]]
     return kmeans(sample, sample[:COLORS])[0]
 
 
 def _dilate(masks: NDArray[np.bool_], by: int) -> NDArray[np.bool_]:
-    """Masks (H, h, w) dilated by a square of side 2 * by + 1."""
+    """Dilate masks (H, h, w) by a square of side 2 * by + 1."""
     for axis in (1, 2):
         reach = 0
         while reach < by:

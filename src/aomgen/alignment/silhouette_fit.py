@@ -67,7 +67,7 @@ RenderedRobot = tuple[Contour, NDArray[np.bool_], NDArray[np.int32]]
 def render_robot(
     renderer: SilhouetteRenderer, configuration: RobotConfiguration, camera: Camera, limit: int
 ) -> RenderedRobot | None:
-    """The robot with at most `limit` outline points; None when too little of it, or nothing else, is there."""
+    """Render the robot with at most `limit` outline points; None if it covers too little or too much of the image."""
     bodies, depth = renderer.draw(camera, configuration.joints, configuration.gripper)
     mask = bodies >= 0
     if not _SHARES[0] < mask.mean() < _SHARES[1]:
@@ -90,13 +90,13 @@ class RobotDrawing:
     pivot: Array
 
     def draw(self, camera: Camera, limit: int, *, fine: bool = True) -> RenderedRobot | None:
-        """The robot in one image, see `render_robot`."""
+        """Render the robot in one image, see `render_robot`."""
         return render_robot(self.fine if fine else self.coarse, self.configuration, camera, limit)
 
 
 @contextmanager
 def robot_drawing(configuration: RobotConfiguration, width: int, height: int) -> Iterator[RobotDrawing]:
-    """A drawing for images up to a size [px]; holds two OpenGL contexts."""
+    """Open the renderers for images up to a size [px]; they hold two OpenGL contexts."""
     limits = {"max_width": width, "max_height": height}
     with (
         SilhouetteRenderer(configuration.robot, **limits) as fine,
@@ -133,7 +133,7 @@ def refine(
 def _contour_term(
     S: Array, views: list[AlignmentImage], drawing: RobotDrawing, level: Level, limit: int
 ) -> ResidualTerm[Array] | None:
-    """Shifts [px] from contours, rendered once, to the images; None when no view shows the robot."""
+    """Render contours once, and return the term of their shifts [px] to the images; None if no view shows the robot."""
     lines: list[tuple[Camera, Contour, NDArray[np.float32]]] = []
     for view in views:
         drawn = drawing.draw(camera_in_world(S, view.camera_recon), limit, fine=level.fine)
@@ -182,7 +182,7 @@ def move_similarity(S: Array, step: Array, pivot: Array) -> Array:
 
 
 def spread(views: list[AlignmentImage], S: Array, drawing: RobotDrawing, count: int) -> list[AlignmentImage]:
-    """Views that show the robot well, chosen far from one another by viewing direction."""
+    """Select views that show the robot well, with viewing directions far from one another."""
     robot = drawing.configuration.points_world(300)
     usable = []
     for view in views:
@@ -197,7 +197,7 @@ def spread(views: list[AlignmentImage], S: Array, drawing: RobotDrawing, count: 
 
 
 def far_apart(centers: list[Array], target: Array, count: int) -> list[int]:
-    """At most `count` of some camera centres (N, 3), by and by the one farthest from all before in direction."""
+    """Select at most `count` camera centers (N, 3): each next one is the farthest in direction from all selected."""
     if len(centers) <= count:
         return list(range(len(centers)))
     sides = np.array(centers) - target

@@ -90,7 +90,7 @@ def calibrate_cameras(
 
 
 def camera_errors_of(structure: Structure) -> CameraErrors:
-    """Covariance of the scan cameras by the structure's observations, recon frame."""
+    """Compute the covariance of the scan cameras from the structure's observations, recon frame."""
     return CameraErrors(
         names=tuple(structure.cameras_recon),
         covariance=camera_covariance(
@@ -120,7 +120,7 @@ def views_of(
 
 
 def boxes_of(structure: Structure, prompts: tuple[Prompt, ...], parts: tuple[str, ...]) -> list[RobotBox]:
-    """Prompted boxes of some parts, on images that have a camera."""
+    """List the prompted boxes of some parts, on images that have a camera."""
     return [
         RobotBox(camera_recon=structure.cameras_recon[prompt.image], box_px=prompt.box)
         for prompt in prompts

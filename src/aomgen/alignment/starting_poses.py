@@ -103,10 +103,10 @@ def find_starting_poses(
 
 
 def up_candidates(cameras_recon: list[Camera], points_recon: Array, rng: np.random.Generator) -> list[Array]:
-    """Likely up directions (3,) in the recon frame, best first.
+    """Estimate likely up directions (3,) in the recon frame, best first.
 
-    People hold cameras upright, so up lies near the mean of the cameras' own; the large planes of
-    the scene (table, floor) refine it. Planes tilted more than 30 degrees from it are walls.
+    Cameras are usually held upright, so the mean of their up directions is close to the true one. The large planes of the scene
+    (table, floor) refine it; planes tilted by more than 30 degrees from it are walls.
     """
     mean_up = -np.mean([camera.T_world_cam[:3, 1] for camera in cameras_recon], 0)
     mean_up /= np.linalg.norm(mean_up)
@@ -140,7 +140,7 @@ def _outline_points(points: Array, rng: np.random.Generator) -> Array:
 
 
 def _headings(ups: list[Array], rng: np.random.Generator, count: int) -> Array:
-    """Rotations (N, 3, 3) world from recon: headings take turns, better ups come more often."""
+    """Sample rotations (N, 3, 3) world from recon: yaws are spread evenly, and better up directions are more frequent."""
     yaws = 2 * np.pi * ((np.arange(count) * (np.sqrt(5) - 1) / 2) % 1)
     shares = 0.5 ** np.arange(1, len(ups) + 1)
     which = rng.choice(len(ups), count, p=shares / shares.sum())
@@ -150,7 +150,7 @@ def _headings(ups: list[Array], rng: np.random.Generator, count: int) -> Array:
 
 
 def _upright(up: Array) -> Array:
-    """A rotation (3, 3) that carries `up` onto z."""
+    """Return a rotation (3, 3) that maps `up` to z."""
     helper = np.eye(3)[int(np.argmin(np.abs(up)))]
     x = np.cross(helper, up)
     x /= np.linalg.norm(x)
@@ -160,7 +160,7 @@ def _upright(up: Array) -> Array:
 def _guesses(
     boxes: list[RobotBox], points: Array, extent: float, rng: np.random.Generator, count: int
 ) -> tuple[Array, Array, Array]:
-    """Robot centres (N, 3) on rays through boxes, their depths (N,) and scales recon over world (N,)."""
+    """Sample robot centers (N, 3) on rays through boxes, their depths (N,), and scales of recon over world (N,)."""
     centers, depths, sizes = np.empty((count, 3)), np.empty(count), np.empty(count)
     for number, box in enumerate(boxes):
         mine = np.arange(number, count, len(boxes))
@@ -209,7 +209,7 @@ def _perturb_box(box: RobotBox, rng: np.random.Generator, count: int) -> Array:
 def _gaps(
     box: RobotBox, sides: Array, cut: NDArray[np.bool_], points: Array, arms: Array, depth: Array
 ) -> tuple[Array, Array]:
-    """Signed gaps (H, 4) between box sides (H, 4) and projected extent, and their Jacobian (H, 4, 4)."""
+    """Compute the signed gaps (H, 4) between box sides (H, 4) and projected extent, and their Jacobian (H, 4, 4)."""
     camera = box.camera_recon
     R = camera.T_cam_world[:3, :3]
     points_cam = apply(camera.T_cam_world, points)

@@ -75,7 +75,7 @@ class ClockFrames:
         self._noise = max(robust_sd(np.diff(images, axis=0)), 0.5)
 
     def change(self, first: int, second: int) -> NDArray[np.float32]:
-        """Confidence (P,), 0..1, that a pixel changed; a common brightness change does not count."""
+        """Compute the confidence (P,), 0..1, that a pixel changed; a change of the overall brightness is ignored."""
         difference = self.images[second] - self.images[first]
         difference = difference - np.median(difference, axis=(0, 1))
         strength = np.abs(difference).max(-1).ravel()
@@ -84,7 +84,7 @@ class ClockFrames:
 
 
 def change_gains(changes: NDArray[np.float32]) -> tuple[NDArray, NDArray]:
-    """Log-likelihood gains (K, P) of "the silhouettes differ here" and of "no robot at either moment"."""
+    """Compute log-likelihood gains (K, P) of "the silhouettes differ here" and of "no robot at either time"."""
     usual = float(np.clip(changes.mean(), 1e-3, 0.5 * CHANGE_LIKELIHOOD))
     still = usual / 2
 
@@ -124,7 +124,7 @@ def estimate_clock(video: Video, log_times_s: Array, masks_at: MasksAt) -> Clock
 
 
 def _coarse_tables(frames: ClockFrames, grid: Array, masks_at: MasksAt) -> list[Array]:
-    """For each lag, the score (K, M) of video frame k and its follower shown at grid time m, log clock."""
+    """Compute for each lag the score (K, M) of video frame k and the frame after the lag at grid time m, log clock."""
     if not len(grid) > max(LAGS):
         raise SyncError(
             "joint log",
@@ -152,9 +152,9 @@ def _coarse_tables(frames: ClockFrames, grid: Array, masks_at: MasksAt) -> list[
 
 
 def _coarse_scores(frames: ClockFrames, tables: list[Array], grid: Array) -> tuple[Array, Array, Array]:
-    """Drifts (R,), offsets at the middle of the video (C,), and the score (R, C) of each pair of them.
+    """Compute drifts (R,), offsets at the middle of the video (C,), and the score (R, C) of each pair of them.
 
-    Frame pairs that the log does not cover neither help nor hurt.
+    Frame pairs that the log does not cover do not change the score.
     """
     count, size = len(frames.images), len(grid)
     need = int(np.ceil(MIN_OVERLAP * count))
@@ -173,7 +173,7 @@ def _coarse_scores(frames: ClockFrames, tables: list[Array], grid: Array) -> tup
 
 
 def _guess(frames: ClockFrames, rates: Array, candidates: Array, scores: Array, row: int) -> Clock:
-    """The best clock of one drift (row of the scores)."""
+    """Select the best clock for one drift (row of the scores)."""
     best = int(np.argmax(scores[row]))
     nearby = slice(max(0, best - 1), best + 2)
     return Clock(
@@ -208,7 +208,7 @@ def _refuse_ambiguous(candidates: Array, scores: Array) -> None:
 
 
 def _fine(frames: ClockFrames, guess: Clock, log_times_s: Array, masks_at: MasksAt) -> tuple[Clock, float]:
-    """The clock with its offset between grid points, and its score, from pairs spread over the motion."""
+    """Refine a clock's offset between grid points with pairs spread over the motion; also return its score."""
     pairs = _telling_pairs(frames, guess, log_times_s)
     weights = change_gains(np.stack([frames.change(*pair) for pair in pairs]))
     offsets = guess.offset_s + np.arange(-FINE_STEPS, FINE_STEPS + 1) * frames.step_s / FINE_STEPS
@@ -244,7 +244,7 @@ def _fine_scores(
 
 
 def _telling_pairs(frames: ClockFrames, clock: Clock, log_times_s: Array) -> list[tuple[int, int]]:
-    """Frames to compare, spread evenly over the motion."""
+    """Select pairs of frames to compare, spread evenly over the motion."""
     lag = LAGS[len(LAGS) // 2]
     moments = clock.log_times(frames.times_s)
     covered = [

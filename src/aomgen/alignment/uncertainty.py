@@ -50,7 +50,7 @@ class CameraErrors:
     __post_init__ = freeze_arrays
 
     def view_from(self, S_other_frame: Array) -> "CameraErrors":
-        """The same errors in the axes and units of another frame."""
+        """Transform the errors to the axes and units of another frame."""
         scale, R, _ = similarity_parts(S_other_frame)
         one = np.zeros((6, 6))
         one[:3, :3], one[3:, 3:] = scale * R, R
@@ -63,16 +63,16 @@ class CameraErrors:
 def camera_covariance(
     cameras: list[Camera], points: Array, observations: NDArray[np.int32], error_px: float
 ) -> Array:
-    """Covariance (6 N, 6 N) of the poses of N cameras: centre, then rotation vector, for each.
+    """Compute the covariance (6 N, 6 N) of the poses of N cameras: for each the center, then the rotation vector.
 
-    Errors are counted after the similarity that fits the camera centres best: a
-    structure has no absolute position, direction and size.
+    The errors remain after the similarity that fits the camera centers best, because a structure has no absolute position,
+    orientation and scale.
 
     Args:
         cameras: In any frame; lengths of the result are in its unit.
         observations: (M, 2) rows of (point, camera).
 
-    Not checked: intrinsics are taken as exact, and every point errs for itself.
+    Not checked: intrinsics are taken as exact, and the errors of the points are independent.
     """
     point, camera = observations[:, 0].astype(np.int64), observations[:, 1].astype(np.int64)
     J_point, J_camera = _jacobians(cameras, points, point, camera)
@@ -112,7 +112,7 @@ def _jacobians(
 
 
 def _pseudo_inverse(reduced: Array) -> Array:
-    """Inverse on everything but the seven directions that no image fixes."""
+    """Invert a matrix on the complement of the seven directions that no image determines."""
     scaling = 1 / np.sqrt(np.maximum(np.diag(reduced), 1e-12))
     values, vectors = np.linalg.eigh(reduced * scaling[:, None] * scaling)
     kept = vectors[:, 7:]
@@ -121,7 +121,7 @@ def _pseudo_inverse(reduced: Array) -> Array:
 
 
 def _gauge_projection(centers: Array) -> Array:
-    """Takes from pose errors (6 N,) the similarity that explains their centres best."""
+    """Return the projection that removes from pose errors (6 N,) the similarity that fits the errors of the centers best."""
     count = len(centers)
     arms = centers - centers.mean(0)
     motions = np.zeros((count, 6, 7))
@@ -136,7 +136,7 @@ def _gauge_projection(centers: Array) -> Array:
 
 
 def similarity_covariance(evidence: list[ViewEvidence]) -> Array:
-    """Covariance (7, 7) of rotation vector [rad], end effector [m] and log scale.
+    """Compute the covariance (7, 7) of rotation vector [rad], end effector [m] and log scale.
 
     Infinite with fewer than three views. Not checked: errors that all views share;
     see `covariance_from_cameras`.
@@ -145,10 +145,9 @@ def similarity_covariance(evidence: list[ViewEvidence]) -> Array:
 
 
 def covariance_from_cameras(evidence: list[ViewEvidence], errors: CameraErrors) -> Array:
-    """Covariance (7, 7) that errors of the cameras cause; parameters as `similarity_covariance`.
+    """Compute the covariance (7, 7) caused by errors of the cameras; parameters as in `similarity_covariance`.
 
-    Where the outlines of single views are off by more than the cameras' covariance expects, it is
-    scaled up.
+    The covariance is scaled up if the outlines of single views deviate by more than the cameras' covariance predicts.
 
     Args:
         errors: Uncertainties of the cameras, world frame; other views are treated as exact.
