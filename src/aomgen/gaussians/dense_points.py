@@ -54,10 +54,10 @@ def densify(
     params: DensifyParams,
     progress: Progress,
 ) -> tuple[Samples, Samples]:
-    """Dense points from plane sweeps that neighbouring views confirm.
+    """Compute dense points by plane sweeps; neighboring views have to confirm each point.
 
     Args:
-        images_srgb: The images to use, (H, W, 3) uint8, by name; a subset of the structure's.
+        images_srgb: Images (H, W, 3) uint8 by name; a subset of the structure's images.
 
     Returns:
         Points on surfaces, which are thinned by their size in the nearest view and more where the image has
@@ -112,10 +112,10 @@ def densify(
 
 
 def choose_neighbours(structure: Structure, names: list[str], count: int) -> list[list[int]]:
-    """For each view the views that see the same points under a useful angle.
+    """Choose for each view the views that observe the same points at a suitable parallax.
 
-    A shared point counts fully near 8 degrees of parallax, less when the rays are nearly
-    parallel (no depth) or far apart (the views look different).
+    A shared point has full weight near 8 degrees of parallax, and less if the rays are nearly parallel (no depth) or far
+    apart (different appearance).
     """
     order = {name: index for index, name in enumerate(structure.cameras_recon)}
     centers = np.array([structure.cameras_recon[name].center for name in names])
@@ -143,7 +143,7 @@ def choose_neighbours(structure: Structure, names: list[str], count: int) -> lis
 
 
 def nearest_depth(structure: Structure, names: list[str]) -> Array:
-    """Depth (V,) at which each view's sweep begins: 70 % of its nearest sparse points'.
+    """Compute the depth (V,) at which each view's sweep begins: 70 % of the depth of its nearest sparse points.
 
     Raises:
         ReconstructionError: A view sees no point.
@@ -171,7 +171,7 @@ def reduce_view(camera: Camera, image: NDArray[np.uint8], long_side: int) -> tup
 
 
 def _sparse(structure: Structure, names: list[str], views: list[tuple[Camera, NDArray[np.uint8]]]) -> Samples:
-    """Sparse points that two of the used views see, colored by these views."""
+    """Select the sparse points that at least two of the used views observe, colored by these views."""
     order = list(structure.cameras_recon)
     used = {order.index(name): row for row, name in enumerate(names)}
     rows: dict[int, list[int]] = {}

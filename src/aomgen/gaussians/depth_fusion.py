@@ -63,7 +63,7 @@ def plane_sweep(
     sources: list[tuple[Camera, NDArray[np.float32]]],
     inverse_depths: Array,
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Inverse depth and matching score of every pixel of a view.
+    """Compute inverse depth and matching score of every pixel of a view.
 
     Args:
         reference: Camera and gray image (H, W), 0..1.
@@ -71,8 +71,8 @@ def plane_sweep(
         inverse_depths: (D,) evenly increasing, D <= 256; 0 is infinity.
 
     Returns:
-        Inverse depth (H, W) and correlation at it (H, W), -1..1. Every pixel gets an estimate; those that
-        no other view confirms are for the caller to discard.
+        Inverse depth (H, W) and correlation at it (H, W), -1..1. Every pixel gets an estimate; the caller
+        discards those that no other view confirms.
 
     Raises:
         BackendError: The engine refuses or is short of memory.
@@ -158,11 +158,11 @@ class Samples:
     weights: Array
 
     def select(self, which: NDArray[np.bool_]) -> "Samples":
-        """The samples of a mask (P,)."""
+        """Select the samples of a mask (P,)."""
         return Samples(**{name: getattr(self, name)[which] for name in SAMPLE_FIELDS})
 
     def with_points(self, other: "Samples") -> "Samples":
-        """Both sets, one after the other."""
+        """Append other samples."""
         return join_samples([self, other])
 
 
@@ -170,12 +170,12 @@ SAMPLE_FIELDS = tuple(field.name for field in fields(Samples))
 
 
 def join_samples(parts: list[Samples]) -> Samples:
-    """All samples in order."""
+    """Concatenate samples."""
     return Samples(**{name: np.concatenate([getattr(p, name) for p in parts]) for name in SAMPLE_FIELDS})
 
 
 def confirm_depth(depth_map: DepthMap, votes: NDArray[np.int32]) -> ViewDepth:
-    """Depth of a view where its neighbours confirm it (H, W); NaN elsewhere."""
+    """Return the depth of a view where its neighbors confirm it (H, W); NaN elsewhere."""
     known = (votes >= MIN_CONFIRMATIONS) & (depth_map.inverse_depth > depth_map.step)
     depth = np.where(known, 1.0 / np.maximum(depth_map.inverse_depth, depth_map.step), np.nan)
     return ViewDepth(camera=depth_map.camera, depth=depth.astype(np.float32))
@@ -215,7 +215,7 @@ def count_confirmations(depth_map: DepthMap, maps: list[DepthMap]) -> NDArray[np
 
 
 def normals_recon(depth_map: DepthMap) -> Array:
-    """Unit normals (H, W, 3) towards the camera, from smoothed depth."""
+    """Compute unit normals (H, W, 3) towards the camera from smoothed depth."""
     smooth = ndimage.median_filter(depth_map.inverse_depth, size=5)
     smooth = ndimage.gaussian_filter(smooth, 1.5)
     points = depth_map.camera.directions() / np.maximum(smooth, 0.25 * depth_map.step)[..., None]
@@ -226,11 +226,11 @@ def normals_recon(depth_map: DepthMap) -> Array:
 
 
 def thin(samples: Samples, target: int, *, min_weight: float = MIN_WEIGHT) -> Samples:
-    """About `target` samples: one for each cell, cells as large as the points' footprints ask.
+    """Thin samples to about `target`: one for each cell, whose size is proportional to the footprints of its points.
 
-    A cell's point and color are the means of its samples, which also averages depth noise. A
-    surface leaves many samples in a cell, a wrong match few: cells with less than `min_weight`
-    are dropped. The footprints of the result are the cells' edges.
+    A cell's point and color are the means of its samples, which also averages depth noise. A surface has many samples in a
+    cell, a wrong match has few: cells with less than `min_weight` are dropped. The footprints of the result are the
+    lengths of the cells' edges.
     """
     wanted = samples.footprints / samples.detail
     low, high = 0.5, 30.0

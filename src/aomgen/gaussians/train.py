@@ -147,7 +147,7 @@ def train_scene(
 
 
 def initial_gaussians(surface: Samples, shell: Samples) -> Gaussians:
-    """One Gaussian a point: as wide as the distance to its neighbours, flat along a known normal."""
+    """Create one Gaussian for each point: as wide as the distance to its neighbors, and flat along a known normal."""
     dense = join_samples([surface, shell])
     points, of_shell = dense.points_recon, np.arange(len(dense.weights)) >= len(surface.weights)
     spacing = np.empty(len(points))
@@ -174,7 +174,7 @@ def initial_gaussians(surface: Samples, shell: Samples) -> Gaussians:
 def without_floaters(
     gaussians: Gaussians, cameras: list[Camera], surface: Array, near_share: float
 ) -> Gaussians:
-    """Without Gaussians that hang before a camera or far from anything.
+    """Remove Gaussians that float in front of a camera or far from all surfaces.
 
     Args:
         surface: Points (P, 3) on surfaces, which determine the distance of the scene from each camera.
@@ -204,7 +204,7 @@ def evaluate_view(
 
 
 def _frames(normals: Array) -> Array:
-    """Rotations (N, 3, 3) whose third column is the normal."""
+    """Compute rotations (N, 3, 3) whose third column is the normal."""
     helper = np.where(np.abs(normals[:, :1]) < 0.7, [[1.0, 0.0, 0.0]], [[0.0, 1.0, 0.0]])
     first = np.cross(normals, helper)
     first /= np.linalg.norm(first, axis=1, keepdims=True)
@@ -212,7 +212,7 @@ def _frames(normals: Array) -> Array:
 
 
 def coarse(params: GaussiansParams) -> GaussiansParams:
-    """The same with a fraction of the effort, for previews and tests."""
+    """Reduce the effort of the parameters to a fraction, for previews and tests."""
     return replace(
         params,
         densify=replace(params.densify, target_points=15_000, shell_points=2_000, planes=64),

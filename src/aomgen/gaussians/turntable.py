@@ -39,7 +39,7 @@ def plan_turntable(cameras: list[Camera], frames: int) -> list[Camera]:
 
 
 def _spread_angles(walk: Walk, frames: int) -> Array:
-    """Angles of a closed path, [rad]: once around, or there and back between the ends of the walk."""
+    """Compute the angles of a closed path, [rad]: one revolution, or back and forth between the ends of the walk."""
     shares = np.arange(frames) / frames
     gap_rad, _, first = walk.find_gap()
     if gap_rad <= MAX_GAP_RAD:
