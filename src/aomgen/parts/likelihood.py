@@ -88,7 +88,7 @@ def weigh_prompts(
 
 
 def _weigh_mask(gaussians: Gaussians, item: PromptedImage) -> Array:
-    """Log-likelihoods (N, 3) of the mask and the box of one prompt; 0 for Gaussians that the image does not show."""
+    """Compute log-likelihoods (N, 3) of the mask and the box of one prompt; 0 for Gaussians that the image does not show."""
     inside = pixels_within(item.box, item.view.robot.shape)
     mask = item.best_mask & inside
     regions = [region & ~item.view.robot for region in (mask, inside & ~mask, ~inside)]

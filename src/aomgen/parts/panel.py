@@ -87,11 +87,11 @@ class Panel:
         )
 
     def labels(self, points_world: ArrayLike) -> NDArray[np.uint8]:
-        """Part labels (N,) of the positions of points (N, 3), world frame."""
+        """Compute the part labels (N,) of points (N, 3), world frame."""
         return self.labels_local(apply(invert(self.T_world_panel), np.asarray(points_world, np.float64)))
 
     def labels_seen(self, points_world: Array, center_world: Array) -> NDArray[np.uint8]:
-        """Part labels (H, W) of the surface that a camera sees.
+        """Compute the part labels (H, W) of the surface that a camera sees.
 
         Args:
             points_world: (H, W, 3) surface point at each pixel; NaN for none.
@@ -104,7 +104,9 @@ class Panel:
         return self.labels_local(local, apply(T_panel_world, center_world[None])[0])
 
     def labels_local(self, local: NDArray, center: Array | None = None) -> NDArray[np.uint8]:
-        """Part labels of points (..., 3) in the panel frame: as `labels`, with a camera centre (3,) as `labels_seen`."""
+        """Compute the part labels of points (..., 3) in the panel frame: as `labels`, or with a camera center (3,) as
+        `labels_seen`.
+        """
         T_body_panel = invert(self.T_panel_body)
         # One coordinate at a time: the search of a panel spends its time here.
         x, y, z = (local[..., axis] for axis in range(3))
@@ -122,7 +124,7 @@ class Panel:
         return labels
 
     def faces(self) -> list[tuple[Array, float]]:
-        """Planes `normal @ x = offset` of all twelve faces, world frame."""
+        """List the planes `normal @ x = offset` of all twelve faces, world frame."""
         planes = []
         for T_world_box, low, high in (
             (self.T_world_panel, self.low, self.high),

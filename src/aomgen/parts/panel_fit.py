@@ -66,7 +66,7 @@ class Term(Protocol):
     """One loss term of the boxes."""
 
     def loss(self, panel: Panel) -> float:
-        """Loss of the boxes, 0 at best."""
+        """Compute the loss of the boxes, at least 0."""
         ...
 
 
@@ -162,7 +162,7 @@ def compute_loss(panel: Panel, size: float, terms: Sequence[Term], limit: float 
 
 
 def _list_directions(panel: Panel, size: float) -> Array:
-    """Directions (M, 13) of steps: each unknown alone, and edges of both boxes together."""
+    """List directions (M, 13) of steps: each unknown alone, and edges of both boxes together."""
     alone = np.eye(UNKNOWNS)
     alone[YAW] /= size
     # The panel's second axis is the body's third when it is upright, its second when it is level.
@@ -186,7 +186,7 @@ def _find_frames(moving: Sequence[PromptedView], rng: np.random.Generator) -> li
 
 
 def _find_starts(crops: list[Crop], T_world_panel: Array, size: float) -> list[Panel]:
-    """First boxes: the body along the panel or along its masks, edges from masks or from boxes alone."""
+    """List initial boxes: the body along the panel or along its masks, and the edges from masks or from boxes alone."""
     shown = [apply(T_world_panel, crop.surface(masked=True)) for crop in crops]
     body = np.concatenate([points for points, crop in zip(shown, crops, strict=True) if crop.part == STATIC])
     along = T_world_panel[:2, 0] / np.linalg.norm(T_world_panel[:2, 0])
@@ -210,7 +210,7 @@ def _find_starts(crops: list[Crop], T_world_panel: Array, size: float) -> list[P
 
 
 def _find_edges(crops: list[Crop], size: float, *, masked: bool) -> list[tuple[Array, Array]]:
-    """First corners of the panel: the union of the masks, or the intersection of the boxes."""
+    """Find initial corners of the panel: the union of the masks, or the intersection of the boxes."""
     spans = []
     for crop in crops:
         if crop.part == MOVING:
@@ -227,7 +227,7 @@ def _find_edges(crops: list[Crop], size: float, *, masked: bool) -> list[tuple[A
 
 
 def _select_surface(view: PromptedView, *, masked: bool) -> Array:
-    """Surface points (N, 3) inside a view's box, also inside the mask that fills it best; world frame."""
+    """Select surface points (N, 3) inside a view's box and optionally inside the mask that fits it best; world frame."""
     shown = pixels_within(view.box, view.points_world.shape[:2])
     mask = min(view.masks, key=lambda mask: box_misfit(mask, view.box), default=None)
     if masked and mask is not None and box_misfit(mask, view.box) < MAX_MASK_MISFIT:

@@ -47,7 +47,7 @@ class PromptedView:
 
 
 def box_misfit(mask: Mask, box: Array) -> float:
-    """Distance between the extent of a mask (H, W) and a box: 0 when the mask touches all sides from inside.
+    """Compute the distance between the extent of a mask (H, W) and a box: 0 if the mask touches all sides from inside.
 
     The distances of the four sides, as shares of the box, and twice the share of the mask outside.
     Single pixels do not make an extent. Without a mask it is 4: each side off by the whole box.
@@ -64,20 +64,20 @@ def box_misfit(mask: Mask, box: Array) -> float:
 
 
 def pixels_within(box: Array, shape: tuple[int, ...]) -> Mask:
-    """Pixels (H, W) of a box x0, y0, x1, y1, [px]."""
+    """Mark the pixels (H, W) of a box x0, y0, x1, y1, [px]."""
     rows, columns = np.arange(shape[0])[:, None] + 0.5, np.arange(shape[1]) + 0.5
     return (columns > box[0]) & (columns < box[2]) & (rows > box[1]) & (rows < box[3])
 
 
 def share_inside(mask: Mask, box: Array) -> float:
-    """Share of a mask (H, W) inside a box x0, y0, x1, y1, [px]; 0 for an empty mask."""
+    """Compute the share of a mask (H, W) inside a box x0, y0, x1, y1, [px]; 0 for an empty mask."""
     x0, y0 = np.maximum(np.floor(box[:2]), 0).astype(int)
     x1, y1 = np.ceil(box[2:]).astype(int)
     return np.count_nonzero(mask[y0:y1, x0:x1]) / max(1, np.count_nonzero(mask))
 
 
 def iou(first: Mask, second: Mask) -> float:
-    """Intersection over union of two masks."""
+    """Compute the intersection over union of two masks."""
     return np.count_nonzero(first & second) / max(1, np.count_nonzero(first | second))
 
 
@@ -122,11 +122,11 @@ class Crop:
         )
 
     def misfit(self, panel: Panel) -> float:
-        """Distance between the box and the extent of the part, see `box_misfit`."""
+        """Compute the distance between the box and the extent of the part, see `box_misfit`."""
         return box_misfit(panel.labels_local(self.local, self.center) == self.part, self.box)
 
     def loss(self, panel: Panel) -> float:
-        """Misfit of the box, and distance to the mask that agrees best."""
+        """Add the misfit of the box and the distance to the mask that agrees best."""
         labels = panel.labels_local(self.local, self.center)
         shown = labels == self.part
         # Segmenters often return the whole object for a box around its body.
@@ -137,7 +137,7 @@ class Crop:
         return box_misfit(shown, self.box) + MASK_WEIGHT * apart
 
     def surface(self, *, masked: bool) -> Array:
-        """Surface points (N, 3) in the mask that agrees with the box best, else in the box."""
+        """Select surface points (N, 3) in the mask that agrees with the box best, or else in the box."""
         if masked and self.masks:
             points = self.local[min(self.masks, key=lambda mask: box_misfit(mask, self.box))]
         else:
@@ -181,7 +181,7 @@ class TrackedPoints:
         return TrackedPoints(points=local[kept], moves=self.moves[kept], weights=self.weights[kept])
 
     def loss(self, panel: Panel) -> float:
-        """Distance, 1 - IoU, between points inside the moving part and points that move; 0 where none move."""
+        """Compute the distance, 1 - IoU, between points inside the moving part and points that move; 0 if none move."""
         found = panel.labels_local(self.points) == MOVING
         either = float(self.weights @ (found | self.moves))
         return 1.0 - float(self.weights @ (found & self.moves)) / either if either > 0 else 0.0

@@ -139,5 +139,5 @@ def _fill_box(masks: list[Mask], image: PreparedImage, box: Array, robot: Mask) 
 
 
 def find_surface(gaussians: Gaussians, view: ScanView) -> Array:
-    """World points (H, W, 3) of the surface at each pixel of a view; NaN where there is none, and on the robot."""
+    """Compute world points (H, W, 3) of the surface at each pixel of a view; NaN without a surface, and on the robot."""
     return np.where(view.robot[..., None], np.nan, compute_surface_points(gaussians, view.camera))

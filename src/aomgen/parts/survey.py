@@ -95,7 +95,7 @@ class Survey:
     __post_init__ = freeze_arrays
 
     def figures(self) -> dict[str, dict[str, float]]:
-        """Median number of views and spread, and the share of points with enough of both, by side."""
+        """Compute by side the median number of views and spread, and the share of points with enough of both."""
         result = {}
         for index, name in enumerate(self.names):
             mine = self.sides == index
