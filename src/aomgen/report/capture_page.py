@@ -86,7 +86,7 @@ def write_capture_page(
 
 
 def _draw_walk(overlap: ScanOverlap) -> str:
-    """SVG of the cameras from above; a sentence where there are too few."""
+    """Draw the cameras in a top view as SVG; return a sentence if there are too few."""
     names = list(overlap.Ts_recon_cam)
     if len(names) < MIN_WALK:
         return paragraph(overlap.describe_walk())
@@ -138,7 +138,7 @@ def _draw_card(
 
 
 def _draw_prompts(image: NDArray[np.uint8], prompts: Sequence[Prompt]) -> NDArray[np.uint8]:
-    """A thumbnail with boxes and points."""
+    """Draw a thumbnail with boxes and points."""
     height, width = image.shape[:2]
     scale = THUMBNAIL_PX / width
     canvas = Image.fromarray(resize(image, THUMBNAIL_PX, round(scale * height)))
@@ -153,7 +153,7 @@ def _draw_prompts(image: NDArray[np.uint8], prompts: Sequence[Prompt]) -> NDArra
 
 
 def _draw_matrix(overlap: ScanOverlap) -> NDArray[np.uint8]:
-    """Confirmed matches of all pairs as grey levels (H, W, 3)."""
+    """Draw the confirmed matches of all pairs as gray levels (H, W, 3)."""
     grey = np.clip(255 * overlap.matches / MANY_MATCHES, 0, 255).astype(np.uint8)
     factor = max(1, MATRIX_PX // len(grey))
     return np.repeat(np.kron(grey, np.ones((factor, factor), np.uint8))[..., None], 3, axis=2)

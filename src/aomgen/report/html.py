@@ -47,7 +47,7 @@ class Markup(str):
 
 
 def page(title: str, body: list[str]) -> str:
-    """A whole HTML document."""
+    """Write a whole HTML document."""
     return (
         f'<!doctype html><html lang="en"><meta charset="utf-8">'
         f'<meta name="viewport" content="width=device-width"><title>{text(title)}</title>'
@@ -56,37 +56,37 @@ def page(title: str, body: list[str]) -> str:
 
 
 def section(title: str, *parts: str) -> str:
-    """A heading and what belongs under it."""
+    """Write a heading and the content of its section."""
     return f'<h2 id="{_anchor(title)}">{text(title)}</h2>{"".join(parts)}'
 
 
 def contents(titles: list[str]) -> str:
-    """Links to sections."""
+    """Write links to sections."""
     return f'<p class="wide">{" · ".join(link("#" + _anchor(title), title) for title in titles)}</p>'
 
 
 def heading(words: str) -> str:
-    """A heading inside a section."""
+    """Write a heading inside a section."""
     return f"<h3>{text(words)}</h3>"
 
 
 def paragraph(words: str) -> str:
-    """A paragraph of plain text."""
+    """Write a paragraph of plain text."""
     return f"<p>{text(words)}</p>"
 
 
 def fold(title: str, content: str, *, opened: bool) -> str:
-    """Content that a reader can fold away or open."""
+    """Write content that a reader can fold and unfold."""
     return f"<details{' open' if opened else ''}><summary>{text(title)}</summary>{content}</details>"
 
 
 def commands(words: str) -> str:
-    """Lines to type."""
+    """Write command lines."""
     return f"<pre>{text(words)}</pre>"
 
 
 def picture(image_srgb: NDArray[np.uint8], caption: str) -> str:
-    """An embedded image (H, W, 3) uint8."""
+    """Embed an image (H, W, 3) uint8."""
     return (
         f'<figure><img src="{jpeg_url(image_srgb, 88)}" alt="{text(caption)}">'
         f'<figcaption class="dim">{text(caption)}</figcaption></figure>'
@@ -94,12 +94,12 @@ def picture(image_srgb: NDArray[np.uint8], caption: str) -> str:
 
 
 def jpeg_url(image_srgb: NDArray[np.uint8], quality: int) -> str:
-    """An image (H, W, 3) uint8 as a URL that holds it."""
+    """Encode an image (H, W, 3) uint8 as a data URL."""
     return f"data:image/jpeg;base64,{base64.b64encode(encode_jpeg(image_srgb, quality)).decode()}"
 
 
 def video(link: str, poster_srgb: NDArray[np.uint8], label: str) -> str:
-    """A player that loads nothing before it is started; the poster (H, W, 3) is embedded."""
+    """Write a player that loads its video only when it is started; the poster (H, W, 3) is embedded."""
     height, width = poster_srgb.shape[:2]
     return (
         f'<video controls muted playsinline preload="none" width="{width}" height="{height}" '
@@ -109,12 +109,12 @@ def video(link: str, poster_srgb: NDArray[np.uint8], label: str) -> str:
 
 
 def link(target: str, words: str) -> str:
-    """A link to a file next to the page."""
+    """Write a link to a file next to the page."""
     return f'<a href="{text(target)}">{text(words)}</a>'
 
 
 def table(header: Sequence[str], rows: Sequence[Sequence[object]]) -> str:
-    """A table; numbers stand right, in the digits given by whoever wrote them, and so do their heads."""
+    """Write a table; columns of numbers are aligned to the right with the digits that the caller formatted."""
     numeric = [_is_number(value) for value in rows[0]] if rows else [False] * len(header)
     head = "".join(_cell(name, "th", right) for name, right in zip(header, numeric, strict=True))
     lines = "".join(f"<tr>{''.join(_cell(value) for value in row)}</tr>" for row in rows)
@@ -122,22 +122,22 @@ def table(header: Sequence[str], rows: Sequence[Sequence[object]]) -> str:
 
 
 def reading(item: Reading) -> str:
-    """A figure with its name, colored where there is a limit; poor ones say so in words."""
+    """Write a figure with its name, colored if it has a limit; the sentence also states that it violates the limit."""
     return f'<span class="{item.verdict}">{text(item.sentence)}</span>'
 
 
 def bar(share: float) -> Markup:
-    """A bar as long as a share of its cell, 0..1."""
+    """Write a bar whose length is a share of its cell, 0..1."""
     return Markup(f'<div class="bar" style="width:{100 * share:.1f}%"></div>')
 
 
 def whole(words: str) -> Markup:
-    """A cell's text that is not broken into lines."""
+    """Write a cell's text without line breaks."""
     return Markup(f'<span class="whole">{text(words)}</span>')
 
 
 def text(value: object) -> str:
-    """Escaped text."""
+    """Escape a value for HTML."""
     return html.escape(str(value))
 
 
@@ -153,7 +153,7 @@ def _cell(value: object, tag: str = "td", right: bool = False) -> str:
 
 
 def _is_number(value: object) -> bool:
-    """Numbers, and numbers written with their digits, except in markup."""
+    """Check whether a value is a number or a string of digits; markup is none."""
     if isinstance(value, Markup):
         return False
     if isinstance(value, str):
@@ -229,7 +229,7 @@ def _points(pairs: list) -> str:
 
 
 def _ticks(low: float, high: float) -> list[float]:
-    """About five round numbers inside a range."""
+    """List about five round numbers inside a range."""
     step = 10.0 ** np.floor(np.log10(max(high - low, 1e-12) / 4))
     while (high - low) / step > 6:
         step *= 2 if (high - low) / step < 12 else 2.5

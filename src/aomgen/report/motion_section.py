@@ -51,7 +51,7 @@ def motion_section(results: Results) -> list[str]:
 
 
 def joint_sheet(results: Results) -> Image8:
-    """Frames at start, middle and end with the joint drawn into them, cut out around it."""
+    """Draw the joint into the frames at start, middle and end of the motion, cropped around it."""
     motion, video = results.motion, results.videos[results.demo_camera]
     camera = results.fixed_camera.camera
     moments = [motion.start_s, 0.5 * (motion.start_s + motion.end_s), motion.end_s]
@@ -78,7 +78,7 @@ def joint_sheet(results: Results) -> Image8:
 def _cut(
     camera: Camera, motion: MotionEstimate, held_world: Array, part: NDArray[np.bool_]
 ) -> tuple[int, int, int, int]:
-    """Left, top, width and height, [px], of what shows the part's pixels (H, W), the axis and the path."""
+    """Compute left, top, width and height, [px], of the crop that shows the part's pixels (H, W), the axis and the path."""
     joint = motion.joint
     path = apply(joint.motion(np.linspace(joint.lower, joint.upper, 9)), held_world)
     pixels, depths = camera.project(np.concatenate([path, axis_space(motion, held_world)[1].reshape(-1, 3)]))
@@ -94,7 +94,7 @@ def _cut(
 
 
 def motion_charts(motion: MotionEstimate) -> list[str]:
-    """The score with start and end, the joint value with its 95 % band, slip and pivot."""
+    """Draw the score with start and end, the joint value with its 95 % band, slip and pivot."""
     span = (motion.start_s, motion.end_s)
     factor, unit = (180 / np.pi, "deg") if motion.joint.type == "revolute" else (1e3, "mm")
     values, half = factor * motion.thetas, NORMAL_95 * factor * motion.theta_sd

@@ -101,7 +101,7 @@ def _link_offline_page(out: Path) -> list[str]:
 
 
 def _render_estimate_sections(results: Results) -> dict[str, list[str]]:
-    """Sections on the reconstruction, from the scan to the replay of the video."""
+    """Write the sections on the reconstruction, from the scan to the replay of the video."""
     return {
         "Scene": [
             paragraph(
@@ -136,7 +136,7 @@ def _render_estimate_sections(results: Results) -> dict[str, list[str]]:
 
 
 def _warnings(results: Results) -> list[str]:
-    """Table of the stages' warnings; empty without any."""
+    """Write the table of the stages' warnings; empty without any."""
     rows: list[list[object]] = [
         [stage.title, sentence] for stage in STAGES for sentence in manifest_of(results, stage.name).warnings
     ]
@@ -169,7 +169,7 @@ def _titles(group: str) -> list[str]:
 
 
 def contact_sheet(results: Results) -> np.ndarray:
-    """One row for the recording, one for each of the first episodes: a few frames from each camera."""
+    """Arrange a few frames from each camera: one row for the recording, and one for each of the first episodes."""
     folders = list_committed(results.folders["episodes"])[:SHEET_EPISODES]
     cameras = read_episode(folders[0]).episode.cameras
     names = list(cameras)
@@ -186,7 +186,7 @@ def contact_sheet(results: Results) -> np.ndarray:
 
 
 def results_table(results: Results) -> str:
-    """The most telling figures with what is good."""
+    """Write the most important figures with their limits."""
     rows: list[list[object]] = []
     for stage, names in HEADLINES:
         figures = manifest_of(results, stage).figures
@@ -196,7 +196,7 @@ def results_table(results: Results) -> str:
 
 
 def provenance_table(results: Results) -> str:
-    """Version, date, seed and command of a run, and how to make it again."""
+    """Write version, date, seed and command of a run, and how to repeat it."""
     record = reuse(results.out / RUN_RECORD, partial(load_record, results.out))
     project = results.project
     rows: list[list[object]] = [
@@ -204,7 +204,7 @@ def provenance_table(results: Results) -> str:
         ["finished", record.finished.replace("T", " ") if record else "not recorded"],
         ["command", _code(record.command) if record else "not recorded"],
         ["again", _code(shlex.join(["aomgen", "run", _project_file(results)]))],
-        # A seed is a name: it stands left, like the rest.
+        # A seed is a name, so it is aligned to the left, like the other values.
         ["seed", Markup(text(project.seed))],
         ["recording", str(project.capture)],
         ["assets", ", ".join(project.assets)],
@@ -213,7 +213,7 @@ def provenance_table(results: Results) -> str:
 
 
 def stages_table(results: Results) -> str:
-    """Seconds of each stage, their share of the whole, and the figures."""
+    """Write the duration of each stage, its share of the total, and its figures."""
     seconds = reuse_object(results.out / TIMINGS)
     total = max(sum(seconds.values()), 1e-9)
     rows: list[list[object]] = []
@@ -262,7 +262,7 @@ def next_steps(results: Results) -> list[str]:
 
 
 def manifest_of(results: Results, stage: str) -> Manifest:
-    """The manifest of a finished stage.
+    """Read the manifest of a finished stage.
 
     Raises:
         MissingFileError: The stage is not finished.
