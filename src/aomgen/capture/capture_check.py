@@ -100,7 +100,7 @@ def _describe_poses(capture: Recording) -> str:
 
 
 def _list_strange_poses(capture: Recording) -> list[str]:
-    """A warning that names poses of images that the scan does not hold."""
+    """Warn about poses of images that the scan does not contain."""
     poses = capture.scan_poses.Ts_scan_cam if capture.scan_poses else {}
     strange = sorted(poses.keys() - {path.name for path in capture.scan_images})
     if not strange:
@@ -141,7 +141,7 @@ def check_robot(capture: Recording) -> RobotModel:
 
 
 def _beyond_limits(capture: Recording, robot: RobotModel) -> Array:
-    """Distances (J,) by which the joints of the log exceed their limits, [rad] or [m]; negative within them."""
+    """Compute the distances (J,) by which the joints of the log exceed their limits, [rad] or [m]; negative within them."""
     low, high = robot.joint_limits.T
     joints = capture.joint_log.joints
     return np.maximum(low - joints.min(0), joints.max(0) - high)

@@ -135,7 +135,7 @@ def unwrap(joints: Array, joint_names: Sequence[str]) -> tuple[Array, tuple[str,
 
 
 def _read_gripper(path: Path, name: str, values: Array, stated: Sequence[float]) -> Array:
-    """The gripper (T,), 0 open .. 1 closed.
+    """Convert the gripper's values to (T,), 0 open .. 1 closed.
 
     Raises:
         UnitsError: Values outside the stated range, or without one, outside 0..1 or so small that they are

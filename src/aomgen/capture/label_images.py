@@ -23,7 +23,7 @@ def demo_mask_files(capture: Recording, camera: DemoCamera) -> list[Path]:
 def read_demo_masks(
     capture: Recording, camera: DemoCamera, shape: tuple[int, int, int]
 ) -> NDArray[np.uint8] | None:
-    """Labels (T, H, W) of every frame as `read_demo_videos` gives them, undistorted; None without any.
+    """Read the labels (T, H, W) of the frames that `read_demo_videos` returns, undistorted; None without any.
 
     Args:
         shape: Frames, height and width of that video.

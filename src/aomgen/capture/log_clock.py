@@ -61,10 +61,10 @@ def find_time_column(header: Sequence[str]) -> tuple[str, str]:
 
 
 def read_times(table: LogTable, others: Sequence[str]) -> tuple[Array, tuple[str, ...]]:
-    """Times of a log's rows, [s].
+    """Read the times of a log's rows, [s].
 
     Args:
-        others: Columns that hold something else.
+        others: Columns that contain other quantities.
 
     Returns:
         Times (T,) in the order of the file, and notes on what was assumed.
@@ -98,7 +98,7 @@ def read_times(table: LogTable, others: Sequence[str]) -> tuple[Array, tuple[str
 
 
 def _nanoseconds_beside(name: str, header: Sequence[str]) -> str:
-    """The column of ROS stamps that holds the nanoseconds of a column of whole seconds; "" without one."""
+    """Find the column of ROS stamps with the nanoseconds of a column of whole seconds; "" without one."""
     stem = re.sub(r"secs?$", "", name)
     pairs = {f"{stem}nanosec", f"{stem}nsec", f"{stem}nsecs"} if stem != name else set[str]()
     return next((other for other in header if other in pairs), "")
@@ -117,7 +117,7 @@ def _read_date(text: str) -> float:
 
 
 def _guess_unit(ticks: Array) -> str:
-    """The unit in which the median period is that of a log with at least four rows a second."""
+    """Find the unit in which the median period is that of a log with at least four rows a second."""
     steps = np.abs(np.diff(ticks))
     period = float(np.median(steps[steps > 0])) if (steps > 0).any() else 0.0
     return next((unit for unit, scale in TICKS.items() if period / scale <= LONGEST_PERIOD_S), "seconds")

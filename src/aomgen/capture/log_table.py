@@ -49,7 +49,7 @@ class LogTable:
     notes: tuple[str, ...]
 
     def column(self, name: str, convert: Callable[[str], float]) -> list[float]:
-        """Values of one column.
+        """Convert the values of one column.
 
         Raises:
             MalformedFileError: A field that cannot be converted; names line and column.
@@ -69,7 +69,7 @@ class LogTable:
 
 
 def read_number(text: str) -> float:
-    """A number with a decimal point or a decimal comma.
+    """Parse a number with a decimal point or a decimal comma.
 
     Raises:
         ValueError: It is no number.
@@ -126,7 +126,7 @@ def _decode(data: bytes, path: Path) -> str:
 def _find_header(
     lines: list[tuple[int, str]], required: Sequence[str], path: Path
 ) -> tuple[int, list[str], str]:
-    """Index of the header line, column names and separator.
+    """Find the index of the header line, the column names and the separator.
 
     The header is the first line that is no comment, unless the comment before it contains the required names, or the
     line has no names at all.

@@ -50,7 +50,7 @@ def read_prompts(
 
 
 def prompt_warnings(prompts: tuple[Prompt, ...]) -> list[str]:
-    """Sentences about parts that only one image prompts."""
+    """List warnings about parts that have a prompt on only one image."""
     return [
         f"only '{min(found)}' has a prompt for the {part} part: if this image cannot be registered, the run stops; "
         "draw a box on a second image"
@@ -60,7 +60,7 @@ def prompt_warnings(prompts: tuple[Prompt, ...]) -> list[str]:
 
 
 def list_proposals(sections: Sequence[PromptSection]) -> list[str]:
-    """A warning about proposed prompts that no person has confirmed; empty without any.
+    """Warn about proposed prompts that no person has confirmed; empty without any.
 
     Example:
         >>> list_proposals([PromptSection(part="robot", image="0.jpg", box=[0, 0, 9, 9], proposed=True, confidence=0.6)])

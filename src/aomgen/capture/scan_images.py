@@ -47,7 +47,7 @@ SHOWN_NAMES = 5
 
 
 def find_images(scan: Path) -> tuple[Path, ...]:
-    """JPEG and PNG files of a folder in the order of their names; hidden ones are passed over.
+    """List the JPEG and PNG files of a folder by name; hidden files are ignored.
 
     Raises:
         MalformedFileError: An image of another format, without a JPEG or PNG of its name.
@@ -89,7 +89,7 @@ def _refuse_subfolders(scan: Path) -> None:
 
 
 def common_size(images: tuple[Path, ...]) -> tuple[int, int]:
-    """Width and height that all images have, [px].
+    """Return the width and height of all images, [px].
 
     Raises:
         CalibrationError: One has another size than the first.
@@ -179,10 +179,10 @@ def _some(names: Sequence[str]) -> str:
 
 
 def blur(grey: NDArray[np.floating]) -> float:
-    """Share of an image's neighbour differences (root mean square) that a low pass leaves, 0..1.
+    """Compute the share of an image's neighbor differences (root mean square) that a low-pass filter preserves, 0..1.
 
-    A low pass takes much from a sharp image and little from a blurred one. The largest of four
-    directions counts, because motion blurs along one only. An image without detail has 1.
+    A low-pass filter removes much detail from a sharp image and little from a blurred one. The result is the largest of four
+    directions, because motion blurs along one direction only. An image without detail has 1.
 
     Args:
         grey: (H, W), grey levels 0..255, at most `WIDTH` wide.
@@ -194,7 +194,7 @@ def blur(grey: NDArray[np.floating]) -> float:
 
 
 def read_grey(path: Path) -> NDArray[np.float32]:
-    """An image decoded to its last byte, as grey levels (H, W) at most `WIDTH` wide.
+    """Decode an image completely, as gray levels (H, W) at most `WIDTH` wide.
 
     Raises:
         MissingFileError, LimitExceededError: The file is missing or too large.
@@ -202,7 +202,7 @@ def read_grey(path: Path) -> NDArray[np.float32]:
     """
     with open_image(path) as image:
         try:
-            # A JPEG is decoded at the smallest scale that is large enough, which spares most of the time.
+            # A JPEG is decoded at the smallest sufficient scale, which saves most of the time.
             image.draft("L", (2 * WIDTH, 2 * WIDTH))
             image.load()
         except (OSError, ValueError, SyntaxError) as error:
@@ -218,7 +218,7 @@ def read_grey(path: Path) -> NDArray[np.float32]:
 
 
 def shrink(image: Image.Image) -> NDArray[np.float32]:
-    """Grey levels (H, W) of an image, at most `WIDTH` wide."""
+    """Convert an image to gray levels (H, W), at most `WIDTH` wide."""
     grey = image.convert("L")
     if grey.width > WIDTH:
         size = (WIDTH, max(1, round(grey.height * WIDTH / grey.width)))
