@@ -101,7 +101,7 @@ def gate_features(
 
 
 def relative_sizes(sizes_m: Array, known_m: Array) -> Array:
-    """Ranks 0..1 of sizes among ascending known ones, on a logarithmic scale between neighbors."""
+    """Compute the ranks 0..1 of sizes among known ones in ascending order, interpolated on a logarithmic scale."""
     distinct = np.unique(known_m)
     if len(distinct) < 2:
         return np.full(len(sizes_m), 0.5)
@@ -109,13 +109,13 @@ def relative_sizes(sizes_m: Array, known_m: Array) -> Array:
 
 
 def unit(vectors: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Rows of length 1; rows of length 0 stay."""
+    """Normalize rows to length 1; rows of length 0 are kept."""
     lengths = np.linalg.norm(vectors, axis=-1, keepdims=True)
     return (vectors / np.maximum(lengths, 1e-9)).astype(np.float32)
 
 
 def measure_masks(gaussians: Gaussians, camera: Camera, masks: NDArray[np.bool_], width: int) -> SizedMasks:
-    """The masks (M, H, W) that still show something at a width of at most `width` [px], with their sizes."""
+    """Select the masks (M, H, W) that are not empty at a width of at most `width` [px], and measure their sizes."""
     small = camera.narrow(width)
     points = compute_surface_points(gaussians, small)
     cut = at_resolution(masks, small) & np.isfinite(points[..., 0])
@@ -125,7 +125,7 @@ def measure_masks(gaussians: Gaussians, camera: Camera, masks: NDArray[np.bool_]
 
 
 def at_resolution(masks: NDArray[np.bool_], camera: Camera) -> NDArray[np.bool_]:
-    """Masks (..., H, W) as a camera of lower resolution sees them."""
+    """Reduce masks (..., H, W) to the lower resolution of a camera."""
     height, width = masks.shape[-2:]
     rows = ((np.arange(camera.height) + 0.5) * height / camera.height).astype(int)
     columns = ((np.arange(camera.width) + 0.5) * width / camera.width).astype(int)
@@ -133,10 +133,9 @@ def at_resolution(masks: NDArray[np.bool_], camera: Camera) -> NDArray[np.bool_]
 
 
 def mask_size(points_world: Array) -> float:
-    """Twice the spread of the points (N, 3) that a mask shows, [m].
+    """Compute twice the spread of the points (N, 3) that a mask shows, [m].
 
-    The spread of the middle nine tenths along each axis, so that a rim of background pixels, which
-    lie far behind, does not count.
+    The spread is that of the middle nine tenths along each axis, which excludes background pixels at the rim of the mask.
     """
     low, high = np.quantile(points_world, [0.05, 0.95], axis=0)
     inside = np.all((points_world >= low) & (points_world <= high), axis=1)
@@ -199,7 +198,7 @@ def train_affinity(
 
 
 def _neighbor_mean(gaussians: Gaussians) -> Tensor:
-    """Sparse matrix (N, N) of means over the nearest neighbors."""
+    """Build the sparse matrix (N, N) of means over the nearest neighbors."""
     count = len(gaussians)
     k = min(NEIGHBORS, count)
     _, nearest = cKDTree(gaussians.means).query(gaussians.means, k=k)
@@ -211,7 +210,7 @@ def _neighbor_mean(gaussians: Gaussians) -> Tensor:
 
 
 def _sample_pixels(view: SizedMasks, size_m: float, count: int, rng: np.random.Generator) -> NDArray:
-    """Indices of masked pixels; half of them are spread evenly over the masks of about the size, so that small masks count."""
+    """Sample indices of masked pixels; half of them come evenly from the masks of about the size, so that small masks count."""
     flat = view.masks.reshape(len(view.masks), -1)
     near = np.flatnonzero(_about(view.sizes_m, size_m))
     share = max(1, count // (2 * len(near)))

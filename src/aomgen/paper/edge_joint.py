@@ -34,7 +34,7 @@ def pair_costs(
     joint_type: JointType,
     variant: Variant,
 ) -> Array:
-    """Cost (12, 12) of every pair (static edge, moving edge) to lie along a joint of known type.
+    """Compute the cost (12, 12) of every pair (static edge, moving edge) to lie along a joint of known type.
 
     Printed: `l1 score +- l2 |e . v| +- l3 distance(contact, e)`, plus for revolute and minus for
     prismatic; the edge nearest to the contact is a cheap revolute joint, against the text, which
@@ -99,7 +99,7 @@ def box_joint(
 def find_pair_center(
     points_static: Array, points_moving: Array, edge_static: Array, edge_moving: Array
 ) -> Array:
-    """Mean midpoint (3,) of the nearest point pairs near a pair of edges; the edges' middle without any.
+    """Compute the mean midpoint (3,) of the nearest point pairs near a pair of edges; without any, the center of the edges.
 
     Points (N, 3), (M, 3) and the end points (2, 3) of the edges share a frame, [m].
 
@@ -126,7 +126,7 @@ def _samples(edges: Array) -> Array:
 
 
 def _line_distances(points: Array, edges: Array) -> Array:
-    """Distances (N,) of points (3,) or (N, 3) from the lines of edges (N, 2, 3) or (1, 2, 3), [m]."""
+    """Compute the distances (N,) of points (3,) or (N, 3) from the lines of edges (N, 2, 3) or (1, 2, 3), [m]."""
     offsets = points - edges[:, 0]
     units = _units(edges)
     return np.linalg.norm(offsets - (offsets * units).sum(1, keepdims=True) * units, axis=1)

@@ -50,7 +50,7 @@ def align_as_paper(
     rng: np.random.Generator,
     min_matched: float = MIN_MATCHED,
 ) -> Alignment:
-    """`S_world_recon` by rigid ICP; `support` is the share of robot points that lie on the model.
+    """Estimate `S_world_recon` by rigid ICP; `support` is the share of robot points that lie on the model.
 
     Outlines are not looked at, so `residual_px` is 0 and nothing is known about chance; `ee_sd_m`
     is the root mean square distance of the points from the model.
@@ -111,7 +111,7 @@ def robot_points(
     up_recon: Array,
     rng: np.random.Generator,
 ) -> Array:
-    """Points (N, 3) of the surface that all boxes show and no level support holds, thinned evenly.
+    """Select points (N, 3) of the surface that all boxes show and that belong to no level support, thinned evenly.
 
     Raises:
         AlignmentError: There are too few.
@@ -134,12 +134,12 @@ def robot_points(
 
 
 def _spread(points: Array) -> float:
-    """Median distance from the middle; a few strays do not change it."""
+    """Compute the median distance from the center, which is robust to a few outliers."""
     return float(np.median(np.linalg.norm(points - np.median(points, 0), axis=1)))
 
 
 def _thin(points: Array, cell: float) -> Array:
-    """One point (its mean) of every cell that holds points."""
+    """Average the points of every cell that contains points."""
     cells = np.unique(np.floor(points / max(cell, 1e-12)).astype(np.int64), axis=0, return_inverse=True)[
         1
     ].ravel()
@@ -148,7 +148,7 @@ def _thin(points: Array, cell: float) -> Array:
 
 
 def _without_support(points: Array, up: Array, rng: np.random.Generator) -> Array:
-    """The points without the level plane that holds most of them, if it holds a tenth."""
+    """Remove the level plane with the most points if it contains at least a tenth of them."""
     tolerance = 0.03 * _spread(points) if len(points) else 0.0
     # Within 15 degrees of level; other planes may be the arm's own.
     plane = (
@@ -161,13 +161,13 @@ def _without_support(points: Array, up: Array, rng: np.random.Generator) -> Arra
 
 
 def _starts(scan: Scan, configuration: RobotConfiguration, rng: np.random.Generator) -> Array:
-    """Similarities (H, 4, 4) that colors make likely, best first; those that `align` starts from."""
+    """List similarities (H, 4, 4) that the colors support, best first, as `align` does."""
     Ss, scores = search_poses(scan, configuration, rng)
     return Ss[scores >= _START_SHARE * scores.max()]
 
 
 def rigid_icp(source: Array, target: Array, kernel_m: float) -> Array:
-    """Rigid motion (4, 4) of the source onto the target, each point towards the nearest one.
+    """Estimate the rigid motion (4, 4) of the source onto the target; each point is matched to the nearest one.
 
     Args:
         source: Points (N, 3), [m].
@@ -198,14 +198,14 @@ def rigid_icp(source: Array, target: Array, kernel_m: float) -> Array:
 
 
 def measure_match(points: Array, target: Array, kernel_m: float) -> tuple[float, float]:
-    """Share of points (N, 3) within the kernel of the target, and their RMS distance, [m]; infinite for none."""
+    """Compute the share of points (N, 3) within the kernel of the target, and their RMS distance, [m]; infinite without any."""
     distances = cKDTree(target).query(points)[0]
     near = distances < 2 * kernel_m
     return float(near.mean()), float(np.sqrt(np.mean(distances[near] ** 2))) if near.any() else float("inf")
 
 
 def fit_weighted_rigid(source: Array, target: Array, weights: Array) -> Array:
-    """Rigid motion (4, 4) that carries points (N, 3) onto others in weighted least squares.
+    """Fit the rigid motion (4, 4) between corresponding points (N, 3) by weighted least squares.
 
     Source: Kabsch, 1976. Weights (N,) that are all zero leave the points where they are.
     """

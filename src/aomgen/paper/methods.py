@@ -35,12 +35,12 @@ MARGIN_M = 0.005
 
 
 def run_alignment(results: Results, folder: Path, progress: Progress) -> dict[str, Any]:
-    """Rigid ICP and link boxes; the paper leaves fixed cameras where the scan has them."""
+    """Run rigid ICP and link boxes; the paper keeps fixed cameras at their pose in the scan."""
     return calibrate_cameras(results, align_scan(results), folder, progress, BundleParams(frames=0))
 
 
 def align_scan(results: Results) -> Alignment:
-    """The paper's alignment, see `align_as_paper`."""
+    """Align by the paper's method, see `align_as_paper`."""
     capture, structure = results.pinhole_capture, results.structure
     return align_as_paper(
         views_of(structure, results.scan_images, {}),
@@ -54,7 +54,7 @@ def align_scan(results: Results) -> Alignment:
 def run_parts(
     results: Results, folder: Path, progress: Progress, motion_evidence: MotionEvidence
 ) -> dict[str, Any]:
-    """Link boxes for the robot where the paper's alignment is asked for, affinity features where "saga" is."""
+    """Use link boxes for the robot with the paper's alignment, and affinity features with the method "saga"."""
     project = results.project
     robot = label_robot_by_boxes if project.alignment_method == "paper" else parts_stage.label_robot_by_links
     evidence = partial(learn_affinity, folder) if project.parts_method == "saga" else parts_stage.no_evidence
@@ -62,12 +62,12 @@ def run_parts(
 
 
 def label_robot_by_boxes(results: Results, views: list[ScanView]) -> NDArray[np.int32]:
-    """The link whose bounding box holds a Gaussian."""
+    """Assign each Gaussian to the link whose bounding box contains it."""
     return bodies_in_boxes(results.gaussians.means, results.configuration)
 
 
 def bodies_in_boxes(points_world: ArrayLike, configuration: RobotConfiguration) -> NDArray[np.int32]:
-    """The robot body (N,) whose box holds each point (N, 3), [m]: index into `robot.body_names`, -1 for none.
+    """Find the robot body (N,) whose box contains each point (N, 3), [m]: index into `robot.body_names`, -1 for none.
 
     Boxes are those of the meshes along the axes of their body. Of several boxes the one counts in
     whose middle the point lies most.
@@ -99,7 +99,7 @@ def learn_affinity(
     segmenter: Segmenter,
     progress: Progress,
 ) -> PartEvidence:
-    """Automatic masks, and affinity features learned from them; masks are kept in the stage's folder."""
+    """Compute automatic masks and learn affinity features from them; the masks are stored in the stage's folder."""
     params, rng = AffinityParams(), np.random.default_rng(SEED)
     masks = segment_views(
         results.gaussians,
@@ -114,7 +114,7 @@ def learn_affinity(
 
 
 def run_motion(results: Results, folder: Path, progress: Progress) -> dict[str, Any]:
-    """The paper's AOMotion, formulas as printed.
+    """Run the paper's AOMotion with its formulas as printed.
 
     The paper takes the joint's type as known; here it is the one that our own estimator finds, so both
     must succeed.

@@ -163,7 +163,7 @@ def _assemble(
 
 
 def _measure_curve(demo: MotionInput, masks: PartMasks, variant: Variant) -> MotionCurve:
-    """The paper's motion score; the last frame has no successor and repeats the one before."""
+    """Compute the paper's motion score; the last frame has no successor and repeats the previous value."""
     signals = read_gripper_signals(demo, demo.video.times_s)
     scores = motion_scores(masks)
     smoothed = smooth_scores(scores)
@@ -194,7 +194,7 @@ def _patch(demo: MotionInput, pair: NearestPair) -> ContactPatch:
 def nearest_pair(
     robot: RobotModel, log: JointLog, points_moving: Array, start_log_s: float, rng: np.random.Generator
 ) -> NearestPair:
-    """The point of the robot that is nearest to the part at one moment, and the part's point there.
+    """Find the point of the robot nearest to the part at one time, and the point of the part nearest to it.
 
     Args:
         robot: Kinematics and meshes, whose surfaces stand for the paper's robot Gaussians.
@@ -229,12 +229,12 @@ def nearest_pair(
 
 
 def contact_path(pair: NearestPair, robot: RobotModel, log: JointLog, log_times_s: Array) -> Array:
-    """Path of the robot's contact point (T, 3), world frame, [m]; the paper's trajectory."""
+    """Compute the path of the robot's contact point (T, 3), world frame, [m]; this is the paper's trajectory."""
     return apply(robot.link_poses(*log.at(log_times_s))[:, pair.body], pair.point_body)
 
 
 def recover_thetas(joint: Joint, plane_point: Array, plane_normal: Array, path: Array) -> Array:
-    """Joint value (T,) of every frame of the motion, [rad] or [m].
+    """Compute the joint value (T,) of every frame of the motion, [rad] or [m].
 
     Where no plane passes through the contact the one that comes nearest counts. Where the face slides
     within itself, as that of a sliding door does, every value meets the contact and 0 is kept.
@@ -264,7 +264,7 @@ def recover_thetas(joint: Joint, plane_point: Array, plane_normal: Array, path: 
 
 
 def _angles(joint: Joint, plane_point: Array, plane_normal: Array, path: Array) -> Array:
-    """Solutions of `n(theta) . (x - o) = n . (p - o)`, written as `a cos + b sin = c`."""
+    """Solve `n(theta) . (x - o) = n . (p - o)` for theta, written as `a cos + b sin = c`."""
     offsets = path - joint.origin
     along = float(plane_normal @ joint.axis)
     c = plane_normal @ (plane_point - joint.origin) - along * (offsets @ joint.axis)
