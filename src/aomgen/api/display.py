@@ -35,7 +35,7 @@ class _StageLines(ABC):
         self._spent = self._spent_weight = self._weight = self._began = 0.0
 
     def begin(self, stage: Stage, *, fresh: bool) -> None:
-        """A stage starts, or is kept when it is fresh."""
+        """Show that a stage starts, or that its result is kept if it is fresh."""
         if fresh:
             self._left -= stage.weight
             self._say(Text(f"  kept   {stage.title}"))
@@ -44,7 +44,7 @@ class _StageLines(ABC):
             self._show(stage)
 
     def end(self, stage: Stage, seconds: float, figures: dict[str, Any]) -> None:
-        """A stage has been committed."""
+        """Show that a stage has been committed."""
         self._left -= stage.weight
         self._spent += seconds
         self._spent_weight += stage.weight
@@ -52,11 +52,11 @@ class _StageLines(ABC):
         self._say(format_finished_line(stage, seconds, figures))
 
     def warn(self, stage: Stage, sentence: str) -> None:
-        """A finished stage has something to say about its input."""
+        """Show a warning of a finished stage about its input."""
         self._say(Text(f"         warning: {sentence}"))
 
     def _remaining(self, share: float) -> str:
-        """In words, when the running stage is this far."""
+        """Describe the remaining time, given the finished share of the running stage."""
         pace = self._spent / self._spent_weight if self._spent_weight else 1.0
         left = pace * max(0.0, self._left - share * self._weight)
         if share > TELLING_SHARE:
@@ -98,7 +98,7 @@ class TerminalDisplay(_StageLines):
         self._bars.stop()
 
     def progress(self, share: float, text: str) -> None:
-        """The running stage is this far."""
+        """Show the finished share of the running stage."""
         if self._task is not None:
             self._bars.update(self._task, completed=share, note=f"{text}  {self._remaining(share)}")
 
@@ -132,7 +132,7 @@ class PlainDisplay(_StageLines):
         self._ticking.join()
 
     def progress(self, share: float, text: str) -> None:
-        """The running stage is this far."""
+        """Store the finished share of the running stage."""
         self._share, self._note = share, text
 
     def _say(self, line: Text) -> None:
@@ -146,7 +146,7 @@ class PlainDisplay(_StageLines):
         self._title = ""
 
     def _tick(self) -> None:
-        """A line every few seconds, also while a stage says nothing."""
+        """Print a line every few seconds, also while a stage reports no progress."""
         while not self._over.wait(self._every_s):
             if self._title:
                 words = [f"{self._title} {100 * self._share:.0f} %", self._note]
@@ -156,12 +156,12 @@ class PlainDisplay(_StageLines):
 
 
 def display(stages: Sequence[Stage] = STAGES) -> TerminalDisplay | PlainDisplay:
-    """The display for where standard output goes."""
+    """Choose the display for the standard output."""
     return TerminalDisplay(stages) if Console().is_terminal else PlainDisplay(stages=stages)
 
 
 def format_finished_line(stage: Stage, seconds: float, figures: dict[str, Any]) -> Text:
-    """Seconds, title and figures of a finished stage, colored where there is a limit."""
+    """Format duration, title and figures of a finished stage; figures with a limit are colored."""
     line = Text(f"  {seconds:5.1f}s {stage.title}")
     for number, reading in enumerate(read_figures(stage.name, figures)):
         line.append("; " if number else ": ")

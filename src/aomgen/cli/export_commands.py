@@ -224,7 +224,7 @@ def audit(
 
 
 def _episodes(out: Path) -> list[Path]:
-    """Folders of a run's committed episodes, without the rejected ones."""
+    """List the folders of a run's committed episodes, without the rejected ones."""
     from aomgen.io.episode_folder import list_committed
     from aomgen.io.review import REVIEW_FILE, leave_out_rejected
     from aomgen.pipeline.stages import STAGES, find_project

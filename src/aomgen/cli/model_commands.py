@@ -128,7 +128,7 @@ def _load(spec: str) -> "ArticulatedAsset":
 
 
 def _fit_to(run: Path | None) -> "Callable[[ArticulatedAsset], Finding] | None":
-    """Function that reports whether an asset fits a run; None without a run."""
+    """Return a function that checks whether an asset fits a run; None without a run."""
     if run is None:
         return None
     from aomgen.pipeline.runner import results_of

@@ -184,7 +184,7 @@ def format_warning(message: Warning | str, category: type[Warning], *where: Any,
 
 
 def report_bug(kind: type[BaseException], error: BaseException, trace: TracebackType | None) -> None:
-    """An `excepthook`: print one line with the bug and the path of its traceback; exit code 70.
+    """Print one line with the bug and the path of its traceback, and exit with code 70; used as `sys.excepthook`.
 
     Raises:
         SystemExit: Always.

@@ -42,7 +42,7 @@ class Policy(Protocol):
         ...
 
     def looks(self, frame: int) -> bool:
-        """Return whether the policy uses images at a frame; rendering takes most of the time."""
+        """Return False: the policy uses no images."""
         ...
 
     def act(self, observation: dict[str, Any]) -> Array:
@@ -65,7 +65,7 @@ class OracleReplay:
         self._plan, self._frame = self._world.plan(rollout.number), 0
 
     def looks(self, frame: int) -> bool:
-        """Never."""
+        """Return False: the policy uses no images."""
         return False
 
     def act(self, observation: dict[str, Any]) -> Array:

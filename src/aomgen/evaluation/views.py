@@ -56,7 +56,7 @@ class SplatViews:
         self._carried = {name: MovingView(twin, view, shadows, threads=1) for name, view in optics.items()}
 
     def draw(self, reached: Trajectory) -> Images:
-        """Image (H, W, 3) of every camera."""
+        """Render an image (H, W, 3) of every camera."""
         states = self._states(reached)
         drawn = dict(zip(self._cameras, self._views.draw(states, ("rgb8",)), strict=True))
         paths = self._robot.camera_paths(reached.joints, reached.gripper) if self._carried else {}
@@ -96,7 +96,7 @@ class SimulatorViews:
         self._walls = {name: self._wall(layer) for name, layer in layers.items()}
 
     def draw(self, reached: Trajectory) -> Images:
-        """Image (H, W, 3) of every camera."""
+        """Render an image (H, W, 3) of every camera."""
         qpos = self._scene.qpos(reached.joints, reached.gripper, reached.thetas)[0]
         cameras, walls = dict(self._cameras), dict(self._walls)
         if self._carried:

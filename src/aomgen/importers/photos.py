@@ -113,7 +113,7 @@ def read_photo(path: Path, *, upright: bool = True) -> NDArray[np.uint8]:
 
 
 def _focal_px(image: Image.Image) -> float:
-    """Focal length of a photo, [px], from its 35 mm equivalent; 0 if the photo does not state it."""
+    """Compute the focal length of a photo, [px], from its 35 mm equivalent; 0 if the photo does not state it."""
     stated = image.getexif().get_ifd(EXIF_BLOCK).get(FOCAL_35MM, 0)
     try:
         focal_mm = float(stated)

@@ -85,7 +85,7 @@ def choose_pinhole(cameras: Mapping[str, ColmapCamera], where: Path) -> Lens:
 
 
 def measure_shift_px(target: Lens, lens: ColmapCamera) -> float:
-    """Largest distance between a pixel of the pinhole camera and its position in the image of a lens, [px]."""
+    """Compute the largest distance between a pixel of the pinhole camera and its position in the image of a lens, [px]."""
     pixels = _border(target)
     shifts = np.linalg.norm(_project(lens, target.rays(pixels)) - pixels, axis=1)
     return float(np.nan_to_num(shifts, nan=np.inf).max())
@@ -112,7 +112,7 @@ def _covers(target: Lens, lenses: list[ColmapCamera]) -> bool:
 
 
 def _border(target: Lens) -> Array:
-    """Points on the border and on the diagonals of the image."""
+    """Sample points on the border and on the diagonals of the image."""
     share: Array = np.linspace(0.0, 1.0, BORDER_SAMPLES, dtype=np.float64)
     zero, one = np.zeros_like(share), np.ones_like(share)
     lines = [(share, zero), (share, one), (zero, share), (one, share), (share, share), (share, 1 - share)]
@@ -120,7 +120,7 @@ def _border(target: Lens) -> Array:
 
 
 def _project(lens: ColmapCamera, rays: Array) -> Array:
-    """Image points (N, 2) of rays (N, 2), as x/z, y/z, NaN outside the domain of the lens."""
+    """Project rays (N, 2), as x/z, y/z, to image points (N, 2); NaN outside the domain of the lens."""
     points = np.column_stack([rays, np.ones(len(rays))])
     return np.asarray(_colmap(lens).img_from_cam(points), np.float64).reshape(-1, 2)
 
