@@ -1,4 +1,4 @@
-"""What holds for every made asset, as assertions."""
+"""Laws of every made asset, as assertions."""
 
 from collections.abc import Sequence
 
@@ -24,7 +24,7 @@ def has_no_problems(asset: ArticulatedAsset) -> None:
 
 
 def opens_as(assets: Sequence[ArticulatedAsset], ways: list[tuple[str, list[int], list[int]]]) -> None:
-    """Each asset opens in one of the ways, and all ways occur.
+    """Assert that each asset opens in one of the given ways, and that all ways occur.
 
     A way is a joint type, its axis (either sign if vertical) and the first motion of the handle within 30 degrees.
     """
@@ -46,7 +46,7 @@ def opens_as(assets: Sequence[ArticulatedAsset], ways: list[tuple[str, list[int]
 
 
 def faces_outwards(asset: ArticulatedAsset, solid: str) -> None:
-    """Textures do not repeat, and the mesh named `solid` of the moving part encloses a positive volume."""
+    """Assert that textures do not repeat, and that the mesh named `solid` of the moving part encloses a positive volume."""
     for link in (asset.static, asset.moving):
         for mesh in link.meshes:
             if len(mesh.uvs):
@@ -74,7 +74,7 @@ def moves_without_contact(asset: ArticulatedAsset) -> None:
 
 
 def stays_where_left(asset: ArticulatedAsset, theta: float) -> None:
-    """Friction holds a lid at `theta` [rad]; a push moves it on."""
+    """Assert that friction holds a lid at `theta` [rad] and that a push moves it."""
     spec = mujoco.MjSpec()
     spec.compiler.degree = False
     names = add_asset(spec, asset, np.eye(4), damping=0.05, frictionloss=0.02)
@@ -89,7 +89,7 @@ def stays_where_left(asset: ArticulatedAsset, theta: float) -> None:
 
 
 def is_found_again(asset: ArticulatedAsset) -> None:
-    """The scale and place of a recorded asset are recovered from the recording of its motion."""
+    """Assert that the scale and the location of a recorded asset are estimated from the recording of its motion."""
     demo, recorded = recording(asset, noise_m=0.001)
     contact = describe_contact(demo, recorded, "opening")
     assert np.rad2deg(abs(contact.yaw - YAW)) < 2.0

@@ -1,4 +1,4 @@
-"""Recordings run backwards in time: what opened its object closes it."""
+"""Recordings reversed in time: a motion that opened an object closes it."""
 
 from dataclasses import replace
 
@@ -9,7 +9,7 @@ from aomgen.core.transforms import apply
 
 
 def closing_of(demo: Demonstration) -> Demonstration:
-    """A demonstration that opens its object, the other way round: joint value 0 is the opened state."""
+    """Reverse in time a demonstration that opens its object; joint value 0 is the opened state."""
     joint, last = demo.joint, float(demo.times_s[0] + demo.times_s[-1])
     opened = float(demo.thetas[-1])
     return replace(
@@ -25,6 +25,6 @@ def closing_of(demo: Demonstration) -> Demonstration:
 
 
 def scanned_open(demo: Demonstration, recorded: RecordedObject) -> RecordedObject:
-    """The object as it stands after that demonstration."""
+    """Move the object to its state after the demonstration."""
     moved = apply(demo.joint.motion(demo.thetas[-1]), recorded.moving_points_world)
     return replace(recorded, moving_points_world=moved)

@@ -1,4 +1,4 @@
-"""Points on a microwave's body and door, turned by a known yaw."""
+"""Points on a microwave's body and door, rotated by a known yaw."""
 
 import numpy as np
 
@@ -7,7 +7,7 @@ R = np.array([[np.cos(YAW), -np.sin(YAW), 0], [np.sin(YAW), np.cos(YAW), 0], [0,
 
 
 def box_points(low: tuple, high: tuple, seed: int = 0, count: int = 3000) -> np.ndarray:
-    """Points on the surface of a box that is turned by YAW."""
+    """Sample points on the surface of a box that is rotated by YAW."""
     rng = np.random.default_rng(seed)
     points = rng.uniform(low, high, (count, 3))
     faces = rng.integers(0, 6, count)

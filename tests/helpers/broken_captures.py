@@ -1,4 +1,4 @@
-"""Ways in which a lab's capture is broken, and the sentence that each of them gets."""
+"""Faults of captures from a lab, and the sentence that the check prints for each."""
 
 import re
 import shutil
@@ -25,7 +25,7 @@ from aomgen.io.images import encode_png
 from aomgen.io.video import encode_video, read_video
 
 SIZE = (320, 240)
-# Of the bundled capture, so many suffice; the prompted ones are among them.
+# Images of the bundled capture that suffice for the checks; they include the prompted ones.
 IMAGES = (
     "0003",
     "0010",
@@ -47,7 +47,7 @@ Damage = Callable[[Path], object]
 
 @dataclass(frozen=True)
 class Case:
-    """What is done to a capture, and the sentence that a user gets: an error, or a warning when `kind` is None."""
+    """A change of a capture and the sentence that the user gets: an error, or a warning if `kind` is None."""
 
     damage: Damage
     kind: type[AomgenError] | None
@@ -55,7 +55,7 @@ class Case:
 
 
 def write_small(source: Path, folder: Path) -> None:
-    """The bundled capture with fewer, smaller images and frames."""
+    """Write the bundled capture with fewer, smaller images and frames."""
     (folder / "scan").mkdir(parents=True)
     shutil.copytree(source / "demo", folder / "demo")
     for name in IMAGES:
@@ -132,7 +132,7 @@ def scan_film(blur_px: float) -> Damage:
 
 
 def turn(name: str) -> Damage:
-    """Mark an MP4 as one that players turn by 90 degrees, as a phone held upright does."""
+    """Mark an MP4 as rotated by 90 degrees, as a phone held upright does."""
 
     def damage(folder: Path) -> None:
         def matrix(*values: float) -> bytes:
@@ -277,6 +277,6 @@ CAPTURES = {
 
 
 def write_tight_usd(path: Path) -> None:
-    """An asset that opens by 0.1 rad only."""
+    """Write an asset that opens by 0.1 rad only."""
     asset = make_asset("microwave", 1)
     write_usd(replace(asset, joint=replace(asset.joint, upper=0.1)), path)

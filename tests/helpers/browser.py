@@ -1,4 +1,4 @@
-"""Debian's Chromium, driven by Playwright; tests that want it skip where it is not installed."""
+"""Debian's Chromium, controlled by Playwright; tests that need it skip if it is not installed."""
 
 import shutil
 from collections.abc import Iterator
@@ -15,7 +15,7 @@ needs_chromium = pytest.mark.skipif(
 
 @contextmanager
 def open_page(url: str, width: int = 1400, height: int = 900) -> Iterator[Page]:
-    """A page in a browser without a window; an error of its script fails the test."""
+    """Open a page in a browser without a window; an error of its script fails the test."""
     with sync_playwright() as playwright:
         browser = playwright.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
         page = browser.new_page(viewport={"width": width, "height": height})

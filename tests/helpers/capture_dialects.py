@@ -1,4 +1,4 @@
-"""Ways in which other programs write a sound capture, and what `aomgen check` says of each.
+"""Valid captures as other programs write them, and the output of `aomgen check` for each.
 
 A dialect changes files of a capture without changing what was recorded. `words` are in one of the warnings; a
 dialect without words is accepted in silence. `refused` names what has to be asked for.
@@ -26,13 +26,13 @@ Rows = list[list[str]]
 
 @dataclass(frozen=True)
 class Dialect:
-    """A change of the files and what is said of it.
+    """A change of the files and the expected output.
 
     Attributes:
         change: Rewrites files of a capture's folder.
-        words: In one warning; empty where nothing is said.
+        words: Words of the expected warning; empty if there is none.
         refused: Whether the words are those of an error.
-        log, video, scan: Whether the log, the video, or the images are as they were after reading.
+        log, video, scan: Whether the log, the video, or the images that are read equal the original ones.
     """
 
     change: Damage
@@ -44,7 +44,7 @@ class Dialect:
 
 
 def table(change: Callable[[list[str], Rows], tuple[list[str], Rows]]) -> Damage:
-    """Change the header and rows of the log; the file stays comma separated."""
+    """Change the header and the rows of the log; the file remains comma separated."""
     return text(lambda header, rows: write(*change(header, rows)))
 
 
@@ -53,7 +53,7 @@ def write(header: list[str], rows: Rows, separator: str = ",", end: str = "\n") 
 
 
 def text(change: Callable[[list[str], Rows], str], encoding: str = "utf-8") -> Damage:
-    """Write the log anew from its header and rows."""
+    """Write the log again from its header and rows."""
 
     def damage(folder: Path) -> None:
         lines = (folder / LOG).read_text("utf-8").splitlines()
@@ -64,14 +64,14 @@ def text(change: Callable[[list[str], Rows], str], encoding: str = "utf-8") -> D
 
 
 def times(name: str, write_time: Callable[[float], str]) -> Damage:
-    """Rename the time column and write each time otherwise."""
+    """Rename the time column and write each time in another format."""
     return table(
         lambda header, rows: ([name, *header[1:]], [[write_time(float(r[0])), *r[1:]] for r in rows])
     )
 
 
 def gripper(convert: Callable[[float], float], stated: str = "") -> Damage:
-    """Write the gripper in another unit, and state its range where one is given."""
+    """Write the gripper in another unit, and state its range if one is given."""
 
     def write_gripper(header: list[str], rows: Rows) -> tuple[list[str], Rows]:
         return header, [[*row[:-1], f"{convert(float(row[-1])):.6f}"] for row in rows]
@@ -112,7 +112,7 @@ def swapped(header: list[str], rows: Rows) -> tuple[list[str], Rows]:
 
 
 def dense(period_s: float) -> Callable[[list[str], Rows], tuple[list[str], Rows]]:
-    """The log at another rate, interpolated."""
+    """Interpolate the log at another rate."""
 
     def resample(header: list[str], rows: Rows) -> tuple[list[str], Rows]:
         values = np.array(rows, float)
@@ -124,7 +124,7 @@ def dense(period_s: float) -> Callable[[list[str], Rows], tuple[list[str], Rows]
 
 
 def jittered(header: list[str], rows: Rows) -> tuple[list[str], Rows]:
-    """Rows at the moments at which a loaded driver sends them: up to 40 ms apart."""
+    """Sample rows at the times at which a loaded driver sends them: up to 40 ms apart."""
     rng = np.random.default_rng(5)
     values = np.array(rows, float)
     moments = values[0, 0] + np.cumsum(rng.choice([0.004, 0.01, 0.04], 2000, p=[0.5, 0.4, 0.1]))
@@ -150,10 +150,10 @@ def video(
     cover: bool = False,
     container: str = "mp4",
 ) -> Damage:
-    """Write the demonstration's video anew.
+    """Encode the demonstration's video again.
 
     Args:
-        keep: Which frames are written, at their own times.
+        keep: Frames that are written, at their original times.
         lead: Frames before the first that an edit list hides.
         turn: Store the frames turned anticlockwise by so many degrees, and a display matrix that turns them back.
         aspect: Width of a stored pixel over its height; the frames are stored that much narrower.
@@ -199,7 +199,7 @@ def video(
 
 
 def _cover(target: av.container.OutputContainer) -> av.Packet:
-    """A JPEG as first stream, as phones and players attach it; the packet to write first."""
+    """Add a JPEG as first stream, as phones and players do; return the packet to write first."""
     stream = target.add_stream("mjpeg", rate=1)
     stream.width = stream.height = 64
     stream.pix_fmt = "yuvj420p"
@@ -223,7 +223,7 @@ def hlg(stream: VideoStream) -> None:
 
 
 def images(change: Callable[[Image.Image, int], tuple[Image.Image, str, dict]]) -> Damage:
-    """Write each scan image anew: the image, its suffix and the options of its format."""
+    """Write each scan image again: the image, its suffix and the options of its format."""
 
     def damage(folder: Path) -> None:
         manifest = (folder / TOML).read_text("utf-8")
@@ -255,7 +255,7 @@ def grey_alpha(image: Image.Image, number: int) -> tuple[Image.Image, str, dict]
 
 
 def exif(orientation: int, *, rotate: int) -> Callable[[Image.Image, int], tuple[Image.Image, str, dict]]:
-    """Store images turned, with the EXIF orientation that turns them back."""
+    """Store images rotated, with the EXIF orientation that undoes the rotation."""
 
     def turn(image: Image.Image, number: int) -> tuple[Image.Image, str, dict]:
         tags = image.getexif()
@@ -266,7 +266,7 @@ def exif(orientation: int, *, rotate: int) -> Callable[[Image.Image, int], tuple
 
 
 def some_turned(image: Image.Image, number: int) -> tuple[Image.Image, str, dict]:
-    """Half of the images upright, half turned by EXIF to another shape."""
+    """Store half of the images upright, and half rotated by EXIF to another shape."""
     tags = image.getexif()
     tags[0x0112] = 6
     return image, ".jpg", {"exif": tags} if number % 2 else {}

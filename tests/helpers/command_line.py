@@ -1,4 +1,4 @@
-"""The command line as tests use it: in a process of its own or in this one."""
+"""The command line for tests, in a separate process or in this one."""
 
 import subprocess
 import sys
@@ -12,13 +12,13 @@ from aomgen.cli.app import main
 
 
 def started(*arguments: object, folder: Path) -> CompletedProcess:
-    """Run the command line as a user does; shows also what native libraries write."""
+    """Run the command line as a user does; the result includes the output of native libraries."""
     command = [sys.executable, "-c", "from aomgen.cli.app import main; main()", *map(str, arguments)]
     return subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=120)
 
 
 def aomgen(*arguments: object, folder: Path) -> CompletedProcess:
-    """Run the command line in this process, which has imported everything already."""
+    """Run the command line in this process, which has already imported all modules."""
     words = ["aomgen", *map(str, arguments)]
     out, err, code = StringIO(), StringIO(), 0
     with chdir(folder), redirect_stdout(out), redirect_stderr(err), patch.object(sys, "argv", words):

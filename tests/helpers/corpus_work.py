@@ -9,7 +9,7 @@ from aomgen.executors import Done, Work
 
 
 def open_stub(out: Path) -> Work:
-    """Open work that a capture's name selects: to end, to fail, or to kill its process the first time or always."""
+    """Open the work that a capture's name selects: to finish, to fail, or to kill its process the first time or always."""
 
     def work(name: str) -> str:
         (out / name).mkdir(parents=True, exist_ok=True)
@@ -24,7 +24,7 @@ def open_stub(out: Path) -> Work:
 
 
 class InThisProcess:
-    """Executor for work that can neither die nor hang."""
+    """Executor for work that neither terminates its process nor hangs."""
 
     slots = 1
 

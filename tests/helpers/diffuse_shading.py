@@ -1,4 +1,4 @@
-"""Colors of diffuse surfaces, as they are meant: what the renderers' fast ways are held against."""
+"""Colors of diffuse surfaces by definition, as reference for the fast methods of the renderers."""
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -8,7 +8,7 @@ from aomgen.core.values import Array
 
 
 def shaded_srgb(albedo_linear: ArrayLike, transfer: ArrayLike, radiance_sh: ArrayLike) -> Array:
-    """sRGB colors (N, 3), 0..1, of diffuse surfaces.
+    """Compute the sRGB colors (N, 3), 0..1, of diffuse surfaces.
 
     Args:
         albedo_linear: (N, 3), 0..1.

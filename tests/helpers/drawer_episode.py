@@ -1,4 +1,4 @@
-"""An episode of a drawer that opens, whose hand stays at the world's origin."""
+"""An episode of a drawer that opens, whose end effector stays at the world's origin."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -11,7 +11,7 @@ from aomgen.core.joint import Joint
 
 
 def corner_camera(width: int, height: int) -> Camera:
-    """A camera that looks from (1, 1, 1) at the origin."""
+    """Create a camera that looks from (1, 1, 1) at the origin."""
     T_world_cam = look_at((1, 1, 1), (0, 0, 0))
     return Camera(
         fx=90, fy=90, cx=width / 2, cy=height / 2, width=width, height=height, T_world_cam=T_world_cam
@@ -26,7 +26,7 @@ def drawer_episode(
     verdict: Mapping[str, Any],
     simulation: Mapping[str, Any],
 ) -> Episode:
-    """The arm does what it is told: actions are its joints (T, 6)."""
+    """Create the episode; the actions are the joints of the arm (T, 6)."""
     frames = len(joints)
     poses = np.tile(np.eye(4), (frames, 1, 1))
     return Episode(
@@ -59,7 +59,7 @@ def drawer_episode(
 
 
 def no_contacts() -> ContactLog:
-    """A log without a single contact."""
+    """Create a log without contacts."""
     none = np.zeros(0, np.int64)
     return ContactLog(
         frames=none,

@@ -10,7 +10,7 @@ from aomgen.errors import StorageError
 
 
 def open_work(folder: Path) -> Callable[[str], tuple[str, int]]:
-    """Work that does what a unit's name says and leaves a line for each time it was begun."""
+    """Open work that a unit's name selects; it writes a line whenever it begins."""
     (folder / f"opened-{os.getpid()}").touch()
 
     def work(unit: str) -> tuple[str, int]:

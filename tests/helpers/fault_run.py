@@ -1,4 +1,4 @@
-"""What faults are done to: episodes and dataset of a toy drawer, made as `aomgen run` makes them, in a killable child."""
+"""Runs that are disturbed by faults: episodes and dataset of a toy drawer, made as by `aomgen run`, in a child process."""
 
 import os
 import signal
@@ -24,25 +24,25 @@ from aomgen.pipeline.runner import Stage, run_stages
 from aomgen.pipeline.stages import STAGES
 from toy_run import ToyResults, elsewhere, toy_results
 
-# Draws of the toy; those that are small do not open far enough, so some attempts are rejected.
+# Parameters of the toy run; drawers of a small scale do not open far enough, so some attempts are rejected.
 PARAMS: Final = {
     "ranges": {"x_m": [-0.02, 0.05], "yaw_deg": [-15, 15], "scale": [0.5, 1.0]},
     "cameras": ["front"],
 }
 INPUTS: Final = "inputs"
-# What the two stages need, made by nobody here.
+# Inputs of the two stages, which no stage of this run makes.
 NEEDED: Final = ("capture", "motion", "twin", "replacement", "review")
-# Calls of `os` that change the disk: files opened to be written, folders made, things put in place, and synced.
+# Functions of `os` that change the disk: they open files for writing, make folders, rename, and synchronize.
 OPERATIONS: Final = ("open", "mkdir", "replace", "fsync")
-# No run takes as long, not even on a busy machine, [s].
+# Upper limit of the duration of a run, also on a busy computer, [s].
 RUN_S: Final = 300.0
 
-# Called with the name and the first argument of a file operation before it is done; raises, or kills.
+# Called with the name and the first argument of a file operation before it is done; raises, or kills the process.
 Fault = Callable[[str, Any], None]
 
 
 class Quiet:
-    """A display that shows nothing."""
+    """A display without output."""
 
     def begin(self, stage: Stage, *, fresh: bool) -> None: ...
 
@@ -54,7 +54,7 @@ class Quiet:
 
 
 class InThisProcess:
-    """Does a unit when somebody waits for it."""
+    """Executor that does a unit when its result is requested."""
 
     slots = 1
 
@@ -75,7 +75,7 @@ class InThisProcess:
 
 
 def make(results: ToyResults, digest: str, heard: Callable[[Done], None]) -> None:
-    """Bring episodes and dataset up to date, for inputs of a digest."""
+    """Make missing or outdated episodes and dataset for inputs with a digest."""
     functions = {"episodes": partial(episodes_stage.run, on_done=heard), "dataset": export}
 
     def of_toy(name: str) -> Callable[..., dict[str, Any]]:
@@ -86,12 +86,12 @@ def make(results: ToyResults, digest: str, heard: Callable[[Done], None]) -> Non
 
 
 def make_here(out: Path, digest: str, workers: int) -> None:
-    """`make` in a folder beside the inputs; what is told to be done is written into `told_file`.
+    """Call `make` in a folder next to the inputs; the requested units are written to `told_file`.
 
     Args:
-        out: Of the run.
-        digest: Of its inputs.
-        workers: Processes; 0 for none but this one, which then has all open that a worker needs.
+        out: Folder of the run.
+        digest: Digest of its inputs.
+        workers: Number of worker processes; 0 for this process only, in which the files of a worker are already open.
     """
     results = elsewhere(small_run(out.parent), out, workers=workers)
     with told_file(out).open("w") as file:
@@ -112,13 +112,13 @@ def make_here(out: Path, digest: str, workers: int) -> None:
 
 
 def small_run(scratch: Path) -> ToyResults:
-    """Two episodes of one drawer."""
+    """Request two episodes of one drawer."""
     return toy_results(scratch / INPUTS, params=PARAMS)
 
 
 @cache
 def open_here(scratch: Path) -> EpisodeFactory:
-    """A worker that has made an episode already."""
+    """Open a worker that has already made an episode."""
     with scratch_folder(scratch) as folder:
         factory = EpisodeFactory(small_run(scratch), folder)
         factory.make(Unit(asset=0, index=0))
@@ -126,32 +126,32 @@ def open_here(scratch: Path) -> EpisodeFactory:
 
 
 def start_workers() -> Executor:
-    """Two processes that share nothing, as OpenGL requires."""
-    # Read by the processes as they start: a second thread of the linear algebra only waits.
+    """Start two processes that share no memory, as OpenGL requires."""
+    # The processes read these variables when they start: a second thread of the linear algebra would only wait.
     os.environ.update(OMP_NUM_THREADS="1", OPENBLAS_NUM_THREADS="1")
     return ProcessPoolExecutor(2, mp_context=get_context("spawn"))
 
 
 def told_file(out: Path) -> Path:
-    """Numbers of the units that a run has told to be done."""
+    """Return the file with the numbers of the units that a run has requested."""
     return out.with_suffix(".told")
 
 
 def in_child(work: Callable[[], object], limit_s: float = RUN_S, method: str = "fork") -> int:
-    """Do work in another process, and kill its group after a while.
+    """Do work in another process, and kill its process group after a time limit.
 
     Args:
         work: Pickled if the process is not a fork of this one.
-        limit_s: Afterwards it is killed.
-        method: "spawn" for what does not survive a fork, as Ray after it was used here.
+        limit_s: Time after which it is killed, [s].
+        method: "spawn" for work that does not survive a fork, for example Ray after its use in this process.
 
     Returns:
-        0, the code of its error, or minus the number of the signal that ended it.
+        0, the code of its error, or the negative number of the signal that ended it.
     """
     child = get_context(method).Process(target=_in_own_group, args=(work,))
     child.start()
     assert child.pid is not None
-    with suppress(PermissionError, ProcessLookupError):  # it has done so itself, and has gone on or ended
+    with suppress(PermissionError, ProcessLookupError):  # the child has done so itself, and may have ended
         os.setpgid(child.pid, child.pid)
     child.join(limit_s)
     if child.exitcode is None:
@@ -163,7 +163,7 @@ def in_child(work: Callable[[], object], limit_s: float = RUN_S, method: str = "
 
 def _in_own_group(work: Callable[[], object]) -> None:
     os.setpgid(0, 0)
-    # What the command blocks for itself is inherited, and Ray ends its processes by a signal.
+    # The child inherits the signals that the command blocks, and Ray ends its processes by a signal.
     signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT, signal.SIGTERM})
     try:
         work()
@@ -173,10 +173,10 @@ def _in_own_group(work: Callable[[], object]) -> None:
 
 
 def at_operation(number: int, fault: Fault) -> Callable[[], int]:
-    """From the file operation of this number on, let the fault happen in this process before each.
+    """Trigger the fault in this process before each file operation from this number on.
 
     Returns:
-        Tells how many have been begun.
+        A function that returns the number of operations that have begun.
     """
     begun = 0
 

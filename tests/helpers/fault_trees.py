@@ -1,4 +1,4 @@
-"""What a fault has left of a run, and whether the run that continues comes to the undisturbed one's bytes."""
+"""State of a run after a fault, and comparison of the continued run with an undisturbed one, byte by byte."""
 
 import shutil
 from collections.abc import Iterable
@@ -15,7 +15,7 @@ from fault_run import in_child, make_here, open_here, told_file
 from toy_run import FOLDERS
 
 BEFORE, AFTER = "before", "after"
-# Beside the results: how long it took, and the lock.
+# Files that are no results: the durations and the lock.
 NO_RESULTS: Final = (TIMINGS, ".lock")
 # Files of a run by name.
 Tree = dict[str, bytes]
@@ -23,13 +23,13 @@ Tree = dict[str, bytes]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Left:
-    """What a fault has left.
+    """State of a run after a fault.
 
     Attributes:
-        code: How the disturbed run ended.
-        lost: What was told to be done and is not there, or was made again; and the old dataset without the new one.
-        partial: Episodes, rejections, single files and datasets that are neither the old nor the new one, whole.
-        equal: The run that continued ended with the bytes of the undisturbed run.
+        code: Exit code of the disturbed run.
+        lost: Number of requested results that are missing or were made again; also a missing dataset.
+        partial: Number of episodes, rejections, files and datasets that are equal neither to the old nor to the new ones.
+        equal: Whether the continued run has the same bytes as the undisturbed run.
     """
 
     code: int
@@ -39,14 +39,14 @@ class Left:
 
 
 def begin_over(scratch: Path, out: Path) -> None:
-    """A finished run of other inputs: all will be made anew, and a dataset replaced."""
+    """Copy a finished run of other inputs: all episodes will be made again, and the dataset replaced."""
     shutil.rmtree(out, ignore_errors=True)
     shutil.copytree(scratch / BEFORE, out)
     told_file(out).write_text("")
 
 
 def look(scratch: Path, out: Path, code: int) -> Left:
-    """Look at what a fault has left, let the run continue, look again, and delete it."""
+    """Compare a run after a fault, let it continue, compare again, and delete it."""
     whole, now = read_tree(scratch / AFTER), read_tree(out)
     known = _items(whole), _items(read_tree(scratch / BEFORE))
     found = _items(now)
@@ -68,7 +68,7 @@ def look(scratch: Path, out: Path, code: int) -> Left:
 
 
 def summary(left: Iterable[Left]) -> dict[str, int]:
-    """Figures of many faults."""
+    """Summarize many faults as figures."""
     rows = list(left)
     return {
         "lost": sum(row.lost for row in rows),
@@ -78,7 +78,7 @@ def summary(left: Iterable[Left]) -> dict[str, int]:
 
 
 def read_tree(out: Path, *, staging: bool = False) -> Tree:
-    """All files of a run's results; also what is half-written, if `staging`."""
+    """Read all files of a run's results; with `staging` also incomplete ones."""
     names = [path.relative_to(out) for path in out.rglob("*") if path.is_file()]
     return {
         name.as_posix(): (out / name).read_bytes()
@@ -89,7 +89,7 @@ def read_tree(out: Path, *, staging: bool = False) -> Tree:
 
 
 def _items(tree: Tree) -> dict[str, Tree]:
-    """What appears in one step: a dataset, an episode, an object, or else a file."""
+    """List results that are committed in one step: a dataset, an episode, an object, or else a file."""
     items: dict[str, Tree] = {}
     for name, data in tree.items():
         items.setdefault(_item_of(name), {})[name] = data
@@ -104,6 +104,6 @@ def _item_of(name: str) -> str:
 
 
 def _names_of(number: int) -> set[str]:
-    """What a unit that has ended leaves: one of the two."""
+    """Return the names of the results of a finished unit; exactly one of the two exists."""
     episodes = FOLDERS["episodes"]
     return {f"{episodes}/{number:06d}", f"{episodes}/{REJECTED_FOLDER}/{number:06d}.json"}

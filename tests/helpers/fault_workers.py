@@ -1,4 +1,4 @@
-"""Workers of a run die, here and on a Ray cluster; the run goes on."""
+"""Deaths of workers, on this machine and on a Ray cluster; the run continues."""
 
 import multiprocessing
 import os
@@ -34,25 +34,25 @@ from fault_trees import read_tree
 from toy_run import FOLDERS, ToyResults, elsewhere, toy_results, toy_run
 
 ASSETS, WORKERS = 2, 2
-# A unit takes about a second: a worker dies at any moment of it, [s].
+# Duration of a unit, [s]; a worker is killed at a random time within it.
 UNIT_S: Final = 1.0
-# A run of 200 episodes takes two minutes; one that takes longer hangs, [s].
+# Time after which a run counts as hanging, [s]; 200 episodes take two minutes.
 HANGS_S: Final = 1200.0
-# A Ray cluster of two nodes, each with one processor, and as much shared memory as Ray takes at least, [bytes].
+# Resources of each of the two nodes of a Ray cluster: one processor, and the least shared memory that Ray accepts, [bytes].
 NODE: Final = {"num_cpus": 1, "object_store_memory": 80 << 20}
-# Episodes of an asset in a run on Ray; after so many units a worker dies, then a node.
+# Episodes of an asset in a run on Ray, and the numbers of units after which a worker and a node are killed.
 RAY_POSES, RAY_FAULTS_AFTER = 3, (1, 3)
-# A cluster whose workers are all idle for so long has nothing to do, [s].
+# Time after which a cluster without a busy worker is considered idle, [s].
 IDLE_S: Final = 20.0
 
 
 def worker_deaths(scratch: Path, deaths: int = 50, requested: int = 200) -> dict[str, int]:
-    """Kill the older one of two workers again and again during a run.
+    """Kill the older one of two workers repeatedly during a run.
 
     Args:
         scratch: A folder.
-        deaths: How many.
-        requested: Episodes, over two assets; at least as many units are made.
+        deaths: Number of kills.
+        requested: Number of episodes of both assets together; at least as many units are made.
 
     Returns:
         `accounted` are those of the requested episodes that are committed and readable, or of which the ledger says that
@@ -82,7 +82,7 @@ def worker_deaths(scratch: Path, deaths: int = 50, requested: int = 200) -> dict
 
 
 def _die_often(results: ToyResults, deaths: int, requested: int, file: Path) -> None:
-    """Make the episodes; after every few units, and a moment, the worker that was started first is killed."""
+    """Make the episodes; kill the oldest worker shortly after every few units."""
     rng, units, killed = np.random.default_rng(0), 0, list[threading.Timer]()
 
     def heard(done: Done) -> None:
@@ -99,7 +99,7 @@ def _die_often(results: ToyResults, deaths: int, requested: int, file: Path) -> 
 
 
 def _number(process: BaseProcess) -> int:
-    """Of a process among those that its parent has started, by its name."""
+    """Return the number of a process among the children of its parent, by its name."""
     return int(re.split("[-:]", process.name)[-1])
 
 
@@ -118,10 +118,10 @@ def ray_deaths(scratch: Path) -> dict[str, Any]:
 
 
 def _on_ray(results: ToyResults, scratch: Path) -> None:
-    """An undisturbed run in processes, then one on a cluster.
+    """Make an undisturbed run in processes, then one on a cluster.
 
     Raises:
-        WorkerError: It was over before both faults had happened.
+        WorkerError: The run ended before both faults had happened.
     """
     _generate(elsewhere(results, scratch / "undisturbed", workers=WORKERS), lambda done: None)
     with _cluster() as cluster:
@@ -130,7 +130,7 @@ def _on_ray(results: ToyResults, scratch: Path) -> None:
             RAY_FAULTS_AFTER[0]: partial(_kill_ray_worker, cluster),
             RAY_FAULTS_AFTER[1]: partial(cluster.remove_node, node, allow_graceful=False),
         }
-        # The run goes on beside a fault: both workers may be idle at this moment, until it submits the next units.
+        # The run continues during a fault: both workers may be idle at this moment, until it submits the next units.
         with ThreadPoolExecutor(1) as thread:
             heard, happened = count(1), list[Future[None]]()
 
@@ -198,7 +198,7 @@ def _on_ray_with_store(scratch: Path) -> None:
 
 @contextmanager
 def _cluster() -> Iterator[Any]:
-    """A cluster with its first node, whose workers find this folder's modules."""
+    """Start a cluster with its first node, whose workers can import the modules of this folder."""
     from ray.cluster_utils import Cluster
 
     os.environ["PYTHONPATH"] = str(Path(__file__).parent)
@@ -210,10 +210,10 @@ def _cluster() -> Iterator[Any]:
 
 
 def _kill_ray_worker(cluster: Any) -> None:
-    """Kill a process that is at work; between two units none is.
+    """Kill a busy process; wait for one, because all processes are idle between two units.
 
     Raises:
-        WorkerError: None is for a while.
+        WorkerError: No worker was busy for `IDLE_S`.
     """
     end = time.monotonic() + IDLE_S
     while time.monotonic() < end:
@@ -226,7 +226,7 @@ def _kill_ray_worker(cluster: Any) -> None:
 
 
 def _at_work(cluster: Any) -> Iterator[int]:
-    """Processes of a cluster that do a unit now."""
+    """List the processes of a cluster that are working on a unit."""
     for node in cluster.list_all_nodes():
         (raylet,) = node.all_processes["raylet"]
         for child in _children(raylet.process.pid):

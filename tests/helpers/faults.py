@@ -19,24 +19,24 @@ from fault_trees import AFTER, BEFORE, Left, begin_over, look, summary
 from fault_workers import ray_deaths, ray_store, worker_deaths
 from toy_run import toy_run
 
-# Kills come in turn at a time, at a file operation, and now and then at a time when worker processes are at work.
+# Kinds of kills, in turn: at a time, at a file operation, and less often at a time with busy worker processes.
 WAYS: Final = ("time", "operation") * 4 + ("time", "workers")
 WORKERS: Final = 2
-# A run that came to its end before it was killed is killed so much earlier.
+# Factor on the time of the next kill if a run ended before it was killed.
 EARLIER: Final = 0.8
 
 
 def run_faults(scratch: Path, points: int, tell: Callable[[str], None]) -> dict[str, Any]:
-    """All figures; see `docs/episodes.md`.
+    """Measure all figures; see `docs/episodes.md`.
 
     Args:
         scratch: An empty folder.
-        points: Kills.
-        tell: Hears the figures of each part.
+        points: Number of kills.
+        tell: Receives the figures of each part.
 
     Raises:
         BackendError: Ray is not installed.
-        WorkerError: A run ends otherwise than it should, or hangs.
+        WorkerError: A run has an unexpected exit code, or hangs.
     """
     require_cluster("local")
     figures: dict[str, Any] = {}
@@ -60,7 +60,7 @@ def prepare(pool: Executor, scratch: Path) -> None:
 
 
 def kills(pool: Executor, scratch: Path, points: int) -> dict[str, int]:
-    """Kill runs at points spread over their lives, continue them and compare."""
+    """Kill runs at times spread over their duration, continue them and compare."""
     ways = [WAYS[number % len(WAYS)] for number in range(points)]
     shares = [(ways[:number].count(way) + 0.5) / ways.count(way) for number, way in enumerate(ways)]
     left = pool.map(partial(_kill, scratch), range(points), ways, shares)
@@ -68,12 +68,12 @@ def kills(pool: Executor, scratch: Path, points: int) -> dict[str, int]:
 
 
 def disk_full(pool: Executor, scratch: Path, every: int = 1) -> dict[str, int]:
-    """From each write of a run on, in turn, the disk is full; then it is not, and the run continues.
+    """Fill the disk from each write of a run on, in turn; then free it and continue the run.
 
     Args:
-        pool: Of processes.
+        pool: Pool of processes.
         scratch: See `prepare`.
-        every: Leave out the writes between each so many.
+        every: Only every n-th write is tested.
     """
     operations = pool.submit(_operations, scratch).result()
     left = list(pool.map(partial(_fill_disk, scratch), range(1, operations + 1, every)))
@@ -90,7 +90,7 @@ def _undisturbed(scratch: Path, name: str) -> None:
 
 @cache
 def _seconds(scratch: Path, workers: int) -> float:
-    """Of an undisturbed run, while this machine is as busy as it will be."""
+    """Measure the duration of an undisturbed run under the load of the tests."""
     out = scratch / f"timed-{os.getpid()}"
     open_here(scratch)
     begin_over(scratch, out)
@@ -101,7 +101,7 @@ def _seconds(scratch: Path, workers: int) -> float:
 
 @cache
 def _operations(scratch: Path) -> int:
-    """File operations of an undisturbed run."""
+    """Count the file operations of an undisturbed run."""
     out = scratch / f"counted-{os.getpid()}"
     counted = out.with_suffix(".operations")
     open_here(scratch)
@@ -117,7 +117,7 @@ def _count(out: Path, counted: Path) -> None:
 
 
 def _kill(scratch: Path, number: int, way: str, share: float) -> Left:
-    """Kill a run at a share of its life, and look at it."""
+    """Kill a run after a share of its duration, and examine it."""
     out, workers, code = scratch / f"kill-{number}", WORKERS if way == "workers" else 0, 0
     work: Callable[[], None] = partial(make_here, out, AFTER, workers)
     if way == "operation":
@@ -135,7 +135,7 @@ def _kill(scratch: Path, number: int, way: str, share: float) -> Left:
 
 
 def _fill_disk(scratch: Path, number: int) -> Left:
-    """Let the disk be full from a write on, and look at the run."""
+    """Fill the disk from a write on, and examine the run."""
     out = scratch / f"full-{number}"
     open_here(scratch)
     begin_over(scratch, out)
@@ -152,8 +152,8 @@ def _die(name: str, argument: Any) -> None:
 
 
 def _refuse(name: str, argument: Any) -> None:
-    """As a full disk does, which has taken half of a file when it is synced."""
+    """Fail as a full disk does, on which half of a file was written before it is synced."""
     if name == "fsync":
-        with suppress(OSError):  # a folder, or opened to be read
+        with suppress(OSError):  # a folder, or a file opened for reading
             os.ftruncate(argument, os.fstat(argument).st_size // 2)
     raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))

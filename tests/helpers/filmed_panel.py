@@ -1,4 +1,4 @@
-"""A textured panel before a wall, moved by a joint and filmed by our own engine."""
+"""A textured panel in front of a wall, moved by a joint and rendered to a video by our engine."""
 
 from dataclasses import dataclass
 
@@ -55,7 +55,7 @@ def _texture(count: int, seed: int, contrast: float) -> Array:
 
 @dataclass(frozen=True, kw_only=True)
 class World:
-    """A panel before a wall, the panel moved by a joint, and what a hand says about it."""
+    """A panel in front of a wall, its joint, and the path of the gripper that moves it."""
 
     demo: MotionInput
     hidden: Array

@@ -9,7 +9,7 @@ VARIABLE = "AOMGEN_TEST_RUN"
 
 
 def copy_finished_run(home: Path) -> Path | None:
-    """Link the finished run into a folder as `out`; None when there is none."""
+    """Link the finished run into a folder as `out`; return None if there is none."""
     source = os.environ.get(VARIABLE)
     if not source:
         return None

@@ -1,4 +1,4 @@
-"""A demonstration as other programs record it: LeRobot datasets, ROS bags, MCAP, RTDE and other tables."""
+"""A demonstration as recorded by other programs: LeRobot datasets, ROS bags, MCAP, RTDE and other tables."""
 
 import io
 import json
@@ -31,7 +31,7 @@ H264_DEFINITION = "builtin_interfaces/Time timestamp\nstring frame_id\nuint8[] d
 
 @dataclass(frozen=True)
 class Demonstration:
-    """What every writer stores: the state at the rate of the video, and the video.
+    """Content that every writer stores: the state at the rate of the video, and the video.
 
     Attributes:
         times_s: (T,), from 0.
@@ -48,7 +48,7 @@ class Demonstration:
     video: Path
 
     def first(self, count: int) -> "Demonstration":
-        """The first frames and rows alone."""
+        """Select the first frames and rows."""
         cut = slice(0, count)
         return Demonstration(
             self.times_s[cut], self.joints[cut], self.gripper[cut], self.frames[cut], self.video
@@ -58,7 +58,7 @@ class Demonstration:
 def write_lerobot_v3(
     folder: Path, demonstration: Demonstration, names: Any = None, state: np.ndarray | None = None
 ) -> Path:
-    """Two equal episodes in one table and one video, as LeRobot v3.0 lays them out."""
+    """Write two equal episodes in one table and one video, in the layout of LeRobot v3.0."""
     names, state = _state(demonstration, names, state)
     count, fps, key = len(demonstration.times_s), 10, "observation.images.front"
     rows = [
@@ -90,7 +90,7 @@ def write_lerobot_v3(
 def write_lerobot_v21(
     folder: Path, demonstration: Demonstration, names: Any = None, state: np.ndarray | None = None
 ) -> Path:
-    """Two equal episodes with files of their own, as LeRobot v2.1 lays them out."""
+    """Write two equal episodes with separate files, in the layout of LeRobot v2.1."""
     names, state = _state(demonstration, names, state)
     rows = [
         {"episode_index": number, "tasks": ["open the microwave"], "length": len(state)}
@@ -154,7 +154,7 @@ def _write_parquet(path: Path, table: pa.Table) -> None:
 
 
 class BagWriter:
-    """Writes messages to a ROS 1 bag, a ROS 2 bag of SQLite, or a ROS 2 bag of MCAP."""
+    """Writer of messages to a ROS 1 bag, a ROS 2 bag of SQLite, or a ROS 2 bag of MCAP."""
 
     def __init__(self, path: Path, kind: str) -> None:
         self.path, self.ros1 = path, kind == "ros1"
@@ -175,7 +175,7 @@ class BagWriter:
         return self.types.types[kind](**fields)
 
     def header(self, time_s: float) -> Any:
-        """A header whose stamp is on the clock of the machine."""
+        """Create a header whose stamp is on the clock of the computer."""
         more = {"seq": 0} if self.ros1 else {}
         return self.make("std_msgs/msg/Header", stamp=self.stamp(time_s), frame_id="", **more)
 
@@ -238,7 +238,7 @@ class BagWriter:
 
 
 def write_bag(path: Path, demonstration: Demonstration, kind: str, video: str) -> Path:
-    """A bag with joint states in another order and a video: "image", "jpeg" or "h264"."""
+    """Write a bag with joint states in another order and a video: "image", "jpeg" or "h264"."""
     names = [*reversed(JOINTS), "gripper"]
     packets = read_annex_b(demonstration.video) if video == "h264" else []
     with BagWriter(path, kind) as bag:
@@ -255,7 +255,7 @@ def write_bag(path: Path, demonstration: Demonstration, kind: str, video: str) -
 
 
 def read_annex_b(video: Path) -> list[bytes]:
-    """Packets of an H.264 file as cameras send them, with their parameters before each key frame."""
+    """Read the packets of an H.264 file as cameras send them, with their parameters before each key frame."""
     with av.open(str(video)) as container:
         stream = container.streams.video[0]
         convert = BitStreamFilterContext("h264_mp4toannexb", stream)
@@ -264,7 +264,7 @@ def read_annex_b(video: Path) -> list[bytes]:
 
 
 def write_table(path: Path, header: Sequence[str], columns: Sequence[np.ndarray]) -> Path:
-    """A CSV file of columns."""
+    """Write columns to a CSV file."""
     text = io.StringIO()
     text.write(",".join(header) + "\n")
     for row in np.column_stack(columns):
@@ -274,7 +274,7 @@ def write_table(path: Path, header: Sequence[str], columns: Sequence[np.ndarray]
 
 
 def write_rtde(path: Path, demonstration: Demonstration) -> Path:
-    """A recording of RTDE with the gripper in a register, 0 .. 255."""
+    """Write a recording of RTDE with the gripper in a register, 0 .. 255."""
     header = [
         "timestamp",
         *(f"actual_q_{k}" for k in range(6)),

@@ -1,4 +1,4 @@
-"""Scans as other programs write them, made from images with known cameras."""
+"""Scans as written by other programs, made from images with known cameras."""
 
 import json
 import shutil
@@ -28,14 +28,14 @@ class KnownScan:
 
 
 def known_scan(images: Sequence[Path], *, width: int, height: int) -> KnownScan:
-    """Cameras on a spiral that look at the origin."""
+    """Place cameras on a spiral, looking at the origin."""
     turns = np.linspace(0, 2 * np.pi, len(images), endpoint=False)
     poses = tuple(look_at((np.cos(a), np.sin(a), 0.4 + 0.1 * a), (0, 0, 0)) for a in turns)
     return KnownScan(tuple(images), poses, width, height, (600.25, 599.5, 320.125, 239.75))
 
 
 def write_transforms(folder: Path, scan: KnownScan, **changes) -> Path:
-    """nerfstudio's layout, camera axes of OpenGL."""
+    """Write nerfstudio's layout, with the camera axes of OpenGL."""
     _copy(scan, folder / "images")
     fx, fy, cx, cy = scan.intrinsics
     frames = [
@@ -48,7 +48,7 @@ def write_transforms(folder: Path, scan: KnownScan, **changes) -> Path:
 
 
 def write_colmap(folder: Path, scan: KnownScan, *, text: bool, camera: pycolmap.Camera | None = None) -> Path:
-    """COLMAP's project layout, written by COLMAP."""
+    """Write COLMAP's project layout with COLMAP."""
     _copy(scan, folder / "images")
     model = pycolmap.Reconstruction()
     camera = camera or pycolmap.Camera(
@@ -66,7 +66,7 @@ def write_colmap(folder: Path, scan: KnownScan, *, text: bool, camera: pycolmap.
 
 
 def write_polycam(folder: Path, scan: KnownScan) -> Path:
-    """Polycam's raw data after its own adjustment."""
+    """Write Polycam's raw data after its adjustment."""
     keyframes = folder / "keyframes"
     _copy(scan, keyframes / "corrected_images")
     (keyframes / "corrected_cameras").mkdir()
@@ -80,7 +80,7 @@ def write_polycam(folder: Path, scan: KnownScan) -> Path:
 
 
 def write_record3d(folder: Path, scan: KnownScan) -> Path:
-    """Record3D's EXR + RGB export."""
+    """Write Record3D's EXR + RGB export."""
     (folder / "rgb").mkdir(parents=True)
     poses = []
     for number, (path, T) in enumerate(zip(scan.images, scan.poses, strict=True)):
@@ -100,7 +100,7 @@ def write_record3d(folder: Path, scan: KnownScan) -> Path:
 
 
 def write_photos(folder: Path, scan: KnownScan) -> Path:
-    """Photos alone."""
+    """Write photos without poses."""
     _copy(scan, folder)
     return folder
 

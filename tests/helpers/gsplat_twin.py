@@ -1,4 +1,4 @@
-"""gsplat's compiled functions in torch, so that everything of gsplat that is Python runs on a CPU.
+"""gsplat's compiled functions in torch, so that the Python code of gsplat runs on a CPU.
 
 Projection, harmonics and tile lists are gsplat's own reference functions (`gsplat.cuda._torch_impl`); the
 blending, which gsplat has in CUDA alone, is written here with its rules. As the compiled functions do,
@@ -17,7 +17,7 @@ MIN_ALPHA, MAX_ALPHA, MIN_LEFT = 1 / 255, 0.999, 1e-4
 
 
 def install(gsplat: ModuleType, patch: pytest.MonkeyPatch) -> None:
-    """Let gsplat find the functions of this file where it looks for compiled ones."""
+    """Install the functions of this file in place of gsplat's compiled ones."""
     from gsplat.cuda import _torch_impl, _wrapper
 
     functions: dict[str, Callable] = {
@@ -103,7 +103,7 @@ def _harmonics_backward(impl: ModuleType, *arguments: Any) -> tuple:
 
 
 def _tiles(width: int, height: int, size: int, offsets: Tensor, ids: Tensor) -> Any:
-    """For every tile: pixel rows, pixel columns and the list of Gaussians."""
+    """Yield for every tile the pixel rows, the pixel columns and the list of Gaussians."""
     ends = torch.cat([offsets.flatten()[1:], torch.tensor([len(ids)])])
     for tile, (first, end) in enumerate(zip(offsets.flatten().tolist(), ends.tolist(), strict=True)):
         top, left = tile // offsets.shape[-1] * size, tile % offsets.shape[-1] * size
@@ -114,7 +114,7 @@ def _tiles(width: int, height: int, size: int, offsets: Tensor, ids: Tensor) -> 
 def _tile_alphas(
     rows: range, columns: range, ids: Tensor, centers: Tensor, conics: Tensor, opacities: Tensor
 ) -> Tensor:
-    """(n, rows, columns), zero where a Gaussian is skipped or comes after the stop."""
+    """Compute alphas (n, rows, columns), zero where a Gaussian is skipped or follows the stop."""
     offset_y = centers[0, ids, 1, None] - torch.tensor([row + 0.5 for row in rows])
     offset_x = centers[0, ids, 0, None] - torch.tensor([column + 0.5 for column in columns])
     dx, dy = offset_x[:, None, :], offset_y[:, :, None]

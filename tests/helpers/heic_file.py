@@ -8,7 +8,7 @@ import numpy as np
 
 
 def heic_bytes(image: np.ndarray, *, quarter_turns: int = 0) -> bytes:
-    """A HEIC file of an image (H, W, 3) uint8, to be turned counterclockwise by viewers."""
+    """Encode an image (H, W, 3) uint8 as a HEIC file that viewers rotate counterclockwise."""
     config, data = _encode(image)
     height, width = image.shape[:2]
     hdlr = _full("hdlr", 0, 0, struct.pack(">I4s12xB", 0, b"pict", 0))
@@ -33,7 +33,7 @@ def heic_bytes(image: np.ndarray, *, quarter_turns: int = 0) -> bytes:
 
 
 def _encode(image: np.ndarray) -> tuple[bytes, bytes]:
-    """Decoder configuration and picture of one HEVC frame."""
+    """Encode one HEVC frame; return the decoder configuration and the frame."""
     buffer = io.BytesIO()
     with av.open(buffer, "w", format="mp4") as container:
         stream = container.add_stream("libx265", rate=1)

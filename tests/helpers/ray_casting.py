@@ -5,7 +5,7 @@ from numpy.typing import ArrayLike, NDArray
 
 
 def find_blocked_rays(points: ArrayLike, direction: ArrayLike, low: ArrayLike, high: ArrayLike) -> NDArray:
-    """Which rays (N,) from points (N, 3) in a direction (3,) meet the box between two corners (3,)."""
+    """Mark the rays (N,) from points (N, 3) in a direction (3,) that meet the box between two corners (3,)."""
     starts, way = np.asarray(points, float), np.asarray(direction, float)
     way = np.where(np.abs(way) < 1e-12, 1e-12, way)
     to_low, to_high = (np.asarray(low) - starts) / way, (np.asarray(high) - starts) / way

@@ -1,4 +1,4 @@
-"""A recording of a hand that carries the handle of a made asset."""
+"""Recordings of an end effector that moves the handle of a made asset."""
 
 from dataclasses import replace
 
@@ -18,7 +18,7 @@ PLACE = np.array([0.8, 0.1, 0.05])
 def recording(
     asset: ArticulatedAsset, scale: float = SCALE, noise_m: float = 0.0
 ) -> tuple[Demonstration, RecordedObject]:
-    """A hand that carries a scaled asset's handle, at uneven speed."""
+    """Move a scaled asset's handle with an end effector, at varying speed."""
     rng = np.random.default_rng(0)
     T = transform(matrix_from_rotvec(np.array([0.0, 0.0, YAW])), PLACE)
     sized = asset.transform(similarity(scale, np.eye(3), np.zeros(3)))
@@ -49,7 +49,7 @@ def recording(
 
 
 def gripped_recording(category: str) -> tuple[Demonstration, RecordedObject]:
-    """A recording of a made asset whose hand holds the handle along its x, as real ones do."""
+    """Record a made asset whose handle is along the x axis of the end effector, as in real recordings."""
     asset = make_asset(category, 1)
     demo, recorded = recording(asset)
     Ts = demo.Ts_world_ee.copy()

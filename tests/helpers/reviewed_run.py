@@ -1,4 +1,4 @@
-"""A run folder with small episodes, rejections and a draw that was not tried, none of them planned or rendered."""
+"""A run folder with small episodes, rejections and an untried draw, none of them planned or rendered."""
 
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -26,7 +26,7 @@ def make_variation(index: int) -> Variation:
 
 
 def make_verdict(torque_share: float) -> Verdict:
-    """A verdict whose drives come nearest to their limit in the setting "stiff"."""
+    """Make a verdict whose drives are nearest to their limit in the setting "stiff"."""
     outcomes = [
         SettingOutcome(
             setting=Setting(name=name, damping=1.0, frictionloss=1.0, moving_mass=1.0),

@@ -1,4 +1,4 @@
-"""Policy servers on this machine that speak as openpi's and OpenVLA's do, written from the facts of the public ones.
+"""Policy servers on this computer with the protocols of openpi and OpenVLA, written from their public descriptions.
 
 Nothing of the clients is used: arrays are written and read here as `openpi_client.msgpack_numpy` 0.1.2 and `json_numpy`
 2.1.1 do. A server keeps what it was asked in `asked`.
@@ -23,7 +23,7 @@ OPENPI = {"action_space": "joint", "cameras": ["front"]}
 
 @dataclass
 class Served:
-    """A server that runs: HOST:PORT, what it was asked, and whether a client has left."""
+    """A running server: HOST:PORT, the received requests, and whether a client has disconnected."""
 
     address: str = ""
     asked: list[Any] = field(default_factory=list)
@@ -45,7 +45,7 @@ def json_array(array: np.ndarray) -> dict[str, Any]:
 
 
 def read_map(content: dict[Any, Any]) -> Any:
-    """Arrays of either kind, and what is none."""
+    """Decode arrays of either kind; return other values unchanged."""
     if b"__ndarray__" in content:
         return np.frombuffer(content[b"data"], content[b"dtype"]).reshape(content[b"shape"])
     if "__numpy__" in content:
@@ -68,7 +68,7 @@ def _serving(server: Any) -> Iterator[None]:
 
 @contextmanager
 def openpi_server(answer: Callable[[dict[str, Any]], Any], metadata: Any = None) -> Iterator[Served]:
-    """Answers are packed, except for bytes (sent as they are), words (a traceback: it closes) and None (it closes)."""
+    """Serve packed replies, except for bytes (sent unchanged), a str (sent as traceback; it closes) and None (it closes)."""
     served = Served()
 
     def handle(connection: Any) -> None:
@@ -96,7 +96,7 @@ def openpi_server(answer: Callable[[dict[str, Any]], Any], metadata: Any = None)
 
 @contextmanager
 def openvla_server(answer: Callable[[dict[str, Any]], Any]) -> Iterator[Served]:
-    """Answers are written as JSON, except for bytes (sent as they are) and whole numbers (a status without content)."""
+    """Serve replies as JSON, except for bytes (sent unchanged) and integers (a status without content)."""
     served = Served()
 
     class Handler(BaseHTTPRequestHandler):

@@ -5,7 +5,7 @@ import pycolmap
 
 
 def best_similarity(source: np.ndarray, target: np.ndarray) -> np.ndarray:
-    """Least-squares similarity S (4, 4) with `target ~ S(source)`, points (N, 3)."""
+    """Compute the least-squares similarity S (4, 4) with `target ~ S(source)`, points (N, 3)."""
     found = pycolmap.estimate_sim3d(source, target)
     assert found is not None, "the points lie on a line"
     return np.vstack([found.matrix(), [0, 0, 0, 1]])

@@ -1,4 +1,4 @@
-"""Small episodes on disk, whose numbers and pictures all differ."""
+"""Small episodes on disk, whose numbers and images all differ."""
 
 from pathlib import Path
 
@@ -59,7 +59,7 @@ def make_episode(index: int, frames: int, *, cameras: tuple[str, ...] = ("front"
 
 
 def make_frames(index: int, frames: int, camera: int = 0) -> np.ndarray:
-    """Frame k of episode i is a flat grey of its own, so that decoding can be checked."""
+    """Make frames of uniform gray; the value identifies episode and frame, so that decoding can be checked."""
     levels = 20 + 10 * index + 6 * np.arange(frames) + 80 * camera
     return np.broadcast_to(levels[:, None, None, None], (frames, 64, 80, 3)).astype(np.uint8)
 

@@ -40,7 +40,7 @@ def _shape(xyz: str, size: str) -> str:
 
 
 def urdf_text(*, mimic: str = MIMIC, stroke: float = STROKE_M, base: str | None = None) -> str:
-    """The small robot; `base` replaces the base link's shapes."""
+    """Return the URDF of the small robot; `base` replaces the base link's shapes."""
     links = "".join(f'<link name="{name}">{INERTIA}{_shape(*shape)}</link>' for name, shape in SHAPES.items())
     base = base if base is not None else _shape("0 0 0.05", "0.1 0.1 0.1")
     return URDF.format(links=links, base=base, mimic=mimic, stroke=stroke)

@@ -1,4 +1,4 @@
-"""A checkered table with a ball, cameras around it, and a poor start for training."""
+"""A checkered table with a ball, cameras around it, and poor initial Gaussians for training."""
 
 import numpy as np
 
@@ -17,7 +17,7 @@ def ring(count: int, height: float = 0.7, shift: float = 0.0) -> list[Camera]:
 
 
 def checkered(count: int, seed: int) -> Gaussians:
-    """Opaque Gaussians on a table and a ball, in a coarse checker pattern."""
+    """Create opaque Gaussians on a table and a ball, in a coarse checker pattern."""
     rng = np.random.default_rng(seed)
     half = count // 2
     table = np.column_stack([rng.uniform(-1, 1, (half, 2)), np.zeros(half)])
@@ -40,7 +40,7 @@ def photograph(scene: Gaussians, cameras: list[Camera]) -> list[np.ndarray]:
 
 
 def start(scene: Gaussians, count: int) -> Gaussians:
-    """Some of the scene's points, displaced, grey and half transparent."""
+    """Select some of the scene's points, displaced, gray and half transparent."""
     rng = np.random.default_rng(3)
     some = scene.select(rng.choice(len(scene), count, replace=False))
     return Gaussians(

@@ -1,4 +1,4 @@
-"""The rasterizer as it is meant: float64 torch, every Gaussian on every pixel, gradients by autograd."""
+"""The rasterizer by definition: float64 torch, every Gaussian on every pixel, gradients by autograd."""
 
 import numpy as np
 import torch
@@ -12,7 +12,7 @@ MIN_ALPHA, MAX_ALPHA, MIN_TRANSMITTANCE = 1 / 255, 0.99, 1e-4
 
 
 def sh_basis(directions: Tensor, degree: int) -> Tensor:
-    """Basis (N, (degree + 1)^2) at unit directions (N, 3), 3DGS signs and order."""
+    """Compute the basis (N, (degree + 1)^2) at unit directions (N, 3), 3DGS signs and order."""
     x, y, z = directions.unbind(-1)
     terms = [torch.full_like(x, 0.28209479177387814)]
     if degree >= 1:
@@ -36,7 +36,7 @@ def sh_basis(directions: Tensor, degree: int) -> Tensor:
 
 
 def rotation_matrices(quats: Tensor) -> Tensor:
-    """(N, 3, 3) of quaternions (N, 4) wxyz."""
+    """Convert quaternions (N, 4) wxyz to rotations (N, 3, 3)."""
     w, x, y, z = torch.nn.functional.normalize(quats, dim=-1).unbind(-1)
     rows = [
         [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
@@ -53,7 +53,7 @@ def splats(
     Ts_cam_part: Tensor | None = None,
     antialiased: bool = False,
 ) -> dict[str, Tensor]:
-    """Centres, covariances, colors, opacities and depths on the image; a pose (4, 4) for each Gaussian."""
+    """Project centers, covariances, colors, opacities and depths to the image; each Gaussian has a pose (4, 4)."""
     if Ts_cam_part is None:
         Ts_cam_part = torch.tensor(camera.T_cam_world).expand(len(parameters["means"]), 4, 4)
     R, t = Ts_cam_part[:, :3, :3], Ts_cam_part[:, :3, 3]
@@ -97,7 +97,7 @@ def blend_weights(
     Ts_cam_part: Tensor | None = None,
     antialiased: bool = False,
 ) -> tuple[list[int], Tensor, Tensor, dict]:
-    """Indices near to far, their weights (n, H, W), the light left (H, W), and the splats."""
+    """Compute the indices from near to far, their weights (n, H, W), the remaining transmittance (H, W), and the splats."""
     s = splats(parameters, camera, degree, Ts_cam_part, antialiased)
     rows, columns = np.mgrid[: camera.height, : camera.width] + 0.5
     pixels = torch.tensor(np.stack([columns, rows], -1))
@@ -123,7 +123,7 @@ def render(
     Ts_cam_part: Tensor | None = None,
     antialiased: bool = False,
 ) -> tuple[Tensor, ...]:
-    """rgb (3, H, W), depth (H, W) not divided by alpha, alpha (H, W), and features (H, W, D) if there are."""
+    """Render rgb (3, H, W), depth (H, W) not divided by alpha, alpha (H, W), and features (H, W, D) if there are any."""
     order, weights, left, s = blend_weights(parameters, camera, degree, Ts_cam_part, antialiased)
     rgb = torch.einsum("nhw,nc->chw", weights, s["color"][order])
     rgb = rgb + left * torch.tensor(background, dtype=torch.float64)[:, None, None]
@@ -134,7 +134,7 @@ def render(
 
 
 def image_loss(rendered: Tensor, target: Tensor, gains: Tensor, dssim_weight: float) -> Tensor:
-    """L1 and D-SSIM by plain convolution."""
+    """Compute L1 and D-SSIM by plain convolution."""
     taps = torch.exp(-((torch.arange(11, dtype=torch.float64) - 5) ** 2) / (2 * 1.5**2))
     window = torch.outer(taps, taps) / taps.sum() ** 2
 

@@ -1,4 +1,4 @@
-"""What every rasterizer of tensors must draw: float64 torch, all Gaussians on all pixels at once."""
+"""Reference of every rasterizer of tensors: float64 torch, all Gaussians on all pixels at once."""
 
 from dataclasses import dataclass
 
@@ -15,8 +15,9 @@ DILATION, MIN_ALPHA, MIN_LEFT = 0.1, 1 / 255, 1e-4
 
 @dataclass(frozen=True, kw_only=True)
 class Rules:
-    """Where the engine and gsplat differ: the most of the light that a Gaussian takes, and whether the one
-    that leaves less than 1e-4 is still drawn."""
+    """Differences between the engine and gsplat: largest alpha of a Gaussian, and whether the Gaussian that reduces the
+    transmittance below 1e-4 is still drawn.
+    """
 
     max_alpha: float
     draws_last: bool
@@ -26,7 +27,7 @@ ENGINE, GSPLAT = Rules(max_alpha=0.99, draws_last=True), Rules(max_alpha=0.999, 
 
 
 def in_world(gaussians: GaussianTensors, parts: PartTensors | None) -> tuple[Tensor, Tensor]:
-    """Means (N, 3), and axes times deviations (N, 3, 3)."""
+    """Compute means (N, 3), and axes times standard deviations (N, 3, 3), in the world frame."""
     axes = rotation_matrices(gaussians.quats) * gaussians.log_scales.exp()[:, None]
     if parts is None:
         return gaussians.means, axes
@@ -35,7 +36,7 @@ def in_world(gaussians: GaussianTensors, parts: PartTensors | None) -> tuple[Ten
 
 
 def colors(gaussians: GaussianTensors, T_cam_world: Tensor, parts: PartTensors | None, degree: int) -> Tensor:
-    """(N, 3), from the direction in the part's frame."""
+    """Compute colors (N, 3) from the direction in the part's frame."""
     Ts_cam_part = T_cam_world[None]
     if parts is not None:
         Ts_cam_part = (T_cam_world @ parts.Ts_world_part)[parts.indices.long()]
@@ -47,7 +48,7 @@ def colors(gaussians: GaussianTensors, T_cam_world: Tensor, parts: PartTensors |
 def splats(
     gaussians: GaussianTensors, camera: Camera, T_cam_world: Tensor, parts: PartTensors | None
 ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-    """Centres (N, 2), precisions (N, 2, 2), what antialiasing leaves of the opacity (N,), depths (N,)."""
+    """Compute centers (N, 2), precisions (N, 2, 2), opacity factors of the antialiasing (N,), and depths (N,)."""
     means, axes = in_world(gaussians, parts)
     R = T_cam_world[:3, :3]
     x, y, z = (means @ R.T + T_cam_world[:3, 3]).unbind(-1)
@@ -66,8 +67,9 @@ def splats(
 
 @dataclass(frozen=True, kw_only=True)
 class Blend:
-    """Weights (N, H, W) in the order of the Gaussians, the light left behind each, depths (N,), and the
-    pixels (H, W) at which no alpha and no light is so close to a limit that float32 may decide otherwise."""
+    """Weights (N, H, W) in the order of the Gaussians, the transmittance behind each, depths (N,), and the pixels (H, W) at
+    which no alpha and no transmittance is so close to a limit that float32 may decide otherwise.
+    """
 
     weights: Tensor
     left: Tensor
@@ -83,7 +85,7 @@ def blend(
     parts: PartTensors | None,
     rules: Rules,
 ) -> Blend:
-    """What every Gaussian takes of the light in every pixel."""
+    """Compute the weight of every Gaussian in every pixel."""
     centers, precisions, share, depths = splats(gaussians, camera, T_cam_world, parts)
     rows = torch.arange(camera.height, dtype=depths.dtype) + 0.5
     columns = torch.arange(camera.width, dtype=depths.dtype) + 0.5
@@ -113,7 +115,7 @@ def render(
     parts: PartTensors | None,
     rules: Rules,
 ) -> tuple[TensorRendering, Blend]:
-    """All that a rasterizer draws, differentiable but for median depth and largest contribution."""
+    """Render all outputs of a rasterizer, differentiable except for median depth and largest contribution."""
     b = blend(gaussians, camera, options, T_cam_world, parts, rules)
     alpha, features = b.weights.sum(0), gaussians.features
     shades = colors(gaussians, T_cam_world, parts, options.sh_degree)
@@ -133,7 +135,7 @@ def render(
 
 
 def twists(T: Tensor, by_T: Tensor) -> Tensor:
-    """Gradient (..., 6) by small motions of a transform (..., 4, 4) in the frame it leads to.
+    """Compute the gradient (..., 6) by small motions of a transform (..., 4, 4) in its target frame.
 
     Entries of a matrix cannot move freely; rigid motions are what gradients of rigid transforms mean.
     """

@@ -1,4 +1,4 @@
-"""Diffusion pipelines with random weights, every network a few channels wide, saved as real ones are."""
+"""Diffusion pipelines with random weights and networks of a few channels, saved as real ones are."""
 
 from pathlib import Path
 from typing import Any
@@ -24,7 +24,7 @@ SIDE = 64
 
 
 def save_light_pipeline(folder: Path) -> None:
-    """A pipeline as `replacement.diffusion.estimate_environment` loads one."""
+    """Save a pipeline as `replacement.diffusion.estimate_environment` loads it."""
     import diffusers
     from transformers import CLIPTextModelWithProjection
 
@@ -39,7 +39,7 @@ def save_light_pipeline(folder: Path) -> None:
 
 
 def save_inpainting_pipeline(folder: Path) -> None:
-    """A pipeline as `replacement.diffusion.inpaint_table` loads one."""
+    """Save a pipeline as `replacement.diffusion.inpaint_table` loads it."""
     import diffusers
 
     _, _, shared = _networks(diffusers.DDIMScheduler)
@@ -53,7 +53,7 @@ def save_inpainting_pipeline(folder: Path) -> None:
 
 
 def _networks(scheduler: Any) -> tuple[Any, Any, dict[str, Any]]:
-    """Settings of the text's network, the tokenizer, and what all pipelines have."""
+    """Create the text encoder's settings, the tokenizer, and the networks that all pipelines share."""
     import diffusers
     import torch
     from transformers import CLIPTextConfig, CLIPTextModel, CLIPTokenizer

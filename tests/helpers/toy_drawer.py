@@ -1,4 +1,4 @@
-"""A drawer before the robot and a demonstration that opens it, made from nothing."""
+"""A drawer in front of the robot and a demonstration that opens it, without a recording."""
 
 import numpy as np
 
@@ -14,7 +14,7 @@ NEAR = np.array([2.11, -1.51, 2.26, -0.75, 0.53, 1.57])
 
 
 def fitted_drawer() -> FittedAsset:
-    """A drawer before the robot, its handle about 0.68 m ahead."""
+    """Place a drawer in front of the robot, its handle at a distance of about 0.68 m."""
     asset = make_asset("drawer", 1)
     shares = np.linspace(0, 1, 20, dtype=np.float64)
     T = transform(matrix_from_rotvec(np.array([0, 0, -np.pi / 2])), np.array([0.92, -0.2, 0.05]))
@@ -34,7 +34,7 @@ def fitted_drawer() -> FittedAsset:
 def opening(
     solver: IkSolver, fitted: FittedAsset, before: tuple[float, float, float] = (0.15, 0.0, 0.0)
 ) -> Demonstration:
-    """A hand that opens that drawer: approach from `before` the handle [m], close, pull, open, leave."""
+    """Open the drawer with an end effector: approach from `before` the handle [m], close, pull, open, leave."""
     held = apply(fitted.T_world_asset, fitted.contact_asset)
     # Out of the palm along +x of the world, fingers close up and down.
     R = np.stack([np.array([0.0, 1.0, 0.0]), np.array([0.0, 0.0, 1.0]), np.array([1.0, 0.0, 0.0])], 1)

@@ -1,4 +1,4 @@
-"""Plans that open or close a drawer, a microwave, a sliding cabinet, made from nothing: the hand is at the handle already."""
+"""Plans that open or close a drawer, a microwave or a sliding cabinet; the end effector starts at the handle."""
 
 import numpy as np
 
@@ -22,14 +22,14 @@ FRAMES = 46
 def facing_robot(
     asset: ArticulatedAsset, handle_world: tuple[float, float], height: float = 0.05
 ) -> np.ndarray:
-    """Pose (4, 4) of an asset that shows its front to the robot and has its handle above a point."""
+    """Compute the pose (4, 4) of an asset whose front faces the robot and whose handle is above a point."""
     R = matrix_from_rotvec(np.array([0, 0, -np.pi / 2]))
     held = R @ asset.handle_point
     return transform(R, np.array([handle_world[0] - held[0], handle_world[1] - held[1], height]))
 
 
 def pulled(target: float) -> np.ndarray:
-    """Joint values of all frames: ten to close the gripper, 26 to open the part, ten to let go."""
+    """Compute the joint values of all frames: ten to close the gripper, 26 to open the part, ten to release it."""
     u = np.linspace(0, 1, 26)
     return target * np.concatenate([np.zeros(10), u * u * (3 - 2 * u), np.ones(10)])
 
@@ -45,11 +45,11 @@ def toy_plan(
     offset_ee: tuple[float, float, float] = (0.0, 0.0, 0.0),
     closed: float = 1.0,
 ) -> EpisodePlan:
-    """The hand follows the handle of a part that moves as `thetas` say.
+    """Plan an end effector path that follows the handle of a part with joint values `thetas`.
 
     Args:
-        turn: Of the hand over that of the part.
-        offset_ee: Of the hand from the handle, in its own frame, [m].
+        turn: Rotation of the end effector over that of the part.
+        offset_ee: Offset of the end effector from the handle, end-effector frame, [m].
         closed: Gripper value before the hold; 0 is open.
     """
     joint = asset.joint.move(T_world_object)
@@ -88,14 +88,14 @@ def toy_plan(
 
 
 def drawer_plan(robot: RobotModel, *, closing: bool = False) -> EpisodePlan:
-    """Close about the bar of a drawer, pull 0.15 m, or push an open one shut, let go."""
+    """Close the gripper on the bar of a drawer, pull 0.15 m or push an open one shut, and release it."""
     asset = make_asset("drawer", 1)
     T = transform(matrix_from_rotvec(np.array([0, 0, -np.pi / 2])), np.array([0.92, -0.2, 0.05]))
     return toy_plan(robot, asset, T, UP_DOWN, pulled(0.15)[:: -1 if closing else 1])
 
 
 def microwave_plan(robot: RobotModel, *, closing: bool = False) -> EpisodePlan:
-    """Close about the bar of a microwave's door, turn it by 40 degrees, open or shut, let go."""
+    """Close the gripper on the bar of a microwave's door, turn it by 40 degrees, open or shut, and release it."""
     asset = make_asset("microwave", 1)
     T = facing_robot(asset, (0.62, -0.15))
     thetas = pulled(np.deg2rad(40.0))[:: -1 if closing else 1]

@@ -1,4 +1,4 @@
-"""The folders of a run that is ready to make episodes: a robot, a table, a drawer, and nothing that was trained."""
+"""Folders of a run before the stage `episodes`: a robot, a table and a drawer, without trained Gaussians."""
 
 from dataclasses import replace
 from functools import cache
@@ -34,7 +34,7 @@ from aomgen.twin.twin import TwinModel, TwinState, body_list
 from toy_drawer import SUPPORT, fitted_drawer, opening
 
 SURFELS = 300
-# How the drawer is held.
+# Grasp of the drawer.
 GRASP_NAME = "tilt +0, turn 1.00"
 SIZE = (64, 48)
 FOLDERS = {"replacement": "07_replacement", "episodes": "08_episodes", "dataset": "dataset"}
@@ -52,7 +52,7 @@ ROBOT = RobotChoice(
 
 
 class ToyResults(Results):
-    """What the stages `episodes` and `dataset` read; the recording is made up."""
+    """Results that the stages `episodes` and `dataset` read; the recording is synthetic."""
 
     @property
     def robot(self) -> RobotModel:
@@ -84,7 +84,7 @@ def toy_results(
     assets: int = 1,
     params: dict[str, Any] | None = None,
 ) -> ToyResults:
-    """Where a toy run's results lie, or shall lie."""
+    """Describe the location of a toy run's existing or future results."""
     project = Project(
         capture=out,
         out=out,
@@ -100,7 +100,7 @@ def toy_results(
 def toy_run(
     out: Path, *, support: SupportPlane = SUPPORT, obstacles: tuple[OrientedBox, ...] = (), **choices: Any
 ) -> ToyResults:
-    """Write what the replacement stage leaves, for some equal drawers of different names; `choices` of `toy_results`.
+    """Write the results of the replacement stage for some equal drawers with different names; `choices` of `toy_results`.
 
     Their usual grasp is given: to choose it from 24 draws takes longer than an episode.
     """
@@ -148,14 +148,14 @@ def toy_run(
 
 
 def toy_episode(out: Path) -> ToyResults:
-    """A toy run with one committed episode."""
+    """Write a toy run with one committed episode."""
     results = toy_run(out, poses=1)
     make_episodes(results, results.folders["episodes"], silent)
     return results
 
 
 def _plain(link: AssetLink) -> AssetLink:
-    """Only the first mesh keeps its texture: they are most of the time that a USD file takes."""
+    """Keep the texture of the first mesh only, because textures take most of the time of writing a USD file."""
     first, *others = link.meshes
     return replace(
         link, meshes=(first, *(replace(mesh, texture_srgb=mesh.texture_srgb[:0, :0]) for mesh in others))
@@ -163,14 +163,14 @@ def _plain(link: AssetLink) -> AssetLink:
 
 
 def elsewhere(results: ToyResults, out: Path, **machine: Any) -> ToyResults:
-    """The same run with its episodes and its dataset in another folder; `machine` as in `Results`."""
+    """Move the episodes and the dataset of a run to another folder; `machine` as in `Results`."""
     made = {stage: out / FOLDERS[stage] for stage in ("episodes", "dataset")}
     project = results.project.model_copy(update={"out": out})
     return replace(results, project=project, out=out, folders={**results.folders, **made}, **machine)
 
 
 def _table(robot: RobotModel, T_world_object: np.ndarray) -> TwinModel:
-    """A twin of a bare table, and an arm that nobody sees."""
+    """Create a twin of a bare table, and an arm without Gaussians."""
     rng, count = np.random.default_rng(1), 400
     means = np.column_stack(
         [rng.uniform(0.2, 1.4, count), rng.uniform(-0.8, 0.6, count), np.full(count, SUPPORT.height)]

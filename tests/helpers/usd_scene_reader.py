@@ -1,4 +1,4 @@
-"""A reader of exported USD scenes that shares nothing with the writer: Gaussians at a time, joints, cameras."""
+"""A reader of exported USD scenes that is independent of the writer: Gaussians at a time, joints, cameras."""
 
 import numpy as np
 from pxr import Gf, Usd, UsdGeom, UsdPhysics, UsdVol
@@ -14,7 +14,7 @@ def choose(stage: Usd.Stage, motion: str) -> None:
 
 
 def gaussians_at(stage: Usd.Stage, time: float | None = None) -> Gaussians:
-    """All Gaussians of a stage in its world frame; at the default time for None."""
+    """Read all Gaussians of a stage in its world frame; at the default time for None."""
     cache = UsdGeom.XformCache(Usd.TimeCode.Default() if time is None else time)
     found = []
     for prim in stage.Traverse():
@@ -35,7 +35,7 @@ def gaussians_at(stage: Usd.Stage, time: float | None = None) -> Gaussians:
 
 
 def poses_at(stage: Usd.Stage, time: float | None = None) -> dict[str, np.ndarray]:
-    """Poses (4, 4) of all rigid bodies by the name of their prim."""
+    """Read the poses (4, 4) of all rigid bodies by the name of their prim."""
     cache = UsdGeom.XformCache(Usd.TimeCode.Default() if time is None else time)
     return {
         prim.GetName(): np.array(cache.GetLocalToWorldTransform(prim)).T
@@ -45,7 +45,7 @@ def poses_at(stage: Usd.Stage, time: float | None = None) -> dict[str, np.ndarra
 
 
 def joints_of(stage: Usd.Stage) -> dict[str, tuple[Joint, np.ndarray]]:
-    """Revolute and prismatic joints by name, in the world frame at the default time, and where they fasten the child (3,)."""
+    """Read revolute and prismatic joints by name, world frame, at the default time, and their anchors on the child (3,)."""
     cache, found = UsdGeom.XformCache(Usd.TimeCode.Default()), {}
     for prim in stage.Traverse():
         for kind, schema in (
@@ -78,7 +78,7 @@ def joints_of(stage: Usd.Stage) -> dict[str, tuple[Joint, np.ndarray]]:
 
 
 def camera_of(stage: Usd.Stage, path: str, time: float | None = None) -> Camera:
-    """The pinhole camera of a prim, by USD's own frustum."""
+    """Read the pinhole camera of a prim by USD's frustum."""
     prim, code = stage.GetPrimAtPath(path), Usd.TimeCode.Default() if time is None else time
     width, height = (int(x) for x in prim.GetAttribute("aomgen:image_size").Get())
     gf = UsdGeom.Camera(prim).GetCamera(code)

@@ -1,4 +1,4 @@
-"""Verified episodes of one asset, one draw after the other."""
+"""Verified episodes of one asset, one draw after another."""
 
 from collections.abc import Iterator
 from itertools import count
@@ -21,7 +21,7 @@ def verified_episodes(
     ranges: Ranges,
     fps: float,
 ) -> Iterator[VerifiedEpisode]:
-    """Endless; draws that give none are passed over."""
+    """Yield episodes without end; rejected draws are skipped."""
     solver, scene = ik_solver(robot), build_scene(robot, fitted.asset, fitted.T_world_asset, support)
     for index in count():
         variation = draw(5, 0, index, ranges)

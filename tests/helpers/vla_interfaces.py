@@ -1,4 +1,4 @@
-"""Stand-ins for openpi and OpenVLA, which cannot be installed here: importable modules with their names and nothing else.
+"""Stand-ins for openpi and OpenVLA, which cannot be installed here: importable modules that only define their names.
 
 `tests/unit/recipes/interfaces.json` says what their classes, functions and scripts take. A recipe that uses a name that is
 not there fails as it would with the real library. Commands are recorded by programs that stand in for those they start.
@@ -13,7 +13,7 @@ from typing import Any, Final
 REPOSITORY: Final = Path(__file__).parents[2]
 RECIPES: Final = REPOSITORY / "recipes"
 INTERFACES: Final = json.loads((REPOSITORY / "tests/unit/recipes/interfaces.json").read_text("utf-8"))
-# What is called while a recipe's config is made.
+# Functions that are called while a recipe's configuration is created.
 BODIES: Final = {
     "create_base_config": "return DataConfig(repo_id=self.repo_id)",
     "get_freeze_filter": "return ('all but LoRA of', self)",
@@ -23,7 +23,7 @@ BODIES: Final = {
 
 
 def write_stand_ins(folder: Path, library: str) -> None:
-    """Write the modules of a library; all fields of its classes may be left out."""
+    """Write the modules of a library; all fields of its classes are optional."""
     for name, content in INTERFACES[library]["modules"].items():
         lines = ["from dataclasses import dataclass", "from enum import IntEnum", "from typing import Any"]
         for kind, fields in content.get("classes", {}).items():
@@ -52,7 +52,7 @@ def _function(name: str, arguments: list[str], indent: int) -> list[str]:
 def record_commands(
     recipe: str, arguments: list[str], tool: str, folder: Path, **environment: str
 ) -> list[list[str]]:
-    """What a shell script starts a program with, once for each time."""
+    """Record the arguments of each program that a shell script starts."""
     stand_in, record = folder / "bin" / tool, folder / "record"
     stand_in.parent.mkdir(exist_ok=True)
     stand_in.write_text(f"#!/bin/sh\nprintf '%s\\n' \"$@\" '' >> '{record}'\n", "utf-8")
@@ -64,7 +64,7 @@ def record_commands(
 
 
 def flags_of(words: list[str]) -> dict[str, str]:
-    """`--name value` and `--name=value` of a command."""
+    """Parse `--name value` and `--name=value` of a command."""
     result: dict[str, str] = {}
     for place, word in enumerate(words):
         if word.startswith("--"):
@@ -74,13 +74,13 @@ def flags_of(words: list[str]) -> dict[str, str]:
 
 
 def stated_commands(text: str, script: str) -> list[list[str]]:
-    """Commands of a document that run a script, lines continued."""
+    """List the commands of a document that run a script, with continued lines joined."""
     lines = text.replace("\\\n", " ").splitlines()
     return [line.split() for line in lines if script in line and "--" in line]
 
 
 def constants_by_words(words: list[str]) -> dict[str, Any]:
-    """Those that OpenVLA-OFT takes for a command line."""
+    """Return the constants that OpenVLA-OFT selects for a command line."""
     platforms, line = INTERFACES["openvla_oft"]["platforms"], " ".join(words).lower()
     found = next((word for word in platforms["words"] if word in line), platforms["words"][0])
     return platforms[f"{found.upper()}_CONSTANTS"]
