@@ -73,7 +73,7 @@ def run_alignment_bench(
     starts: int,
     seed: int,
     run_project: Callable[..., None],
-    tell: Callable[[dict[str, Any]], None],
+    notify: Callable[[dict[str, Any]], None],
 ) -> dict[str, Any]:
     """Compute metrics by name, with one row for every start.
 
@@ -82,7 +82,7 @@ def run_alignment_bench(
         starts: Number of starts, over all paths.
         seed: Seed of all random choices.
         run_project: Runs a project up to a stage.
-        tell: Receives the row of every start as soon as it is known.
+        notify: Receives the row of every start as soon as it is known.
     """
     scenes = [_scene_of(path, run_project) for path in paths]
     bare = [without_robot(scene) for scene in scenes]
@@ -95,7 +95,7 @@ def run_alignment_bench(
         solvable = int((turn + 1) * SOLVABLE_SHARE) > int(turn * SOLVABLE_SHARE)
         kind = "solvable" if solvable else UNSOLVABLE[(turn - int(turn * SOLVABLE_SHARE)) % len(UNSOLVABLE)]
         outcomes.append(_try(make_case(scenes[index], bare[index], kind, rng)))
-        tell(_row(outcomes[-1]))
+        notify(_row(outcomes[-1]))
     figures = summary(outcomes)
     figures["frame_invariance_mm"] = max(_frame_spread_mm(scene, rng) for scene in scenes)
     figures["rows"] = [_row(outcome) for outcome in outcomes]

@@ -36,7 +36,7 @@ EQUAL_DB: Final = 100.0
 
 
 def run_environment(
-    run: Path, folder: Path, trials: int, workers: int, tell: Callable[[str], None]
+    run: Path, folder: Path, trials: int, workers: int, notify: Callable[[str], None]
 ) -> dict[str, Any]:
     """Measure the environment of a run that has committed episodes.
 
@@ -45,7 +45,7 @@ def run_environment(
         folder: Folder of suite and rollouts; a killed benchmark continues from it.
         trials: Number of trials of each action space.
         workers: Number of processes.
-        tell: Receives the progress.
+        notify: Receives the progress.
 
     Returns:
         `oracle_replay` and `nearest_replay` by action space, `pixels_psnr` (the worst frame, [dB]), `step_cpu_ms` by
@@ -58,12 +58,12 @@ def run_environment(
             path,
             SuiteRequest(trials=trials, seed=SEED),
             workers,
-            lambda share, text: tell(text),
+            lambda share, text: notify(text),
         )
     opened, figures = open_suite(path), dict[str, Any]({ORACLE: {}})
     for space in ACTION_SPACES:
         request = EvaluationRequest(policy=ORACLE, action_space=space)
-        found = evaluate(*opened, folder / space, request, workers, lambda share, text: tell(text))
+        found = evaluate(*opened, folder / space, request, workers, lambda share, text: notify(text))
         figures[ORACLE][space] = {
             name: found[name] for name in ("success_rate", "interval_95", "trials", "failures")
         }

@@ -119,10 +119,10 @@ def alignment(
     """
     from benchmarks.alignment import run_alignment_bench
 
-    def tell(row: dict) -> None:
+    def notify(row: dict) -> None:
         print("  ".join(f"{value:.3g}" if isinstance(value, float) else str(value) for value in row.values()))
 
-    figures = run_alignment_bench(paths, starts, seed, run_project, tell)
+    figures = run_alignment_bench(paths, starts, seed, run_project, notify)
     show({name: value for name, value in figures.items() if name != "rows"}, None)
     write(figures, json_file)
 

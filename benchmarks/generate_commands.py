@@ -46,11 +46,11 @@ def generate(
     """
     from benchmarks.generate import run_generate
 
-    def tell(share: float, text: str) -> None:
+    def notify(share: float, text: str) -> None:
         print(f"{share:4.0%} {text}", flush=True)
 
     machine = {"workers": workers} if workers else {}
-    show(run_generate(out, sample_capture(), episodes, run_project, tell, **machine), json_file)
+    show(run_generate(out, sample_capture(), episodes, run_project, notify, **machine), json_file)
 
 
 @generate_app.command("environment")
@@ -108,7 +108,7 @@ def policy(
         capture=sample_capture(),
         run_project=run_project,
         workers=workers,
-        tell=partial(print, file=sys.stderr, flush=True),
+        notify=partial(print, file=sys.stderr, flush=True),
         assets=tuple(named),
         **({"trials": 2, "demonstrations": 2} if quick else {}),
     )
@@ -159,14 +159,14 @@ def replace(
     from benchmarks.replace_scores import ROOMS, run_rooms
 
     figures: dict = {}
-    tell = partial(print, file=sys.stderr, flush=True)
+    notify = partial(print, file=sys.stderr, flush=True)
     if meshes:
-        figures["mesh"] = run_meshes([*made_assets(seed), *map(load_asset, assets or [])], seed, tell)
+        figures["mesh"] = run_meshes([*made_assets(seed), *map(load_asset, assets or [])], seed, notify)
     if fits:
         with tempfile.TemporaryDirectory() as scratch:
-            figures["fit"] = run_fits((out or Path(scratch)).resolve(), seed, tell)
+            figures["fit"] = run_fits((out or Path(scratch)).resolve(), seed, notify)
     if out is not None:
-        figures |= run_rooms(out.resolve(), rooms or list(ROOMS), run_project, tell)
+        figures |= run_rooms(out.resolve(), rooms or list(ROOMS), run_project, notify)
     show(figures, json_file)
 
 

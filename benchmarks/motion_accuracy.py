@@ -128,23 +128,23 @@ def cases(count: int, first_seed: int) -> list[Case]:
 
 
 def run_motion(
-    wanted: Sequence[Case],
+    requested: Sequence[Case],
     out: Path | None,
-    tell: Callable[[Outcome], None],
+    notify: Callable[[Outcome], None],
     skipped: Callable[[Case, str], None],
 ) -> list[Outcome]:
     """Make worlds, recover and score their motion.
 
     Args:
-        wanted: Requested worlds.
+        requested: Requested worlds.
         out: Folder of the worlds, which are made only once; temporary when None.
-        tell: Receives every outcome as soon as it is known.
+        notify: Receives every outcome as soon as it is known.
         skipped: Receives every case without a demonstration, with the reason; it is left out.
     """
     outcomes = []
     with tempfile.TemporaryDirectory() as scratch:
         folder = (out or Path(scratch)).resolve()
-        for case in wanted:
+        for case in requested:
             try:
                 world = motion_world(case.category, case.seed, folder, case.kind)
             except ConfigError as error:
@@ -152,7 +152,7 @@ def run_motion(
                 continue
             for outcome in judged(world, case):
                 outcomes.append(outcome)
-                tell(outcome)
+                notify(outcome)
     return outcomes
 
 

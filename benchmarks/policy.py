@@ -93,7 +93,7 @@ class PolicyBench:
             suite, results = open_suite(make_suite(row.test))
             address = policy if isinstance(policy, str) else f"{LEROBOT}{self.trainer.home(policy)}"
             request = EvaluationRequest(policy=address, visuals=row.visuals)
-            self.data.tell(f"rollouts {kept.stem}")
+            self.data.notify(f"rollouts {kept.stem}")
             found = evaluate(suite, results, kept.with_suffix(""), request, self.data.workers, silent)
             dataset = folder_digest(self.data.dataset(policy.world, policy.sees)) if learned else None
             write_json(kept, {**found, "dataset": dataset, "versions": versions()})

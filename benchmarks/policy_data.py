@@ -20,7 +20,7 @@ from aomgen.pipeline.stages import STAGES
 from benchmarks.policy_visuals import redraw
 from synthetic.world import make_capture
 
-Tell = Callable[[str], None]
+Notify = Callable[[str], None]
 # Observations of the demonstrations: images of the twin or of the simulator, or the object's pose or keypoints instead.
 Sight = Literal["splat", "simulator", "pose", "keypoints"]
 # Values of --media for observations other than images.
@@ -133,14 +133,14 @@ class PolicyData:
         demonstrations: Largest number of a world, over all its objects.
         assets: The user's assets, tested in addition to the generated objects unseen in training.
         workers: Number of processes.
-        tell: Receives the progress.
+        notify: Receives the progress.
     """
 
     folder: Path
     capture: Path
     run_project: Callable[..., None]
     workers: int
-    tell: Tell
+    notify: Notify
     trials: int = 200
     demonstrations: int = MANY
     assets: tuple[str, ...] = ()
@@ -162,7 +162,7 @@ class PolicyData:
             image_size=DRAWN_SIZE,
             params={"episodes": dict(world.episodes)} if world.episodes else {},
         )
-        self.tell(f"run {name}")
+        self.notify(f"run {name}")
         self.run_project(project, until="episodes" if wanted else "replacement", workers=self.workers)
         return home
 
@@ -172,7 +172,7 @@ class PolicyData:
         home = self.folder / "datasets" / label
         if not (home / MARK).is_file():
             run = self.run(name)
-            self.tell(f"dataset {label}")
+            self.notify(f"dataset {label}")
             if sees == "simulator":
                 episodes = redraw(run, self.folder / "redrawn" / name)
             else:
@@ -207,9 +207,9 @@ class PolicyData:
         episodes = {**WORLDS[test.world].episodes, "ranges": {"scale": [test.scale, test.scale]}}
         changed = project.model_copy(update={"params": {"episodes": episodes}})
         request = SuiteRequest(trials=self.trials, seed=SUITE_SEED, size=SEEN_SIZE)
-        self.tell(f"suite {test.name}")
+        self.notify(f"suite {test.name}")
         results = results_of(changed, STAGES)
-        make_suite(results, path, request, self.workers, lambda share, text: self.tell(text))
+        make_suite(results, path, request, self.workers, lambda share, text: self.notify(text))
         return path
 
     def _capture(self, recording: str) -> Path:
@@ -217,7 +217,7 @@ class PolicyData:
             return self.capture
         home = self.folder / "captures" / recording
         if not home.is_dir():
-            self.tell(f"capture {recording}")
+            self.notify(f"capture {recording}")
             make_capture(home, category=recording, seed=DRAWER_SEED)
         return home
 

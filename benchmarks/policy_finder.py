@@ -37,7 +37,7 @@ def train_finder(data: PolicyData) -> Path:
     if not (home / WEIGHTS).is_file():
         main = _plugin("train_finder").main
         learned = _export_set(data, "learned")
-        data.tell("training finder")
+        data.notify("training finder")
         words = [
             str(learned),
             str(home),
@@ -101,6 +101,6 @@ def _export(data: PolicyData, name: str, assets: list[str], seed: int) -> Path:
         request = ImageSetRequest(
             images=PER_OBJECT * len(assets), seed=seed, per_object=PER_OBJECT, assets=tuple(assets)
         )
-        data.tell(f"images {name}")
-        export_images(results, folder, request, lambda share, text: data.tell(text))
+        data.notify(f"images {name}")
+        export_images(results, folder, request, lambda share, text: data.notify(text))
     return folder

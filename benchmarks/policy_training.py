@@ -87,7 +87,7 @@ class Trainer:
                 *([f"--policy.input_features={json.dumps(front_features(dataset))}"] if training.fixed_camera else []),
                 *self.list_finder_options(training),
             ]  # fmt: skip
-        self.data.tell(f"training {training.name}")
+        self.data.notify(f"training {training.name}")
         # Mixed precision is a third faster than float32, at an equal loss.
         precision = {"ACCELERATE_MIXED_PRECISION": "bf16"}
         environment = {**precision, **os.environ, "HF_HUB_OFFLINE": "1", "OMP_NUM_THREADS": "1"}

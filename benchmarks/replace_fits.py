@@ -19,9 +19,9 @@ from benchmarks.replay_runs import CATEGORIES
 ASSETS: Final = 10
 
 
-def run_fits(folder: Path, seed: int, tell: Callable[[str], None]) -> dict[str, Any]:
+def run_fits(folder: Path, seed: int, notify: Callable[[str], None]) -> dict[str, Any]:
     """Scale generated assets to motions recovered from videos of other objects; worlds are kept."""
-    rows = [_fits(category, seed, folder, tell) for category in CATEGORIES]
+    rows = [_fits(category, seed, folder, notify) for category in CATEGORIES]
     residuals, gaps, depths = (
         [value for row in rows for value in row[name]] for name in ("contact_mm", "gap_mm", "penetration_mm")
     )
@@ -39,11 +39,11 @@ def run_fits(folder: Path, seed: int, tell: Callable[[str], None]) -> dict[str, 
     }
 
 
-def _fits(category: str, seed: int, folder: Path, tell: Callable[[str], None]) -> dict[str, Any]:
+def _fits(category: str, seed: int, folder: Path, notify: Callable[[str], None]) -> dict[str, Any]:
     """Fit assets to the first world from a seed whose motion is recovered."""
     refused: list[str] = []
     for number in range(seed, seed + MAX_WORLDS):
-        tell(f"film {category}-{number}")
+        notify(f"film {category}-{number}")
         try:
             given = motion_world(category, number, folder / "worlds", "open").demonstration
             demo, _, contact, _ = recorded_motion(given, "opening")

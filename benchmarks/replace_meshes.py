@@ -108,7 +108,7 @@ def _iou(one: NDArray[np.bool_], other: NDArray[np.bool_]) -> float:
     return float((one & other).sum() / (one | other).sum())
 
 
-def run_meshes(assets: list[ArticulatedAsset], seed: int, tell: Callable[[str], None]) -> dict[str, Any]:
+def run_meshes(assets: list[ArticulatedAsset], seed: int, notify: Callable[[str], None]) -> dict[str, Any]:
     """Compute metrics of all assets: medians, worst, and one row each."""
     rows = []
     for number, asset in enumerate(assets):
@@ -128,7 +128,7 @@ def run_meshes(assets: list[ArticulatedAsset], seed: int, tell: Callable[[str], 
                 "asset_seconds": seconds + _other_seconds(asset, (static, moving)),
             }
         )
-        tell(f"{asset.name}: {scores['psnr_256']:.1f} dB, {seconds:.0f} s")
+        notify(f"{asset.name}: {scores['psnr_256']:.1f} dB, {seconds:.0f} s")
     good = {"gaussians": max, "seconds": max, "asset_seconds": max}
     names = [name for name in rows[0] if name != "asset"]
     found = {name: [row[name] for row in rows] for name in names}

@@ -188,7 +188,7 @@ def _gradient(image: NDArray[np.uint8]) -> Array:
 
 
 def run_rooms(
-    folder: Path, names: Sequence[str], run_project: Callable[..., None], tell: Callable[[str], None]
+    folder: Path, names: Sequence[str], run_project: Callable[..., None], notify: Callable[[str], None]
 ) -> dict[str, Any]:
     """Record rooms, replace their objects and score: medians, and a row each; existing results are kept."""
     rows = []
@@ -197,7 +197,7 @@ def run_rooms(
             raise UnknownNameError("--room", name, ROOMS)
     for name in names:
         truth = RoomTruth(room=ROOMS[name], folder=folder / name)
-        truth.record(lambda share, text, name=name: tell(f"{name} {share:4.0%} {text}"))
+        truth.record(lambda share, text, name=name: notify(f"{name} {share:4.0%} {text}"))
         project = Project(
             capture=truth.capture,
             out=folder / name / "run",
@@ -205,7 +205,7 @@ def run_rooms(
             image_size=CONDITIONS.size,
         )
         run_project(project, until="replacement")
-        tell(f"{name} scored")
+        notify(f"{name} scored")
         rows.append({"room": name, **score_room(RoomPictures(truth, results_of(project, STAGES)))})
     keys = dict.fromkeys(key for row in rows for key in row if key != "room")
     return {key: float(np.median([row[key] for row in rows if key in row])) for key in keys} | {"rooms": rows}

@@ -22,14 +22,14 @@ WORKERS: Final = 2
 MAX_DRAWS, BEYOND_SHARE = 20, 0.1
 # Key of the metrics of demonstrations that close their object, and the folder in which they are kept.
 CLOSING: Final = "closing"
-Tell = Callable[[str], None]
+Notify = Callable[[str], None]
 
 
 def run_replay_bench(
     folder: Path,
     attempts: int,
     seed: int,
-    tell: Tell,
+    notify: Notify,
     categories: tuple[str, ...] = CATEGORIES,
     others: tuple[Sweep, ...] = BEYOND,
 ) -> dict[str, Any]:
@@ -39,7 +39,7 @@ def run_replay_bench(
         folder: Folder of demonstrations and draws; a killed benchmark continues from it.
         attempts: Requested number of draws that pass tier A, in each category.
         seed: Seed of the first motion world, and of all draws.
-        tell: Receives every draw.
+        notify: Receives every draw.
         categories: Categories that are opened, and closed.
         others: Sweeps beyond the paper's ranges.
     """
@@ -50,13 +50,13 @@ def run_replay_bench(
             jobs = {name: pool.submit(recover, name, seed, place / name, direction) for name in categories}
             found = {name: job.result() for name, job in jobs.items()}
             for name, item in found.items():
-                tell(
+                notify(
                     f"{direction} {name}: {item.world}, {item.fitted.asset.name}; refused {list(item.refused)}"
                 )
             return found
 
         def rows(place: Path, category: str, sweep: Sweep, wanted: int) -> list[dict[str, Any]]:
-            return list(_drawn(pool, partial(measure, place, category, sweep, seed), wanted, tell))
+            return list(_drawn(pool, partial(measure, place, category, sweep, seed), wanted, notify))
 
         found = recovered(folder, "opening")
         paper = {name: rows(folder, name, PAPER, attempts) for name in categories}
@@ -93,7 +93,7 @@ def start_workers() -> Executor:
 
 
 def _drawn(
-    pool: Executor, job: Callable[[int], dict[str, Any]], attempts: int, tell: Tell
+    pool: Executor, job: Callable[[int], dict[str, Any]], attempts: int, notify: Notify
 ) -> Iterator[dict[str, Any]]:
     """Yield draws in order until `attempts` of them pass tier A; further ones that were begun are dropped."""
     waiting: deque[Future[dict[str, Any]]] = deque()
@@ -103,7 +103,7 @@ def _drawn(
             waiting.append(pool.submit(job, index + len(waiting)))
         row = waiting.popleft().result()
         good += not row["reason"]
-        tell(f"{index} ({good} of {attempts}): {row}")
+        notify(f"{index} ({good} of {attempts}): {row}")
         yield row
         if good >= attempts or index + 1 >= MAX_DRAWS * attempts:
             break

@@ -24,7 +24,7 @@ LINKS: Final = 10_000
 SHARDS: Final = 4
 
 
-def run_scale(folder: Path, units: int, tell: Callable[[str], None]) -> list[dict[str, Any]]:
+def run_scale(folder: Path, units: int, notify: Callable[[str], None]) -> list[dict[str, Any]]:
     """Measure each step for a tenth of the units, and for all of them.
 
     The run whose episodes are exported has a hundredth of the units, because the other steps read no arrays.
@@ -32,7 +32,7 @@ def run_scale(folder: Path, units: int, tell: Callable[[str], None]) -> list[dic
     Args:
         folder: Folder of the runs; it must not exist, and it is deleted afterwards.
         units: Number of committed episodes, at least 1000.
-        tell: Receives the row of each step.
+        notify: Receives the row of each step.
 
     Returns:
         Step, number of units, wall clock and processor time, [s], and largest memory, [MB].
@@ -41,7 +41,7 @@ def run_scale(folder: Path, units: int, tell: Callable[[str], None]) -> list[dic
 
     def measure(step: str, count: int, *arguments: object) -> None:
         rows.append({"step": step, "units": count, **_measure([str(item) for item in arguments])})
-        tell(str(rows[-1]))
+        notify(str(rows[-1]))
 
     folder.mkdir(parents=True)
     try:

@@ -27,7 +27,7 @@ DETAILS: Final = {"worlds", "rows", "captures", "rooms", "categories", "assets"}
 
 
 def run_scores(
-    folder: Path, captures: Sequence[Path], parts: Sequence[str], seed: int, tell: Callable[[str], None]
+    folder: Path, captures: Sequence[Path], parts: Sequence[str], seed: int, notify: Callable[[str], None]
 ) -> dict[str, float]:
     """Run every part that is missing in the folder, and write all metrics to `scores.json`.
 
@@ -36,7 +36,7 @@ def run_scores(
         captures: Captures with ground truth; the part `captures` runs each of them.
         parts: Names from `PARTS`.
         seed: First seed of made captures and worlds.
-        tell: Receives a line on each part.
+        notify: Receives a line on each part.
 
     Returns:
         Metrics by dotted name.
@@ -50,16 +50,16 @@ def run_scores(
     folder = folder.resolve()
     folder.mkdir(parents=True, exist_ok=True)
     if "replace" in parts and not blender_python().is_file():
-        tell("replace: without path-traced rooms, as Blender is not installed (`make blender-env`)")
+        notify("replace: without path-traced rooms, as Blender is not installed (`make blender-env`)")
     commands = _commands(folder, captures, seed)
     chosen = {name: commands[name] for name in commands if part_of(name) in parts}
     for name, arguments in chosen.items():
         result = folder / f"{name}.json"
         if result.is_file():
-            tell(f"{name}: kept")
+            notify(f"{name}: kept")
             continue
         arguments = [*arguments, "--json", str(result)]
-        tell(f"{name}: python -m benchmarks {' '.join(arguments)}")
+        notify(f"{name}: python -m benchmarks {' '.join(arguments)}")
         done = subprocess.run(
             [sys.executable, "-m", "benchmarks", *arguments], cwd=Path(__file__).parents[1], check=False
         )

@@ -26,13 +26,13 @@ WORKERS: Final = 2
 EARLIER: Final = 0.8
 
 
-def run_faults(scratch: Path, points: int, tell: Callable[[str], None]) -> dict[str, Any]:
+def run_faults(scratch: Path, points: int, notify: Callable[[str], None]) -> dict[str, Any]:
     """Measure all figures; see `docs/episodes.md`.
 
     Args:
         scratch: An empty folder.
         points: Number of kills.
-        tell: Receives the figures of each part.
+        notify: Receives the figures of each part.
 
     Raises:
         BackendError: Ray is not installed.
@@ -44,10 +44,10 @@ def run_faults(scratch: Path, points: int, tell: Callable[[str], None]) -> dict[
         prepare(pool, scratch)
         for name, part in (("kills", partial(kills, points=points)), ("disk_full", disk_full)):
             figures[name] = part(pool, scratch)
-            tell(f"{name}: {figures[name]}")
+            notify(f"{name}: {figures[name]}")
     for name, alone in (("worker_deaths", worker_deaths), ("ray", ray_deaths), ("store", ray_store)):
         figures[name] = alone(scratch / name)
-        tell(f"{name}: {figures[name]}")
+        notify(f"{name}: {figures[name]}")
     return figures
 
 

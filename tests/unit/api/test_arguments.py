@@ -23,7 +23,7 @@ def test_a_wrong_shape_names_both_shapes() -> None:
     with pytest.raises(ShapeError) as caught:
         ag.estimate_joint(POSES[:, :3], TIMES)
     assert caught.value.shape == (10, 3, 4)
-    assert caught.value.wanted == "(N, 4, 4)"
+    assert caught.value.required == "(N, 4, 4)"
 
 
 @pytest.mark.parametrize("scale", [2.0, -1.0])

@@ -115,7 +115,7 @@ def test_objects_of_the_user_are_opened_but_not_learned_from(tmp_path: Path) -> 
         capture=tmp_path,
         run_project=run_project,
         workers=1,
-        tell=lambda _: None,
+        notify=lambda _: None,
         assets=("mine.usda",),
     )
     data.run(UNSEEN)
@@ -216,7 +216,7 @@ def test_a_training_is_done_once_and_goes_on_where_it_ended(
 ) -> None:
     command, words = lerobot
     data: Any = SimpleNamespace(
-        folder=tmp_path, dataset=lambda world, sees: tmp_path / "dataset", tell=lambda text: None
+        folder=tmp_path, dataset=lambda world, sees: tmp_path / "dataset", notify=lambda text: None
     )
     write_episodes(tmp_path / "dataset", *"aaaa")
     policy = Training(world="microwave", demonstrations=3, kind="act", seed=5)
@@ -242,7 +242,7 @@ def test_a_policy_with_a_finder_is_trained_with_finder_and_suite(
         folder=tmp_path,
         dataset=lambda world, sees: tmp_path / sees,
         finder_suite=lambda test: tmp_path / f"{test.name}.json",
-        tell=lambda text: None,
+        notify=lambda text: None,
     )
     write_episodes(tmp_path / "keypoints", *"abc")
     policy = Training(world="microwaves", demonstrations=3, sees="keypoints", kind="handle_act")
@@ -274,7 +274,7 @@ def test_the_finder_gets_larger_images_of_the_same_trials(
     ).seal()
     test = Trials(world="microwave")
     data = PolicyData(
-        folder=tmp_path, capture=tmp_path, run_project=lambda: None, workers=1, tell=lambda text: None
+        folder=tmp_path, capture=tmp_path, run_project=lambda: None, workers=1, notify=lambda text: None
     )
     (tmp_path / "suites").mkdir()
     (tmp_path / "suites" / f"{test.name}.json").touch()
