@@ -87,7 +87,7 @@ class TouchRecovery:
         return self._fit(self._contacts(moments, Ts_world_part), self.view.interval)
 
     def recover(
-        self, found: JointCandidates, joint_type: JointType, odds: float = 1.0
+        self, found: JointCandidates, joint_type: JointType, likelihood_ratio: float = 1.0
     ) -> tuple[JointCandidates, MotionEstimate]:
         """Recover contact, joint and values for a joint type.
 
@@ -96,7 +96,7 @@ class TouchRecovery:
         Args:
             found: Result of `first_candidates`.
             joint_type: Type of the recovered joint.
-            odds: Likelihood ratio of the prompted part over any other region.
+            likelihood_ratio: Likelihood ratio of the prompted part over any other region.
 
         Returns:
             Candidates from the gripper's path in the refined interval, and the estimate of the type.
@@ -108,9 +108,11 @@ class TouchRecovery:
         trajectory = self._follow(estimate, self.view.interval)
         found = self._fit(self._first_contacts(estimate, trajectory), trajectory.interval)
         estimate = found.of(joint_type)
-        return found, self._assemble(estimate, self._follow(estimate, trajectory.interval), odds)
+        return found, self._assemble(estimate, self._follow(estimate, trajectory.interval), likelihood_ratio)
 
-    def _assemble(self, estimate: JointEstimate, trajectory: ValueTrajectory, odds: float) -> MotionEstimate:
+    def _assemble(
+        self, estimate: JointEstimate, trajectory: ValueTrajectory, likelihood_ratio: float
+    ) -> MotionEstimate:
         """Assemble the estimate that the rest of the pipeline reads."""
         demo, frames = self.demo, self.demo.video.times_s
         start_s, end_s = trajectory.interval
@@ -141,7 +143,7 @@ class TouchRecovery:
             slip_m=np.where(moving, np.linalg.norm(slips, axis=1), 0.0),
             pivot_rad=np.where(moving, np.linalg.norm(pivots, axis=1), 0.0),
             direction=infer_direction(joint, float(thetas[-1]), demo.points_static, demo.points_moving),
-            part_odds=odds,
+            part_odds=likelihood_ratio,
         )
 
     def _theta_sd(self, estimate: JointEstimate, trajectory: ValueTrajectory, thetas: Array) -> Array:
@@ -171,8 +173,8 @@ class TouchRecovery:
         values = smooth_within(path, DENSE_STEP_S, _SMOOTH_S, leave)
         if not seen.touch.gripped:
             points = apply(poses, estimate.grasp_ee[None])
-            hand = (points, apply(invert(estimate.joint.motion(values)), points))
-            return follow_pushed_part(times, values, hand, interval, leave, seen)
+            touching = (points, apply(invert(estimate.joint.motion(values)), points))
+            return follow_pushed_part(times, values, touching, interval, leave, seen)
         felt, levels = refine_interval(times, values, self.view.interval, leave)
         # The gripper's path determines the moment, unless the video contradicts it.
         pairs = zip(felt, self.view.interval, strict=True)

@@ -213,7 +213,7 @@ def _level(values: Array, otherwise: float) -> float:
 def follow_pushed_part(
     times_s: Array,
     values: Array,
-    hand: tuple[Array, Array],
+    touching: tuple[Array, Array],
     seen_s: tuple[float, float],
     leave: float,
     seen: ChangeFractions,
@@ -223,7 +223,7 @@ def follow_pushed_part(
     Args:
         times_s, values: Dense times of the touch [s], and the joint value if the gripper held the part all
             the time (T,), smooth, growing in the demonstrated direction.
-        hand: The touching point (T, 3) in the world, and relative to the part if the gripper held it, [m].
+        touching: The touching point (T, 3) in the world, and relative to the part if the gripper held it, [m].
         seen_s: First estimate of start and end, [s]. The gripper certainly pushes at the frame that differs most from both the
             first and the last state of the part, or at the middle of this interval if the video shows no change.
         leave: Change of the value at which a motion has begun, see `find_motion_tolerance`.
@@ -232,7 +232,7 @@ def follow_pushed_part(
     scores, noise = seen.scores, max(seen.noises)
     pushing_s = seen.times_s[np.argmax(scores)] if scores.max() > seen.threshold else sum(seen_s) / 2
     middle = int(np.argmin(np.abs(times_s - pushing_s)))
-    gone = middle + _left(times_s[middle:], *(points[middle:] for points in hand))
+    gone = middle + _left(times_s[middle:], *(points[middle:] for points in touching))
     farthest = _farthest(values[np.minimum(np.arange(len(values)), gone - 1)], middle)
     along = np.zeros((len(values), 3))
     along[:, 0] = farthest * (STILL_M / leave)

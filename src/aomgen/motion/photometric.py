@@ -136,27 +136,27 @@ def refine(seen: PhotometricFrames | None, prior: KinematicPrior) -> KinematicPr
     return answer if float(gains.mean() / max(error, 1e-9)) >= _ACCEPT_SD else None
 
 
-def compute_type_margin(seen: PhotometricFrames | None, answers: tuple[JointMotion, JointMotion]) -> float:
+def compute_type_margin(seen: PhotometricFrames | None, candidates: tuple[JointMotion, JointMotion]) -> float:
     """Compute twice the log evidence of the video for the first estimate over the second; 0 if inconclusive.
 
     Frames to which no estimate was fitted are compared in squares of the part's textured surface.
 
     Args:
         seen: The video as read for the first estimate's type.
-        answers: The first and the second estimate, each refined on the video.
+        candidates: The first and the second estimate, each refined on the video.
 
     Not checked: that the residuals of different frames are independent of each other.
     """
     if seen is None:
         return 0.0
-    gains, explained, squares = compare_frames(seen, (answers[1], answers[0]))
+    gains, explained, squares = compare_frames(seen, (candidates[1], candidates[0]))
     # Each square counts once.
     margin = OUTLIER_SD**2 * float(squares @ gains)
     return margin if _explains(explained[:, int(margin > 0)]) else 0.0
 
 
 def compare_frames(
-    seen: PhotometricFrames, answers: tuple[JointMotion, JointMotion]
+    seen: PhotometricFrames, candidates: tuple[JointMotion, JointMotion]
 ) -> tuple[Array, Array, Array]:
     """Compare two estimates at the F held-out frames that show enough of the part, over the pixels that both show.
 
@@ -168,7 +168,7 @@ def compare_frames(
     band = seen.bands[-1]
     for frame in seen.held_out:
         picture, hidden = seen.renderer.at(frame)
-        views = [seen.renderer.draw(joint, float(thetas[frame])) for joint, thetas in answers]
+        views = [seen.renderer.draw(joint, float(thetas[frame])) for joint, thetas in candidates]
         mask = find_interior(views[0], hidden) & find_interior(views[1], hidden)
         if mask.sum() < band.shading_px:
             continue
