@@ -94,12 +94,12 @@ class ShapeError(ConfigError, ValueError):
     Args:
         where: Name of the argument.
         shape: Shape of the array that was given.
-        wanted: Description of the required shape, for example "(N, 4, 4)".
+        required: Description of the required shape, for example "(N, 4, 4)".
     """
 
-    def __init__(self, where: object, shape: tuple[int, ...], wanted: str) -> None:
-        self.shape, self.wanted = tuple(shape), wanted
-        super().__init__(where, f"has shape {self.shape}", f"expected {wanted}")
+    def __init__(self, where: object, shape: tuple[int, ...], required: str) -> None:
+        self.shape, self.required = tuple(shape), required
+        super().__init__(where, f"has shape {self.shape}", f"expected {required}")
 
 
 class PoseError(ConfigError):

@@ -128,14 +128,14 @@ def _generate(
     folder = results_of(project, STAGES).folders["episodes"]
     stopped, failures = threading.Event(), list[BaseException]()
 
-    def tell(share: float, text: str) -> None:
+    def notify(share: float, text: str) -> None:
         if stopped.is_set():
             raise _Stopped
         progress(share, text)
 
     def work() -> None:
         try:
-            bring_up_to_date(project, until="episodes", progress=tell, **machine)
+            bring_up_to_date(project, until="episodes", progress=notify, **machine)
         except _Stopped:
             pass
         except BaseException as error:

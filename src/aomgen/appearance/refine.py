@@ -126,14 +126,14 @@ def _prepare_view(
 
 def _with_shadows(view: _View, twin: TwinModel, casters: tuple[TwinModel, TwinModel]) -> _View:
     """Add the shadows of its joint configuration to a view."""
-    lamp = twin.directional_light
-    if lamp is None:
+    directional = twin.directional_light
+    if directional is None:
         return view
-    surface, blocked = observe_shadow(twin, lamp, casters, view.Ts_world_body, view.camera)
+    surface, blocked = observe_shadow(twin, directional, casters, view.Ts_world_body, view.camera)
     edge = maximum_filter(blocked, EDGE_PX) - minimum_filter(blocked, EDGE_PX) > EDGE_STEP
     # The factor on an sRGB color depends on the color, which is that of the image.
     seen = np.maximum(view.image_srgb / 255.0, BLACK)
-    shade = seen / illuminate_srgb(seen, 1 / (1 - (surface * blocked)[..., None] * lamp.share))
+    shade = seen / illuminate_srgb(seen, 1 / (1 - (surface * blocked)[..., None] * directional.share))
     return replace(view, shade=shade.astype(np.float32), unsure=edge & (surface > 0.5))
 
 

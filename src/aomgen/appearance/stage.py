@@ -112,13 +112,13 @@ def refine_appearance(
     progress(0.1, "the robot's surface")
     with_surfels = replace_robot_gaussians(twin, robot, views, rng)
     progress(0.3, "direction of the light")
-    lamp = _lamp(with_surfels, robot, views[-1])
-    lit = with_surfels if lamp is None else remove_baked_shadow(with_surfels, robot, lamp)
+    directional = _find_cast_light(with_surfels, robot, views[-1])
+    lit = with_surfels if directional is None else remove_baked_shadow(with_surfels, robot, directional)
     progress(0.4, "images in every configuration")
     return refine_twin(lit, robot, views, rng)
 
 
-def _lamp(twin: TwinModel, robot: RobotModel, view: PosedImages) -> DirectionalLight | None:
+def _find_cast_light(twin: TwinModel, robot: RobotModel, view: PosedImages) -> DirectionalLight | None:
     """Estimate the directional light that casts shadows on the object's support; None without such a light or support."""
     world = pose_twin(twin, robot, twin.scan_state)
     of_object = np.isin(twin.labels, (STATIC, MOVING))

@@ -69,10 +69,10 @@ def cast_shadows(
         T_world_plane: Pose of the table (4, 4); None if only the shadow of the directional light is required.
         threads: See `splatting.rasterizer.render`.
     """
-    lamp, shadows = twin.directional_light, []
-    if lamp is not None:
+    directional, shadows = twin.directional_light, []
+    if directional is not None:
         casters = select_casters(twin, robot, new_object=table is not None)
-        shadows.append(_cast_lamp_shadow(lamp, casters, threads))
+        shadows.append(_cast_directional_shadow(directional, casters, threads))
     if table is None or T_world_plane is None:
         return twin, shadows
     light = twin.find_light(OBJECT)
@@ -81,23 +81,23 @@ def cast_shadows(
     body = pose_bodies(twin.select(np.isin(twin.bodies, [twin.body(OBJECT), twin.body(PART)])), Ts_world_body)
     rows, sh = np.flatnonzero(twin.bodies == 0), np.array(twin.gaussians.sh)
     scene = twin.gaussians.select(rows)
-    received = cast_wall_shadow(scene, body, light, lamp, eyes_world, T_world_plane, WALL_SAMPLES)
+    received = cast_wall_shadow(scene, body, light, directional, eyes_world, T_world_plane, WALL_SAMPLES)
     dark = np.flatnonzero(received < 1)
     sh[rows[dark]] = scene.select(dark).illuminate(received[dark]).sh
     return replace(twin, gaussians=twin.gaussians.with_sh(sh)), shadows
 
 
-def _cast_lamp_shadow(
-    lamp: DirectionalLight, casters: tuple[TwinModel, TwinModel], threads: int | None
+def _cast_directional_shadow(
+    directional: DirectionalLight, casters: tuple[TwinModel, TwinModel], threads: int | None
 ) -> TableShadow:
     """Prepare the shadow of moving and new bodies in the directional light."""
-    share, T_world_plane = float(lamp.share.mean()), lamp.T_world_plane
+    share, T_world_plane = float(directional.share.mean()), directional.T_world_plane
 
     def prepare(points: Array) -> Callable[[States], Array]:
         return lambda states: (
             share
             * measure_blocked_light(
-                casters, states.Ts_world_body, T_world_plane, lamp.directions, points, threads
+                casters, states.Ts_world_body, T_world_plane, directional.directions, points, threads
             )
         )
 
@@ -113,9 +113,9 @@ def _cast_soft_shadow(
     T_world_plane: Array,
 ) -> TableShadow:
     """Prepare the shadow of a relit object and of the robot in all light except the directional light."""
-    T_world_object, lamp, share = Ts_world_body[twin.body(OBJECT)], twin.directional_light, 1.0
-    if lamp is not None:
-        (light, _), share = lamp.split(light), 1 - float(lamp.share.mean())
+    T_world_object, directional, share = Ts_world_body[twin.body(OBJECT)], twin.directional_light, 1.0
+    if directional is not None:
+        (light, _), share = directional.split(light), 1 - float(directional.share.mean())
     blocked = np.float32(share) * table.block(light, T_world_object)
     arm_grid, block_by_arm = _cast_arm_shadow(twin, robot, (1 - FILL) * share, T_world_plane)
     T_grid_world, to_plane = invert(T_world_object @ table.T_object_plane), invert(T_world_plane)

@@ -42,34 +42,36 @@ def render_state(
         camera: Camera, world frame.
         **options: Passed to `splatting.rasterizer.render`.
     """
-    Ts, lamp = body_poses(twin, robot, state), twin.directional_light
+    Ts, directional = body_poses(twin, robot, state), twin.directional_light
     rendered = render(pose_bodies(twin, Ts), camera, **options)
-    if lamp is None:
+    if directional is None:
         return rendered
-    surface, blocked = observe_shadow(twin, lamp, select_casters(twin, robot), Ts, camera)
-    received = 1 - (surface * blocked)[..., None] * lamp.share
+    surface, blocked = observe_shadow(twin, directional, select_casters(twin, robot), Ts, camera)
+    received = 1 - (surface * blocked)[..., None] * directional.share
     return replace(rendered, rgb=illuminate_srgb(rendered.rgb, received).astype(np.float32))
 
 
 def pose_with_shadow(twin: TwinModel, robot: RobotModel, state: TwinState) -> Gaussians:
     """Transform all Gaussians to the world frame, in the order of the twin, and darken the surface by the shadow."""
-    Ts, lamp = body_poses(twin, robot, state), twin.directional_light
+    Ts, directional = body_poses(twin, robot, state), twin.directional_light
     world = pose_bodies(twin, Ts)
-    if lamp is None:
+    if directional is None:
         return world
     means = world.means.astype(np.float64)
-    share = surface_share(lamp.T_world_plane, means) * (twin.bodies == 0)
+    share = surface_share(directional.T_world_plane, means) * (twin.bodies == 0)
     on_it = np.flatnonzero(share)
     casters = select_casters(twin, robot)
     blocked = np.zeros(len(means))
-    light = measure_blocked_light(casters, Ts[None], lamp.T_world_plane, lamp.directions, means[on_it])[0]
+    light = measure_blocked_light(
+        casters, Ts[None], directional.T_world_plane, directional.directions, means[on_it]
+    )[0]
     blocked[on_it] = share[on_it] * light
-    return world.illuminate(1 - blocked[:, None] * lamp.share)
+    return world.illuminate(1 - blocked[:, None] * directional.share)
 
 
 def observe_shadow(
     twin: TwinModel,
-    lamp: DirectionalLight,
+    directional: DirectionalLight,
     casters: tuple[TwinModel, TwinModel],
     Ts_world_body: Array,
     camera: Camera,
@@ -78,7 +80,7 @@ def observe_shadow(
 
     Args:
         twin: Twin.
-        lamp: Directional light of the twin.
+        directional: Directional light of the twin.
         casters: Result of `select_casters`.
         Ts_world_body: Body poses (B, 4, 4).
         camera: Camera of the view.
@@ -86,15 +88,17 @@ def observe_shadow(
     still = (twin.bodies == 0).astype(np.float32)[:, None]
     rendered = render(pose_bodies(twin, Ts_world_body), camera, features=still, with_ids=True)
     depth = np.asarray(rendered.median_depth, np.float64)
-    points, belongs = intersect_surface(lamp.T_world_plane, camera, depth)
+    points, belongs = intersect_surface(directional.T_world_plane, camera, depth)
     blocked, seen, Ts = np.zeros(belongs.shape), belongs > 0, Ts_world_body[None]
-    blocked[seen] = measure_blocked_light(casters, Ts, lamp.T_world_plane, lamp.directions, points[seen])[0]
+    blocked[seen] = measure_blocked_light(
+        casters, Ts, directional.T_world_plane, directional.directions, points[seen]
+    )[0]
     return belongs * np.asarray(rendered.features)[..., 0], blocked
 
 
-def remove_baked_shadow(twin: TwinModel, robot: RobotModel, lamp: DirectionalLight) -> TwinModel:
+def remove_baked_shadow(twin: TwinModel, robot: RobotModel, directional: DirectionalLight) -> TwinModel:
     """Remove the scanned shadow of a directional light from the colors of the surface, and add the light to the twin."""
-    Ts, T_world_plane = body_poses(twin, robot, twin.scan_state), lamp.T_world_plane
+    Ts, T_world_plane = body_poses(twin, robot, twin.scan_state), directional.T_world_plane
     means = np.array(pose_bodies(twin, Ts).means, np.float64)
     share = surface_share(T_world_plane, means) * (twin.bodies == 0)
     on_it = np.flatnonzero(share)
@@ -103,24 +107,26 @@ def remove_baked_shadow(twin: TwinModel, robot: RobotModel, lamp: DirectionalLig
     shifted = (means[on_it] + np.concatenate([np.zeros((1, 3)), circle])[:, None]).reshape(-1, 3)
     around = np.zeros((9, len(means)))
     around[:, on_it] = share[on_it] * measure_blocked_light(
-        select_casters(twin, robot), Ts[None], T_world_plane, lamp.directions, shifted
+        select_casters(twin, robot), Ts[None], T_world_plane, directional.directions, shifted
     ).reshape(9, -1)
     blocked, most = around[0], around.max(0)
     # Only sharp shadows have uncertain edges; the shadow of a wide light has no sharp edges.
-    unsure = (most - around.min(0) > 1 - CORE) & (len(lamp.directions) == 1)
-    lit = remove_shadow(twin.gaussians, blocked, lamp)
-    from_color = _find_shadow_by_color(lit, twin.gaussians, unsure, share, lamp)
+    unsure = (most - around.min(0) > 1 - CORE) & (len(directional.directions) == 1)
+    lit = remove_shadow(twin.gaussians, blocked, directional)
+    from_color = _find_shadow_by_color(lit, twin.gaussians, unsure, share, directional)
     blocked[unsure] = np.minimum(from_color, most[unsure])
-    return replace(twin, gaussians=remove_shadow(twin.gaussians, blocked, lamp), directional_light=lamp)
+    return replace(
+        twin, gaussians=remove_shadow(twin.gaussians, blocked, directional), directional_light=directional
+    )
 
 
-def remove_shadow(gaussians: Gaussians, blocked: Array, lamp: DirectionalLight) -> Gaussians:
+def remove_shadow(gaussians: Gaussians, blocked: Array, directional: DirectionalLight) -> Gaussians:
     """Remove the shadow from N Gaussians, for which a share (N,) of the directional light was blocked."""
-    return gaussians.illuminate(1 / (1 - blocked[:, None] * lamp.share))
+    return gaussians.illuminate(1 / (1 - blocked[:, None] * directional.share))
 
 
 def _find_shadow_by_color(
-    lit: Gaussians, seen: Gaussians, unsure: NDArray[np.bool_], share: Array, lamp: DirectionalLight
+    lit: Gaussians, seen: Gaussians, unsure: NDArray[np.bool_], share: Array, directional: DirectionalLight
 ) -> Array:
     """Estimate the blocked share of the light (M,), 0..1, of Gaussians at shadow edges from the colors of their neighbors.
 
@@ -136,7 +142,7 @@ def _find_shadow_by_color(
         return np.zeros(int(unsure.sum()))
     _, near = cKDTree(lit.means[sure]).query(seen.means[unsure], k=count)
     level = np.median(_measure_level(lit)[sure][near.reshape(-1, count)], 1)
-    return np.clip((1 - _measure_level(seen)[unsure] / level) / lamp.share.mean(), 0, 1)
+    return np.clip((1 - _measure_level(seen)[unsure] / level) / directional.share.mean(), 0, 1)
 
 
 def _measure_level(gaussians: Gaussians) -> Array:

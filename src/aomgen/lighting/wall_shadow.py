@@ -32,7 +32,7 @@ def cast_wall_shadow(
     scene: Gaussians,
     body: Gaussians,
     light: Light,
-    lamp: DirectionalLight | None,
+    directional: DirectionalLight | None,
     eyes_world: Array,
     T_world_plane: Array,
     at_most: int,
@@ -43,7 +43,7 @@ def cast_wall_shadow(
         scene: N static Gaussians, world frame.
         body: The object, world frame.
         light: All light at the object's location.
-        lamp: The directional light that is part of it, if any.
+        directional: The directional light that is part of it, if any.
         eyes_world: Camera centers (K, 3), toward which the normals of surfaces are oriented.
         T_world_plane: Pose of the plane below the object (4, 4), on which the share is 1.
         at_most: Largest number of samples.
@@ -59,7 +59,9 @@ def cast_wall_shadow(
     samples = _thin(near, at_most)
     points, normals = means[samples], _estimate_normals(scene.select(near), means[samples], eyes_world)
     occluders = Occluders(own, BODY_CELLS)
-    rest, beams = (light, []) if lamp is None else (lamp.split(light)[0], [lamp.split(light)[1]])
+    rest, beams = (
+        (light, []) if directional is None else (directional.split(light)[0], [directional.split(light)[1]])
+    )
     arriving = estimate_transfer(points, normals, occluders)[0] @ rest.radiance_sh.mean(1)
     total = rest.irradiance(normals).mean(1)
     for beam in beams:

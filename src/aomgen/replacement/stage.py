@@ -143,11 +143,11 @@ def _remove_wall_shadow(results: Results, cleared: Cleared, light: SceneLight) -
     body = pose_twin(recorded, results.robot, recorded.scan_state).select(
         np.isin(recorded.labels, (STATIC, MOVING))
     )
-    scene, lamp = twin.scene, recorded.directional_light
+    scene, directional = twin.scene, recorded.directional_light
     eyes = np.stack([camera.center for camera in results.scan_cameras.values()])
     received = np.ones((len(twin.gaussians), 1))
     received[twin.of_scene] = cast_wall_shadow(
-        scene, body, light.shown, lamp, eyes, T_world_plane, len(scene)
+        scene, body, light.shown, directional, eyes, T_world_plane, len(scene)
     )
     return replace(twin, gaussians=twin.gaussians.illuminate(1 / np.maximum(received, 1 / MAX_GAIN)))
 

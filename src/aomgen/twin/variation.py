@@ -125,16 +125,16 @@ def _scale_residual(relit: Relit, item: ResidualAppearance, gains: Array) -> Res
 
 def _with_turned_light(twin: TwinModel, R: Array) -> TwinModel:
     """Rotate all light by R (3, 3), including the observed orientations of residual colors."""
-    relit, lamp = twin.relit, twin.directional_light
+    relit, directional = twin.relit, twin.directional_light
     if relit is not None:
         relit = replace(
             relit,
             lights=tuple(light.turn(R) for light in relit.lights),
             residuals=tuple(replace(item, Rs_world_body=R @ item.Rs_world_body) for item in relit.residuals),
         )
-    if lamp is not None:
-        lamp = replace(lamp, directions=lamp.directions @ R.T)
-    return replace(twin, relit=relit, directional_light=lamp)
+    if directional is not None:
+        directional = replace(directional, directions=directional.directions @ R.T)
+    return replace(twin, relit=relit, directional_light=directional)
 
 
 def _with_material(twin: TwinModel, matrix: Array) -> TwinModel:
