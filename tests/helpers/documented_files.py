@@ -58,6 +58,7 @@ def write_files(folder: Path) -> None:
     shutil.copy(folder / "other.usda", folder / "my_microwave.usd")
     limits = 'range="0 1.6"'
     (folder / "cabinet.xml").write_text(CUPBOARD.format(limits=limits, drawer=DRAWER), "utf-8")
+    (folder / "fridge.xml").write_text(CUPBOARD.format(limits=limits, drawer=""), "utf-8")
     (folder / "door.xml").write_text(CUPBOARD.format(limits="", drawer=""), "utf-8")
     body = _shape(("0 0 0.25", "0.5 0.5 0.5"))
     front = _shape(

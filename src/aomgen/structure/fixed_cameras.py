@@ -26,18 +26,18 @@ from aomgen.structure.sparse_model import (
 )
 
 STILLS = ("first", "median")
-# Two placements of one camera are the same place below these; a wrong place is far beyond. Where
-# both are right they differ by 0.01 to 0.1 degrees and 0.1 % of the depth.
+# Largest rotation between two estimates of one pose, [deg]. Two correct estimates differ by 0.01 to 0.1 degrees and 0.1 % of the
+# depth; a wrong one differs by far more than the limit.
 SAME_ANGLE_DEG = 2.0
-# The same for the distance, as share of the depth.
+# Largest distance between two estimates of one pose, as a share of the depth.
 SAME_DISTANCE_SHARE = 0.03
-# The better one of two contradicting poses is accepted with this many times the matches of the other.
+# The better one of two contradicting poses is accepted if it has this many times the matches of the other.
 CLEAR_MAJORITY = 2.0
-# Matches in one corner leave a camera free to swing about them.
+# Least extent of the matches: matches in one corner of the image do not determine the rotation about them.
 MIN_SPREAD = 0.15
-# Matches that must agree on a camera: twice what COLMAP asks of a pair, as one view carries it alone.
+# Least number of inliers of a camera: twice the number that COLMAP requires for a pair, because only one view determines it.
 MIN_INLIERS = 30
-# Reprojection error of an inlier, [px]: leaves room for a lens that is not yet estimated.
+# Largest reprojection error of an inlier, [px]: it includes the distortion of a lens that is not yet estimated.
 MAX_ERROR_PX = 6.0
 # Folds of the jackknife over matches.
 FOLDS = 5
@@ -51,7 +51,7 @@ class DemoView:
 
     Attributes:
         first_srgb: (H, W, 3) uint8, robot as in the scan.
-        median_srgb: (H, W, 3) uint8, most of the moving arm gone.
+        median_srgb: (H, W, 3) uint8, mostly without the moving arm.
     """
 
     first_srgb: NDArray[np.uint8]
@@ -61,7 +61,7 @@ class DemoView:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Resection:
-    """A placed camera.
+    """A registered camera.
 
     Attributes:
         camera_recon: Optics of the undistorted image, and pose.
@@ -87,15 +87,14 @@ def place_fixed_camera(
 ) -> tuple[Camera, Lens, Figures]:
     """Find a fixed camera and its lens.
 
-    A camera with the scan's image size and statement, or with none, may be the one that scanned.
+    A camera with the image size and the stated intrinsics of the scan, or without stated ones, may be the camera of the scan.
 
     Returns:
         Optics of the undistorted frames and pose, recon frame; the lens; and metrics of the registration with the name of
         the used still image (JSON values).
 
     Raises:
-        ReconstructionError: Neither still can be placed, or they contradict each other and
-            neither is clearly better.
+        ReconstructionError: Neither still can be registered, or they contradict each other and neither is clearly better.
     """
     group = f"demo:{name}"
     stated, lens = view.intrinsics, work.lens(group)
@@ -173,7 +172,7 @@ def resect(links: Links, lens: Lens, *, focal_known: bool, seed: int) -> Resecti
     """Estimate a camera from matches; None if fewer than `MIN_INLIERS` are consistent with one.
 
     Args:
-        lens: Optics; only its distortion and image size count when the focal length is unknown.
+        lens: Optics; if the focal length is unknown, only its distortion and image size are used.
 
     Source: P3P in LO-RANSAC, then robust refinement, as in COLMAP.
     """
@@ -218,13 +217,13 @@ def difference(a: Resection, b: Resection) -> tuple[float, float]:
 def choose_view_lens(
     links: Links, placed: Resection, stated: Intrinsics | None, scan_lens: Lens | None, *, seed: int
 ) -> LensChoice:
-    """Choose the lens model of one view, by matches that each fit has not seen.
+    """Choose the lens model of one view by held-out matches.
 
     Args:
-        placed: The camera as it was placed, with the stated optics if there are any.
-        scan_lens: The scan's lens where the view may have it too; its own has to be clearly better.
+        placed: The registered camera, with the stated optics if there are any.
+        scan_lens: Lens of the scan if the view may have the same; another lens has to be clearly better.
 
-    Inliers are determined under the richest lens, because a pinhole drops those near the border.
+    Inliers are determined with the richest lens model, because a pinhole model rejects those near the border.
     """
     start = placed.camera_recon
     plain = _plain_lens(stated, start)

@@ -1,8 +1,8 @@
-"""A model from poses that came with the scan: checked against the matches, triangulated, adjusted.
+"""Model from poses that are part of the scan: they are checked against the matches, points are triangulated, all is adjusted.
 
 Source: triangulation with known poses as in COLMAP (Schoenberger & Frahm, 2016). The check of the poses and the
-two rounds of triangulation are ours: phones know their poses to about a degree, so that the first
-round accepts large reprojection errors, and the second one the usual ones.
+two rounds of triangulation are ours: poses of phones have errors of about a degree, so the first round accepts larger
+reprojection errors than the second.
 """
 
 from dataclasses import dataclass
@@ -15,7 +15,7 @@ from aomgen.structure.mapping import Workspace
 from aomgen.structure.outlier_rejection import check_registration
 from aomgen.structure.sparse_model import SparseModel
 
-# Rotational error of a usable pose, [deg]: odometry of phones drifts by less.
+# Largest rotational error of a usable pose, [deg]: the drift of a phone's odometry is smaller.
 MAX_POSE_ERROR_DEG: Final = 1.0
 # With a smaller share of usable poses the images are mapped as if no poses were known.
 MIN_USED_SHARE: Final = 0.5

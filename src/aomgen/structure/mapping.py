@@ -17,7 +17,7 @@ from aomgen.structure.sparse_model import Links, Pair, SparseModel, adjust, lens
 
 # SIFT contrast threshold; half of COLMAP's default, for plain surfaces.
 PEAK_THRESHOLD = 0.0035
-# Twice the error that verified matches may have: a lens that bends the border by more costs some.
+# Displacement by a lens from which on matches are verified again, [px]: twice the error that verified matches may have.
 MAX_SHIFT_PX = 8.0
 
 
@@ -26,7 +26,7 @@ class Workspace:
 
     def __init__(self, folder: Path, seed: int, threads: int) -> None:
         self.folder, self.seed, self.threads = folder, seed, threads
-        # By group of images: the file of each name, and what of the camera is known.
+        # By group of images: the file of each name, and the known intrinsics of the camera.
         self._files: dict[str, dict[str, str]] = {}
         self._focal_known: dict[str, bool] = {}
         self._lens_known: dict[str, bool] = {}
@@ -111,7 +111,7 @@ class Workspace:
     def set_lens(self, group: str, lens: Lens) -> bool:
         """Give a set's camera a known lens from now on.
 
-        Returns: Whether all matches were verified again, because it bends much otherwise than before.
+        Returns: Whether all matches were verified again, because the distortion changed by more than the limit.
         """
         with pycolmap.Database.open(self.database) as database:
             camera = self._camera(database, group)
@@ -167,7 +167,7 @@ class Workspace:
         """The current model.
 
         Raises:
-            ReconstructionError: Nothing was mapped yet.
+            ReconstructionError: There is no mapped model yet.
         """
         if self._model is None:
             raise ReconstructionError("scan", "nothing was mapped yet", "map before using the model")
@@ -198,10 +198,10 @@ class Workspace:
         self._model = model
 
     def triangulate(self, pose_error_px: float) -> None:
-        """Triangulate the points of the current model anew, and adjust it.
+        """Triangulate the points of the current model again, and adjust it.
 
         Args:
-            pose_error_px: Reprojection error beyond the usual one that inaccurate poses may cause.
+            pose_error_px: Reprojection error that inaccurate poses may add to the usual one, [px].
         """
         options = self._mapper_options("scan")
         options.mapper.filter_max_reproj_error += pose_error_px
@@ -279,7 +279,7 @@ class Workspace:
         options.image_names = sorted(self._files[group].values())
         options.multiple_models = False
         options.ba_refine_focal_length = not self._focal_known[group]
-        # Nothing to refine in a pinhole camera, which has no such parameters.
+        # A pinhole camera has no distortion parameters to refine.
         options.ba_refine_extra_params = not self._lens_known[group]
         # One image alone does not determine the camera that all of them share.
         options.mapper.abs_pose_refine_focal_length = not self._focal_known[group]

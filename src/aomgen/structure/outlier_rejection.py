@@ -1,11 +1,10 @@
 """Rejection of images that registered at a wrong pose: groups first, then single images.
 
-A mapper accepts an image when enough of its matches agree with each other; with the same print on
-several cartons a wrong place can gather enough. Two-view geometry is evidence the mapper did not
-use up: at the true pose nearly all verified matches of nearly all pairs are consistent with the
-epipolar geometry of the poses, at a wrong pose most pairs contradict it. A group at a wrong place agrees
-with itself, so that no image of it stands out alone; between it and the rest there are matches that contradict
-the poses, and images that are close to each other by their poses and yet share no matches.
+A mapper accepts an image if enough of its matches are consistent. If several cartons have the same print, a wrong pose can have
+enough consistent matches. Two-view geometry is additional evidence: at the true pose, nearly all verified matches of nearly all
+pairs are consistent with the epipolar geometry of the poses; at a wrong pose, most pairs contradict it. A group of images at a
+wrong pose is consistent within itself, so no single image of it is conspicuous. Evidence against the group are matches between it
+and the other images that contradict the poses, and images that are close to each other by their poses but share no matches.
 """
 
 from dataclasses import dataclass
@@ -19,23 +18,23 @@ from aomgen.core.values import Array
 from aomgen.structure.mapping import Workspace
 from aomgen.structure.sparse_model import Pair, SparseModel
 
-# Repeated prints and plain texture give false pairs of up to about this many "verified" matches
-# (measured: 15 to 33 where true neighbours have 40 to 500); only what is above counts as evidence.
+# Repeated prints and weak texture cause false pairs with up to about this number of verified matches (measured: 15 to 33, where
+# true neighbors have 40 to 500); only the matches beyond this number count as evidence.
 FALSE_MATCHES = 35
-# Matches from which a pair is a test at all: COLMAP verifies a pair from 15 inliers on.
+# Least number of matches of a pair that is tested: COLMAP verifies a pair from 15 inliers on.
 MIN_MATCHES = 15
-# Epipolar error of a match that agrees, [px]: the default error of COLMAP's two-view geometry.
+# Largest epipolar error of a consistent match, [px]: the default of COLMAP's two-view geometry.
 MAX_ERROR_PX = 4.0
-# Share of its matches that must agree with an image: the majority.
+# Least share of consistent matches of an image: the majority.
 MIN_SHARE = 0.5
-# Two images this near are seen by a feature from the same side (SIFT holds to about 30 degrees):
-# distance of their centres as a share of the depth, and angle between their viewing directions.
+# Two images within these limits should share features: distance of their centers as a share of the depth, and angle between
+# their viewing directions (SIFT tolerates about 30 degrees).
 NEAR_SHARE = 0.2
 # SIFT descriptors match reliably within this angle, [deg].
 NEAR_ANGLE_DEG = 15.0
-# Candidate splits: leading eigenvectors of the evidence.
+# Number of leading eigenvectors of the evidence that are tried as splits.
 SPLITS = 6
-# Matches that moved no farther than this come from the same place, [px].
+# Largest motion of matches between two images of the same view, [px].
 SAME_PX = 1.0
 
 
@@ -98,15 +97,15 @@ def _depths(mapped: SparseModel) -> dict[str, float]:
 def find_wrong_groups(
     Ts_recon_cam: dict[str, Array], depths: dict[str, float], K: Array, pairs: list[Pair]
 ) -> list[set[str]]:
-    """Find groups of images that the rest contradicts more than it supports; the larger side is kept.
+    """Find groups of images that the other images contradict more than they support; the larger side is kept.
 
     Args:
         Ts_recon_cam: Poses (4, 4) of the registered images by name.
         depths: Median depth of the points that an image shows, by image name.
         K: Intrinsics (3, 3), [px].
-        pairs: Every pair that was tried, with its verified matches or with none.
+        pairs: Every pair that was matched, with its verified matches or with none.
 
-    Not checked: a wrong group that shares no view with the rest and is not near it.
+    Not checked: a wrong group that shares no view with the other images and is not near them.
     """
     names = sorted(Ts_recon_cam)
     evidence = _evidence(names, Ts_recon_cam, depths, K, pairs)
@@ -150,7 +149,7 @@ def _evidence(
     counts = np.zeros((len(names), len(names)))
     for pair in known:
         counts[order[pair.a], order[pair.b]] = counts[order[pair.b], order[pair.a]] = len(pair.pixels_a)
-    # The matches with the third best partner are expected of every adjacent image.
+    # Every adjacent image is expected to have as many matches as the third best partner.
     usual = np.sort(counts, axis=1)[:, -3] if len(names) > 3 else np.zeros(len(names))
     evidence = np.zeros_like(counts)
     for pair in known:
@@ -215,21 +214,20 @@ def epipolar_errors_px(pair: Pair, T_recon_a: Array, T_recon_b: Array, K: Array)
 def check_registration(
     Ts_recon_cam: dict[str, Array], K: Array, pairs: list[Pair], *, max_error_px: float = MAX_ERROR_PX
 ) -> dict[str, tuple[float, str]]:
-    """Check every registered image by the verified matches it has with the accepted ones.
+    """Check every registered image by its verified matches with the accepted images.
 
-    The worst image is dropped first and the rest checked again without it, so that a wrong image
-    does not drag its neighbours down.
+    The worst image is dropped first, and the others are checked again without it, so that a wrong image does not reduce the
+    scores of its neighbors.
 
     Args:
         pairs: Verified matches; pairs with unregistered images are ignored.
-        max_error_px: Epipolar error of a match that agrees, [px].
+        max_error_px: Largest epipolar error of a consistent match, [px].
 
     Returns:
         By image name, the weighted share of its matches that fit the poses, 0..1, and the reason to drop the image; the
         reason is empty if at least half of the evidence supports the pose.
 
-    Not checked: a group of images that is wrong as a whole and agrees with itself; the largest
-    group wins.
+    Not checked: a group of images that is consistent within itself but wrong as a whole; the largest group is kept.
     """
     shares = {}
     for pair in pairs:

@@ -18,25 +18,25 @@ from aomgen.structure.mapping import Workspace
 from aomgen.structure.outlier_rejection import duplicates
 from aomgen.structure.sparse_model import Pair
 
-# Features of an image: 64 images take about ten seconds on two cores.
+# Number of features of an image: 64 images take about ten seconds on two cores.
 MAX_FEATURES: Final = 512
-# All pairs are matched up to this number of images, and of longer scans neighbours and a coarse grid.
+# All pairs are matched up to this number of images; in longer scans only neighbors and a coarse grid.
 EXHAUSTIVE_LIMIT: Final = 70
 # Two images overlap if geometry confirms this number of matches, as in COLMAP's mapper.
 MIN_MATCHES: Final = 15
 # A surface is reconstructed from three views.
 MIN_PARTNERS: Final = 2
-# Images whose overlap is brighter or darker than in others by half an aperture stop; a phone that is locked stays within 0.1.
+# Difference of exposure that is reported, [EV]: half an aperture stop; with a locked exposure, phones stay within 0.1.
 MAX_EXPOSURE_EV: Final = 0.5
-# Pixels darker or brighter than this say nothing about exposure, [grey levels].
+# Range of the pixels that are used for exposure, [gray levels].
 DARK, BRIGHT = 12.0, 243.0
-# Sweeps over all images, in which exposures settle.
+# Number of sweeps over all images, after which the exposures have converged.
 SWEEPS: Final = 10
-# Share of the images that a quick reconstruction has to contain, so that the walk is known.
+# Least share of the images in a quick reconstruction that determines the walk.
 ENOUGH_MAPPED: Final = 0.9
-# Fewer images do not surround anything.
+# Least number of images of a walk around an object.
 MIN_WALK: Final = 3
-# Names in one sentence.
+# Largest number of names in one sentence.
 SHOWN_NAMES = 5
 # Predicate of a warning about each kind of problem, and the remedy.
 SENTENCES: Final = {
@@ -58,7 +58,7 @@ class ScanOverlap:
         names: N names.
         matches: (N, N) confirmed matches of each pair, symmetric.
         exposures_ev: (N,) brightness of the same surfaces against that in the other images, [EV].
-        repeated: Images that show nothing but what another one shows, and that one.
+        repeated: Images that show only the content of another image, and that image.
         Ts_recon_cam: Approximate poses (4, 4) of the images that a quick reconstruction contains, by name.
     """
 
@@ -125,7 +125,7 @@ def measure_overlap(images: Mapping[str, NDArray[np.float32]]) -> ScanOverlap:
         images: Grey levels (H, W) by name, all of one size, see `scan_images.read_grey`.
 
     Returns:
-        Confirmed matches of each pair, and approximate poses; pairs of a long scan that were not tried count as none.
+        Confirmed matches of each pair, and approximate poses; unmatched pairs of a long scan have 0 matches.
 
     Not checked: wrong matches; a mirror or a repeated pattern connects images as well.
     """

@@ -11,15 +11,14 @@ from aomgen.core.recording import Prompt
 from aomgen.core.values import Array
 from aomgen.errors import ReconstructionError
 
-# Sparse points give the depth of a prompted location: those inside the prompt, else this many nearest ones.
+# The depth of a prompt is that of the sparse points inside it, or else of this number of nearest points.
 NEAREST_POINTS = 5
-# Below this a surface's depth is a guess: three views, and the angle between the outermost ones at
-# which a pixel of error is six pixels' worth of depth (1 / sin).
+# Least number of views that determine the depth of a surface.
 MIN_VIEWS = 3
-# See above, [deg]: 1 / sin(10 deg) is about 6.
+# Least angle between the outermost of these views, [deg]: an error of one pixel then causes an error of six pixels in depth
+# (1 / sin(10 deg)).
 MIN_ANGLE_DEG = 10.0
-# Points along each side of a box that are undistorted: its curved outline deviates by less than a pixel
-# between them.
+# Number of points along each side of a box that are undistorted: between them the curved outline deviates by less than a pixel.
 EDGE_SAMPLES = 16
 
 
@@ -30,7 +29,7 @@ class PromptVisibility:
     Attributes:
         part: robot, moving or static.
         registered: Whether that image is in the model.
-        views: Registered images that have the place in their image.
+        views: Number of registered images that contain the prompted location.
         angle_deg: Largest angle between their directions to it.
     """
 
@@ -44,8 +43,8 @@ class PromptVisibility:
 def undistort_prompts(prompts: tuple[Prompt, ...], lens: Lens) -> tuple[Prompt, ...]:
     """Transform prompts to the pixels of the undistorted images.
 
-    A box becomes the box around its undistorted outline, cut at the image's border; a point that
-    the undistorted image no longer shows is left out, and so is a prompt of which nothing is left.
+    A box becomes the box around its undistorted outline, cut at the image's border. Points outside the undistorted image are
+    left out, and so are prompts without remaining points and box.
     """
     undistorted = (_undistort(prompt, lens) for prompt in prompts)
     return tuple(prompt for prompt in undistorted if len(prompt.points) or len(prompt.box))
@@ -77,10 +76,10 @@ def measure_prompt_visibility(
     points_recon: Array,
     observations: NDArray[np.int32],
 ) -> list[PromptVisibility]:
-    """Count the views of each prompted place and measure the angle between them.
+    """Count the views of each prompted location and measure the angle between them.
 
     Args:
-        prompts: Pixels of the images that `cameras_recon` belong to (undistorted).
+        prompts: Prompts in pixels of the undistorted images of `cameras_recon`.
         cameras_recon: Registered images, in name order.
         observations: (M, 2), rows of (point, index of image).
 
@@ -110,8 +109,8 @@ def require_coverage(found: list[PromptVisibility]) -> None:
     """Refuse a scan that does not cover a prompted part.
 
     Raises:
-        ReconstructionError: All images a part was prompted on are missing from the model, or too
-            few views from too few sides see it.
+        ReconstructionError: The model contains none of the images with prompts for a part, or too few views show the part, or
+            from too few sides.
     """
     for part in sorted({item.part for item in found}):
         own = [item for item in found if item.part == part]

@@ -1,8 +1,8 @@
 """Camera poses and sparse points of the scan, with the fixed cameras in the same model.
 
-Source: AOMGen, sec. 4.1; the mapper is COLMAP's (Schoenberger & Frahm, 2016). What is ours: the
-choice of pairs, the decision about lens distortion (`lens_choice`), the search for misregistered
-images (`outlier_rejection`), the choice between two mappers, the fixed cameras (`fixed_cameras`), the gates.
+Source: AOMGen, sec. 4.1; the mapper is COLMAP's (Schoenberger & Frahm, 2016). Our additions are the
+choice of pairs, the decision about lens distortion (`lens_choice`), the search for misregistered images (`outlier_rejection`),
+the choice between two mappers, the fixed cameras (`fixed_cameras`), and the limits of a valid reconstruction.
 """
 
 import tempfile
@@ -36,7 +36,7 @@ class Photographs:
     Attributes:
         images: Scan images by file name; all of one size and one camera.
         prompts: In pixels of the images as recorded.
-        Ts_scan_cam: Poses (4, 4) that came with the scan, by image name; may be wrong or missing.
+        Ts_scan_cam: Poses (4, 4) that are part of the scan, by image name; they may be wrong or missing.
     """
 
     images: dict[str, Path]
@@ -46,12 +46,11 @@ class Photographs:
     Ts_scan_cam: dict[str, Array] = field(default_factory=dict)
 
 
-# With more images than this only neighbours and a coarse grid are matched, to bound the time (pairs grow
-# with the square).
+# Number of images beyond which only neighbors and a coarse grid are matched, because the number of pairs grows quadratically.
 EXHAUSTIVE_LIMIT = 90
 # Least number of different images of a scan.
 MIN_IMAGES = 8
-# Least share of the different scan images that must be registered: with less, sides of the scene are missing.
+# Least share of the different scan images that must be registered; with fewer, sides of the scene are missing.
 MIN_REGISTERED = 0.8
 # Share of registered images below which a second mapper is tried as well.
 RETRY_BELOW = 0.95
@@ -62,10 +61,10 @@ MAX_ERROR_PX = 1.5
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StructureParams:
-    """Limits and effort.
+    """Limits and effort of the reconstruction.
 
     Attributes:
-        max_features: SIFT features kept an image.
+        max_features: Largest number of SIFT features of an image.
         first_octave: Scale of the finest features: -1 doubles the images first, which finds about four times as many
             features in four times the time; 0 does not.
         threads: -1 = all cores.
@@ -81,11 +80,11 @@ def reconstruct_structure(photographs: Photographs, params: StructureParams, pro
     """Recover the cameras of a scan, and the fixed cameras in the same frame.
 
     Returns:
-        The structure; misregistered images are dropped, never averaged in.
+        The structure, without misregistered images.
 
     Raises:
         ReconstructionError: Too few images, too few of them registered, too large an error, a
-            prompted part that the scan does not cover, or a fixed camera that cannot be placed.
+            prompted part that the scan does not cover, or a fixed camera that cannot be registered.
 
     Not checked: rolling shutter; a lens that changes between the images (zoom, focus).
     """
@@ -141,7 +140,7 @@ def _solve(
     """Map from given poses, incrementally and globally; return the first model that has nearly all images, else the best.
 
     Raises:
-        ReconstructionError: None passes the gates.
+        ReconstructionError: No model satisfies the limits.
     """
     progress(0.75, "mapping")
     attempts: dict[str, tuple[InlierModel, Figures]] = {}

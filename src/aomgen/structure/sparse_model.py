@@ -11,13 +11,13 @@ from aomgen.core.lens import Lens
 from aomgen.core.transforms import invert
 from aomgen.core.values import Array
 
-# Refined parameters of a lens: none (as stated, or as the scan's is), the focal length, it and one radial
-# coefficient, it and all four coefficients.
+# Refined parameters of a lens: none (the lens is stated, or that of the scan); the focal length; also one radial coefficient;
+# also all four coefficients.
 LensModel = Literal["stated", "scan", "focal", "radial", "full"]
 
-# Usual error of a SIFT feature, [px]; matches with larger ones (mismatches, shadows, blurred images) lose weight.
+# Standard deviation of a SIFT feature, [px]; matches with larger errors (mismatches, shadows, blurred images) have less weight.
 FEATURE_SD_PX = 0.5
-# Iterations of bundle adjustment at most: it starts from a mapped model, near the optimum.
+# Largest number of iterations of bundle adjustment, which starts near the optimum, from a mapped model.
 MAX_ITERATIONS = 30
 
 

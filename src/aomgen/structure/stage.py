@@ -21,11 +21,11 @@ from aomgen.structure.prompt_visibility import undistort_prompts
 from aomgen.structure.reconstruct import Photographs, StructureParams, reconstruct_structure
 from aomgen.structure.video_frames import extract_frames
 
-# The temporal median needs no more frames than this.
+# Number of frames that are sufficient for the temporal median.
 MEDIAN_FRAMES = 48
 IMAGES_FOLDER = "straight"
 MASKS_FOLDER = "straight_masks"
-# The second compression of a photograph has to stay invisible.
+# JPEG quality at which the second compression of a photograph is invisible.
 JPEG_QUALITY = 98
 
 
@@ -122,7 +122,7 @@ def undistort_scan(
 def write_undistorted(
     images: dict[str, Path], lens: Lens, folder: Path, progress: Progress
 ) -> tuple[str, ...]:
-    """Write undistorted copies of images below `folder`; their paths from there, in the order of the images.
+    """Write undistorted copies of images below `folder`; return their paths relative to it, in the order of the images.
 
     Raises:
         InputError: An image cannot be read.

@@ -10,30 +10,30 @@ from aomgen.core.values import Array
 
 # A grey image at full, half and quarter size, (H, W) each.
 Pyramid = tuple[NDArray[np.float32], ...]
-# Pyramid levels: motion of up to four windows between frames is followed.
+# Pyramid levels: tracking succeeds for motions of up to four windows between frames.
 LEVELS = 3
-# Lucas-Kanade steps a level; converged steps end earlier, see `CONVERGED_PX`.
+# Largest number of Lucas-Kanade steps at a level; the iteration ends earlier if it converges, see `CONVERGED_PX`.
 ITERATIONS = 6
-# Half side of the tracked window, [px]: 11 x 11, a usual size for corners.
+# Half side of the tracked window, [px]: 11 x 11, a common size for corners.
 HALF_WINDOW = 5
 # Cells across and down the image, so that points cover the view.
 GRID = (12, 9)
-# A patch is still the first one while their correlation is at least this.
+# Least correlation of a tracked patch with the first one.
 MIN_CORRELATION = 0.75
-# Texture that can be followed: smaller eigenvalue of the mean squared gradient, [grey^2 / px^2].
+# Least texture that can be tracked: smaller eigenvalue of the mean squared gradient, [gray^2 / px^2].
 MIN_TEXTURE = 4.0
-# Step that ends the iteration, [px]: far below the motion that decides anything.
+# Step that ends the iteration, [px]: far below the motions that are compared with limits.
 CONVERGED_PX = 0.02
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Tracks:
-    """Points of an image and where they are in a later one.
+    """Points of an image and their positions in a later image.
 
     Attributes:
         start: (N, 2) pixel x, y in the first image.
-        now: (N, 2) in the present one.
-        alive: (N,) which are still followed.
+        now: (N, 2) in the later image.
+        alive: (N,) whether the point is still tracked.
     """
 
     start: Array
@@ -91,8 +91,8 @@ def follow(tracks: Tracks, first: Pyramid, before: Pyramid, after: Pyramid) -> T
 
     Args:
         tracks: Points as they were in `before`.
-        first: The image in which they started; their present patches are compared with it.
-        before, after: Two images in a row.
+        first: The image of the starting points; the current patches are compared with it.
+        before, after: Two consecutive images.
 
     Source: Lucas & Kanade (1981) on a pyramid, Bouguet (2001); gain and offset of a patch are
     free in the comparison, so that exposure may change.
@@ -101,7 +101,7 @@ def follow(tracks: Tracks, first: Pyramid, before: Pyramid, after: Pyramid) -> T
     for level in reversed(range(LEVELS)):
         scale = 0.5**level
         a, b = before[level], after[level]
-        # Twice nothing is nothing on the coarsest level.
+        # The displacement is zero on the coarsest level.
         shift = _track_level(a, b, tracks.now * scale, 2 * shift)
     now = tracks.now + shift
     inside = ((now >= HALF_WINDOW) & (now <= np.array(after[0].shape[::-1]) - 1 - HALF_WINDOW)).all(1)

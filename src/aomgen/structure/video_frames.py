@@ -1,8 +1,8 @@
 """Selection of frames from a scan video: sharp ones, each with new content.
 
-A frame is selected when the view has moved on by `STEP` since the last selected one, measured on
-points that are tracked from frame to frame, so that standing still (and trembling while doing
-so) adds no frame. The sharpest frame around each selected one is used.
+A frame is selected when the view has moved by `STEP` since the last selected one. The motion is measured on points that are
+tracked from frame to frame, so a camera at rest, or with small shakes, adds no frame. The sharpest frame around each selected
+one is used.
 """
 
 from collections.abc import Iterator
@@ -27,30 +27,30 @@ from aomgen.structure.tracking import follow, new_tracks, pyramid
 
 FRAMES_FOLDER = "frames"
 LISTING = "frames.json"
-# The sharpest frame of each such span is a candidate, [s]: short against the motion of a hand-held camera.
+# Time span of which the sharpest frame is a candidate, [s]: a hand-held camera moves little in this time.
 CANDIDATE_S = 0.1
 # Width at which sharpness is measured, [px]; motion is measured at half of it.
 SHARPNESS_WIDTH = 640
-# Share of tracked points below which the view counts as new: half of the view has gone.
+# Share of tracked points below which the view counts as new: half of the previous view is no longer visible.
 MIN_KEPT = 0.5
-# Motion between selected frames, as a share of the image's width: a fifth of the motion at which half of the view
-# has gone.
+# Motion between selected frames, as a share of the image's width: a fifth of the motion at which half of the view is no longer
+# visible.
 STEP = 0.05
-# Frames that are kept of a long walk; more only if their motion would otherwise exceed `MAX_STEP`.
+# Number of frames of a long walk; more are chosen only if the motion between them would exceed `MAX_STEP`.
 TARGET = 80
-# Fewer different views than this are no scan.
+# Least number of different views of a scan.
 MIN_FRAMES = 12
-# Largest motion between chosen frames, as share of the width: four fifths of the view stay for matching.
+# Largest motion between chosen frames, as a share of the width: four fifths of the view remain for matching.
 MAX_STEP = 0.2
 # A frame less sharp than this share of the median around it is blurred; texture alone varies less.
 MIN_SHARPNESS = 0.6
-# Time to either side over which that median is taken, [s]: the view is nearly the same.
+# Time before and after a frame over which that median is taken, [s]: the view is nearly the same.
 AROUND_S = 2.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FrameCandidate:
-    """A frame that may be chosen: the sharpest of its short span.
+    """A frame that may be chosen: the sharpest of its time span.
 
     Attributes:
         index: Number of the frame in the video.
@@ -65,11 +65,11 @@ class FrameCandidate:
 
 
 def extract_frames(video: Path, forced: set[str], folder: Path, progress: Progress) -> dict[str, Path]:
-    """Choose frames of a scan video and write them as PNG below `folder`; done once, then kept unless damaged.
+    """Choose frames of a scan video and write them as PNG below `folder`, unless an earlier call has written them.
 
     Args:
-        forced: Names of frames that must be among them (prompts were made on them).
-        folder: The stage's folder; frames go to `frames/`, the choice to `frames.json`.
+        forced: Names of frames that must be chosen, because they have prompts.
+        folder: The stage's folder; the frames are written to `frames/`, their list to `frames.json`.
 
     Returns:
         Path by name, in the order of time.
@@ -132,7 +132,7 @@ def choose_frames(candidates: list[FrameCandidate]) -> list[int]:
     usual = np.array([np.median(sharpness[np.abs(times - t) <= AROUND_S]) for t in times])
     kept: list[int] = []
     for number, at in enumerate(selected):
-        # Halfway to the neighbours on both sides, so that no frame is chosen twice.
+        # The range ends halfway to the neighbors on both sides, so that no frame is chosen twice.
         low = 0 if number == 0 else (selected[number - 1] + at) // 2 + 1
         high = len(candidates) - 1 if number == len(selected) - 1 else (at + selected[number + 1]) // 2
         best = low + int(np.argmax(_near(sharpness[low : high + 1], at - low)))
@@ -161,8 +161,7 @@ def _near(sharpness: Array, middle: int) -> Array:
 def _select_moved(candidates: list[FrameCandidate]) -> tuple[list[int], Array]:
     """Find the candidates before which the view has moved by one step, and the path length at each.
 
-    The path length is the sum of the motions, as shares of the width; a view that was lost counts as the
-    largest step.
+    The path length is the sum of the motions, as shares of the width; if tracking fails, the motion counts as the largest step.
     """
     width = candidates[0].gray.shape[1]
     key = before = pyramid(candidates[0].gray)

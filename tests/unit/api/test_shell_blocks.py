@@ -84,7 +84,7 @@ REPLACED = {
     "--n 500": "--n 2",
     "--n 6000": "--n 2",
     "--n 1000": "--n 2",
-    "fridge.urdf": "door.xml",
+    "fridge.urdf": "fridge.xml",
     "cabinet.urdf": "cabinet.xml",
     "drawer.usda --for": "microwave.usda --for",
     "panda.xml": "arm.urdf",
