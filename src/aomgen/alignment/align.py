@@ -1,9 +1,8 @@
 """Alignment of the structure with the robot: the similarity `S_world_recon`.
 
-Hypotheses come from the prompted boxes and a coarse color score (`pose_search`); each is fitted to
-the contours in the scan images (`contours`), the best is refined on all views,
-and ambiguous estimates are refused. Source: AOMGen, sec. 4.1, "Scene and robot alignment"; the paper's rigid ICP needs a
-known scale and clean robot points, so outlines in the images take its place.
+Hypotheses come from the prompted boxes and a coarse color score (`pose_search`). Each is fitted to the contours in the scan
+images (`contours`), the best is refined on all views, and ambiguous estimates are refused. Source: AOMGen, sec. 4.1, "Scene and
+robot alignment"; the paper's rigid ICP needs a known scale and clean robot points, so outlines in the images take its place.
 """
 
 from dataclasses import dataclass, replace
@@ -46,33 +45,31 @@ from aomgen.robots.robot import RobotConfiguration
 STAGE = "alignment"
 # Least support beyond chance of the whole robot, 0..1; displaced contours reach 0 by definition.
 MIN_LIFT = 0.2
-# The same for every segment of the arm that a joint moves: half, because a segment has few contour points.
+# Least support of every segment of the arm that a joint moves: half, because a segment has few contour points.
 MIN_SEGMENT_LIFT = MIN_LIFT / 2
-# Least lead in support over a different hypothesis: half of the least support itself.
+# Least difference in support to another hypothesis: half of the least support.
 MIN_MARGIN = MIN_LIFT / 2
-# Hypotheses whose color score is this share of the best one are fitted to contours; color alone ranks
-# coarsely.
+# Hypotheses with at least this share of the best color score are fitted to contours, because color ranks only coarsely.
 FINALIST_SHARE = 0.5
-# Hypotheses whose robots are farther apart than this are different, [m]: far outside the reach of the
-# contour fit.
+# Distance from which on two hypotheses are different, [m]: much larger than the search range of the contour fit.
 DISTINCT_M = 0.05
-# An offset counts when it moves the contour by more than the error of an image edge, [px].
+# Least motion of the contour by a significant offset, [px]: the error of an image edge.
 MIN_JOINT_MOVE_PX = 0.5
-# Images wider than this are reduced, [px]: the sparse structure's own accuracy needs no more.
+# Largest width of the images, [px]: sufficient for the accuracy of the sparse structure.
 WIDTH = 640
-# Largest standard deviation of the end effector, [m]: with more, a grasp on a handle is not determined.
+# Largest standard deviation of the end effector, [m]: a larger one does not determine the grasp of a handle.
 MAX_SD_M = 0.01
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AlignmentParams:
-    """Effort and limits.
+    """Effort and limits of the alignment.
 
     Attributes:
-        start_poses: Poses scored first by the search, tried in turn until a hypothesis is confirmed.
+        start_poses: Numbers of poses in the first pass of the search, tried in turn until a hypothesis is confirmed.
         search_views, search_width: Number of the images for the search, and their width, [px].
-        views: Scan images used, spread over the walk.
-        contour_points: Outline points a view.
+        views: Number of scan images, spread over the walk.
+        contour_points: Number of outline points of a view.
     """
 
     start_poses: tuple[int, ...] = (2400, 7200)
@@ -240,7 +237,7 @@ def _refuse_unconfirmed(found: Confirmation, runner_up: float, configuration: Ro
             f"two poses of the robot are confirmed equally well ({found.support:.0%} and {runner_up:.0%})",
             "add a robot box on an image from another side",
         )
-    # The base may be occluded or on a mount, and does not depend on the joints.
+    # The base is excluded: it may be occluded or on a mount, and does not depend on the joints.
     for segment, lift in sorted(found.lift_of_segment.items()):
         if segment > 0 and not lift >= MIN_SEGMENT_LIFT:
             joint = configuration.robot.joint_names[segment - 1]

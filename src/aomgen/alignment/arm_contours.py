@@ -1,4 +1,4 @@
-"""Contours of the arm in scan views and in the frames of fixed cameras, rendered once and then moved along.
+"""Contours of the arm in scan views and in the frames of fixed cameras, rendered once and then extrapolated.
 
 A contour rendered from the joint log differs from the observed one when the camera pose is wrong, when
 the clock offset is wrong, or when images show every contour a little too wide or too narrow (blur, tone
@@ -26,14 +26,13 @@ from aomgen.io.video import Video
 from aomgen.robots.robot import RobotConfiguration, RobotModel
 from aomgen.robots.silhouette import SilhouetteRenderer
 
-# Readings within this time to either side are averaged against encoder noise, [s].
+# Time before and after a reading over which readings are averaged, to reduce encoder noise, [s].
 _READING_S = 0.02
-# Half of the time over which velocities are differentiated, [s]: twice the averaging time, against encoder
-# noise.
+# Half of the interval of the finite differences of velocities, [s]: twice the averaging time, to reduce encoder noise.
 _SPEED_S = 0.05
-# Contour points a scan view, and a frame that validates; errors of closer points are correlated.
+# Numbers of contour points of a scan view and of a validation frame; errors of closer points are correlated.
 _SCAN_POINTS, _CHECK_POINTS = 400, 300
-# Search reach of the misfit in a frame that validates, [px].
+# Search range of the misfit in a validation frame, [px].
 _CHECK_REACH_PX = 4
 
 
@@ -70,7 +69,7 @@ class LoggedRobot:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ArmContour:
-    """The contour of the arm as rendered for one image, and how its C points move with J joints and time.
+    """Contour of the arm as rendered for one image, and the motion of its C points with J joints and time.
 
     Attributes:
         index: Index of the frame or of the scan view.
@@ -78,7 +77,7 @@ class ArmContour:
         contour: World frame.
         turns: (C, J, 3), [m/rad].
         velocities: (C, 3), per second of the log; 0 in the scan, [m/s].
-        zeros_rad, log_time_s: Joint zeros (J,) and log time it was rendered with.
+        zeros_rad, log_time_s: Joint zeros (J,) and log time of the rendering.
     """
 
     index: int
@@ -191,7 +190,7 @@ def common_bias(shifts: Array, sds: Array, kernel: Kernel) -> float:
 def misfits(frames: GrayFrames, camera: Camera, clock: Clock, arm: LoggedRobot) -> Array:
     """Compute the mean robust distance (F,), 0..1, between image edges and rendered contours, after removing a common bias.
 
-    NaN for frames that do not show the arm.
+    The distance is NaN for frames that do not show the arm.
     """
     contours = trace(frames, camera, clock, arm, _CHECK_POINTS)
     costs = np.full(len(frames.times_s), np.nan)

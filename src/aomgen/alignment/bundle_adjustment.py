@@ -27,29 +27,28 @@ from aomgen.core.least_squares import Kernel, ResidualTerm, jackknife_covariance
 from aomgen.core.values import Array
 from aomgen.errors import AlignmentError
 
-# Search reach and robust kernel of each round of rendering, [px]: from the error of the start down to a
-# pixel.
+# Search range and robust kernel of each round of rendering, [px]: from the error of the initial values down to one pixel.
 _ROUNDS = ((10, 3.0), (6, 1.5), (4, 1.0))
-# Steps between two renderings at most, and the relative decrease of the cost that ends them: a tenth of a deviation.
+# Largest number of steps between two renderings, and the relative decrease of the cost at which they end.
 _STEPS, _TOLERANCE = 10, 1e-6
-# A drift that shifts the ends of the video by less than this against one another is none: 20 ms at either
-# end are 6 mm of an arm that moves at 0.3 m/s, [s].
+# Largest drift that is ignored, as the shift between the two ends of the video, [s]: an error of 20 ms at either end is 6 mm of an
+# arm that moves at 0.3 m/s.
 _MAX_DRIFT_S = 0.04
-# Edges unrelated to the arm lie anywhere in reach of its contour, which gives a misfit of 2/3.
+# Largest misfit of a video: edges that do not belong to the arm are distributed evenly over the search range, which gives 2/3.
 _MAX_MISFIT = 0.5
-# Standard errors by which held-out frames must fit better before joint zeros are accepted, so that chance takes
-# one in forty; zeros that are a quarter of a degree off gave 3 to 5 on made captures.
+# Least improvement of held-out frames by joint zeros, in standard errors: chance exceeds it once in forty times. Zeros with an
+# error of a quarter of a degree gave 3 to 5 on synthetic captures.
 _CLEAR_SDS = 2.0
 
 
 def adjust_validated(problem: BundleProblem) -> tuple[BundleProblem, BundleSolution]:
     """Solve for cameras and clocks, then for joint zeros; held-out frames decide what is kept.
 
-    A calibration that the result contradicts, or a video whose result is no better than its start,
-    is left out of the problem, and the rest is solved again.
+    A calibration that the result contradicts, or a video whose result is not better than its initial value, is removed from
+    the problem, which is then solved again.
 
     Raises:
-        AlignmentError: A joint zero fits better and is larger than on any mastered arm.
+        AlignmentError: A joint zero improves the fit, but is larger than that of any calibrated arm.
     """
     while True:
         held = replace(problem, params=replace(problem.params, zero_sd_rad=KNOWN_SD))
@@ -64,12 +63,12 @@ def adjust_validated(problem: BundleProblem) -> tuple[BundleProblem, BundleSolut
 
 
 def adjust_bundle(problem: BundleProblem, near: BundleSolution | None = None) -> BundleSolution:
-    """Solve for all unknowns; the drift of a clock is kept only where the video determines it.
+    """Solve for all unknowns; the drift of a clock is kept only if the video determines it.
 
-    A camera without frames is placed by structure and calibration alone.
+    The pose of a camera without frames is determined by structure and calibration only.
 
     Args:
-        near: An earlier solution to start from: the search begins with less reach.
+        near: An earlier solution to start from, with a smaller search range.
     """
     x, bundle = near or _start(problem), Bundle(problem)
     terms: list[ResidualTerm[BundleSolution]] = []
@@ -122,9 +121,9 @@ def _start(problem: BundleProblem) -> BundleSolution:
 def _solve(
     bundle: Bundle, terms: list[ResidualTerm[BundleSolution]], start: BundleSolution
 ) -> BundleSolution:
-    """Descend; standard deviations are the larger of formal ones and those of a jackknife over time.
+    """Minimize the cost; standard deviations are the larger of formal ones and those of a jackknife over time.
 
-    Leaving out segments shows what the formal ones ignore: errors by shadows, occlusion and log noise are
+    The jackknife includes errors that the formal standard deviations ignore: errors by shadows, occlusion and log noise are
     correlated over many frames.
     """
     found = solve(

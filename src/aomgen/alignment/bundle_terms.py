@@ -1,9 +1,8 @@
 """Evidence of the bundle adjustment as residual terms of similarity, joint zeros, cameras and clocks.
 
-Unknown are a correction of `S_world_recon`, the zero of each arm joint, and for each fixed camera its
-pose, the offset and drift of its clock and the bias of its contours. Evidence are the contours of the arm in
-videos and scan views (`arm_contours`), the pose that structure from motion gave each camera, and hand-eye
-calibrations.
+The unknowns are a correction of `S_world_recon`, the zero of each arm joint, and for each fixed camera its pose, the offset and
+drift of its clock and the bias of its contours. The evidence consists of the contours of the arm in videos and scan views
+(`arm_contours`), the pose of each camera by structure from motion, and hand-eye calibrations.
 """
 
 from dataclasses import dataclass, field, replace
@@ -30,34 +29,34 @@ from aomgen.core.least_squares import Kernel, ResidualTerm
 from aomgen.core.transforms import apply, invert, matrix_from_rotvec, rotvec_from_matrix, transform
 from aomgen.core.values import Array, Matrix4, freeze_arrays
 
-# Unknowns of a camera: rotation and translation of the robot before it, clock offset, drift, bias.
+# Unknowns of a camera: rotation and translation of the robot relative to it, clock offset, drift, bias.
 _POSE, OFFSET, RATE, _BIAS, _COLUMNS = slice(0, 6), 6, 7, 8, 9
-# Edges are trusted to a tenth of a pixel at best, [px].
+# Least standard deviation of an edge, [px].
 _EDGE_SD_PX = 0.1
 # Standard deviation by which blur, tone curves and simple meshes widen all contours of one camera, [px].
 _BIAS_SD_PX = 1.0
-# Standard deviation of what is known, in the unit of the unknown: far below that of any data.
+# Standard deviation of a known quantity, in its unit: far below that of any data.
 KNOWN_SD = 1e-6
-# Points that carry the pose of a camera in the structure; six degrees of freedom need no more.
+# Number of points that represent the pose of a camera in the structure; sufficient for six degrees of freedom.
 _STRUCTURE_POINTS = 300
-# Standard deviation of a camera placed in the structure, in its image, [px]: about half the reprojection error
-# of a single image.
+# Standard deviation of a camera that is registered in the structure, in its image, [px]: about half the reprojection error of a
+# single image.
 _STRUCTURE_SD_PX = 0.25
-# Standard deviations assumed of a hand-eye calibration: position [m] and rotation [rad], 0.2 degrees.
+# Assumed standard deviations of a hand-eye calibration: position [m] and rotation [rad], 0.2 degrees.
 CALIBRATION_SD_M, CALIBRATION_SD_RAD = 0.003, 0.0035
-# Names of the terms that are left out in turn begin so.
+# Prefix of the names of terms that the jackknife leaves out.
 SEGMENT: Final = "segment of "
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BundleParams:
-    """Priors and effort.
+    """Priors and effort of the bundle adjustment.
 
     Attributes:
-        frames: Frames of each video; 0 leaves cameras where the scan placed them.
-        width: Images wider than this are reduced, [px].
-        points: Contour points a frame.
-        zero_sd_rad: Standard deviation of the joint zeros of a mastered arm; a value near 0 keeps those of the log.
+        frames: Number of frames of each video; 0 keeps the poses of the cameras in the scan.
+        width: Largest width of the images, [px].
+        points: Number of contour points of a frame.
+        zero_sd_rad: Standard deviation of the joint zeros of a calibrated arm; a value near 0 keeps those of the log.
     """
 
     frames: int = 32
@@ -72,10 +71,10 @@ class CameraEvidence:
 
     Attributes:
         camera_recon: Camera as estimated by structure from motion, recon frame, at the size of the frames.
-        frames, held_out: Frames to fit, and frames that validate the result; empty when there are none to use.
+        frames, held_out: Frames to fit, and frames that validate the result; both may be empty.
         clock: First guess; its `sd_s` 0 means that it is known.
         T_world_cam: Hand-eye calibration to use as a prior, or None.
-        rejected: Why the video is not used; empty otherwise.
+        rejected: Reason for which the video is not used; empty if it is used.
     """
 
     camera_recon: Camera
@@ -91,7 +90,7 @@ class BundleProblem:
     """Data and initial values of the bundle adjustment.
 
     Attributes:
-        views: Scan views at the size they are rendered at.
+        views: Scan views at the size of their renderings.
     """
 
     S_world_recon: Array
@@ -277,7 +276,7 @@ def _camera_priors(
         return (x.cameras[name].camera.project(points)[0] - pixels[chosen]).ravel()
 
     if len(chosen):
-        # Six degrees of freedom, each known to `_STRUCTURE_SD_PX`.
+        # Each of the six degrees of freedom has the standard deviation `_STRUCTURE_SD_PX`.
         sd = _STRUCTURE_SD_PX * np.sqrt(2 * len(chosen) / 6)
         terms.append(ResidualTerm(name=f"{name} in structure", residual=move_px, sd=sd))
     if item.T_world_cam is not None:

@@ -1,9 +1,8 @@
 """Distance between the rendered contour of the robot and the contour in an image.
 
-Each point of the rendered contour carries a short line of pixels across it. Colors seen inside and
-outside say, pixel by pixel, which side of the true outline the line is on; the gradient says
-where exactly. Source: the sparse region-based trackers of Stoiber et al., "SRT3D", 2022, here
-with many views at once and a similarity instead of a rigid motion.
+A short line of pixels crosses each point of the rendered contour. The colors inside and outside of the silhouette determine for
+each pixel of the line on which side of the true outline it is; the gradient determines the exact position. Source: the sparse
+region-based trackers of Stoiber et al., "SRT3D", 2022, here with many views at once and a similarity instead of a rigid motion.
 """
 
 from dataclasses import dataclass, replace
@@ -17,11 +16,11 @@ from aomgen.core.least_squares import Kernel
 from aomgen.core.transforms import apply
 from aomgen.core.values import Array
 
-# Color histogram bins a channel: 256 gray levels shifted right by 4 bits.
+# Bins of a color histogram for each channel: 256 gray levels shifted right by 4 bits.
 BINS = 16
-# Gray-level step, 0..1, of an edge that counts fully.
+# Gray-level step, 0..1, of an edge with full weight.
 CLEAR_EDGE = 0.05
-# Variance of the border between two colors that no sharpness takes away, [px^2].
+# Variance of the border between two colors in a perfectly sharp image, [px^2].
 BORDER_VARIANCE = 0.5
 # Errors of neighboring contour points are correlated: this number of points counts as one.
 CORRELATED_POINTS = 10
@@ -43,7 +42,7 @@ class Contour:
     Attributes:
         pixels: (C, 2), on the outline, [px].
         normals: (C, 2), unit, out of the silhouette.
-        points: (C, 3) on the robot, in the frame of the camera drawn with.
+        points: (C, 3) on the robot, in the frame of the rendering camera.
     """
 
     pixels: Array
@@ -119,7 +118,7 @@ def region_shifts(contour: Contour, ratio: NDArray[np.float32], reach: int) -> t
     """Estimate signed shifts (C,) outwards and their standard deviations (C,), [px], from the colors on both sides."""
     offsets = np.arange(-reach, reach + 1)
     lines = _along(ratio, contour, offsets)
-    # Score of the outline lying between samples k-1 and k: inside before, outside after.
+    # Score of an outline between samples k-1 and k: the samples before are inside, those after it outside.
     before = np.concatenate([np.zeros((len(lines), 1)), np.cumsum(lines, 1)], 1)
     scores = 2 * before - before[:, -1:]
     scores = (scores - scores.max(1, keepdims=True)) * 0.5
@@ -138,7 +137,7 @@ def border_kernel(reach: int) -> Kernel:
 def edge_shifts(contour: Contour, gray: NDArray[np.float32], reach: int) -> tuple[Array, Array]:
     """Measure signed shifts (C,) to the strongest image edge across the outline, [px], and its strength (C,).
 
-    Strength is the step across the edge, in gray levels 0..1; sub-pixel by a parabola.
+    The strength is the step across the edge, in gray levels 0..1. A parabola gives the position within a pixel.
     """
     offsets = np.arange(-reach - 2, reach + 3)
     lines = _along(gray, contour, offsets)

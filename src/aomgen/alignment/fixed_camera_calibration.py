@@ -1,8 +1,8 @@
 """The fixed cameras of the demonstration: poses and clocks, refined together with the alignment.
 
-Each camera starts where structure from motion and the alignment put it; the silhouettes give a first
-guess of its clock, and the moving arm refines all of it (`bundle_adjustment`). A camera that cannot be
-refined keeps its pose; the reason is stored.
+The initial pose of each camera is that of structure from motion and the alignment, and the silhouettes give an initial estimate
+of its clock. Both are refined with the contours of the moving arm (`bundle_adjustment`). A camera that cannot be refined keeps
+its pose; the reason is stored.
 """
 
 from collections.abc import Mapping
@@ -33,12 +33,12 @@ from aomgen.io.video import Video
 from aomgen.robots.robot import RobotConfiguration
 from aomgen.robots.silhouette import robot_masks
 
-# Scan views that carry the information of the alignment.
+# Number of scan views that represent the information of the alignment.
 _VIEWS = 24
-# Frames that must show the arm, of those chosen.
+# Least number of chosen frames that show the arm.
 _MIN_FRAMES = 8
-# A calibration that shows the robot elsewhere in the image by more than this share of its width is
-# not inaccurate but wrong: hand-eye calibrations are good to millimetres, alignments likewise.
+# Largest displacement of the robot in the image by a calibration, as a share of the width. Calibrations and alignments are accurate
+# to millimeters, so a larger displacement means a wrong calibration, not an inaccurate one.
 _GROSS_SHARE = 0.04
 
 
@@ -65,7 +65,7 @@ class AlignedScan:
     Attributes:
         views: Scan images that may be used.
         configuration: Robot during the scan.
-        clock_offset_s: Log time minus video time when it is known.
+        clock_offset_s: Log time minus video time, [s]; None if it is unknown.
     """
 
     alignment: Alignment
@@ -112,7 +112,7 @@ def calibrate_fixed_cameras(
         )
         problem = BundleProblem(
             S_world_recon=S,
-            # Without frames cameras and scan stay where they are.
+            # Without frames, cameras and scan keep their poses.
             views=spread(views, S, drawing, _VIEWS) if params.frames else [],
             drawing=drawing,
             points_recon=scene.points_recon,
@@ -230,15 +230,15 @@ def _drift_refusal(name: str, clock: Clock, video: Video) -> tuple[str, ...]:
 
 
 def refuse_gross(name: str, T_world_cam: Array, camera: Camera, robot_world: Array) -> None:
-    """Refuse a calibration that shows the robot where the scan's camera does not.
+    """Refuse a calibration that displaces the robot in the image relative to the scan's camera.
 
     Args:
-        T_world_cam: From capture.toml (4, 4).
+        T_world_cam: Calibration of capture.toml (4, 4).
         camera: Camera as estimated from scan and alignment, world frame.
         robot_world: Points on the robot (N, 3), [m].
 
     Raises:
-        AlignmentError: With both poses' distance, and the usual mistake that would explain it.
+        AlignmentError: States the distance of the poses, and the common mistake that explains it, if there is one.
     """
 
     def shift_share(T: Array) -> float:
@@ -257,7 +257,7 @@ def refuse_gross(name: str, T_world_cam: Array, camera: Camera, robot_world: Arr
         "it seems to use OpenGL axes; convert it to x right, y down, z forward": T_world_cam
         @ np.diag([1.0, -1, -1, 1]),
     }
-    # A known mistake explains a calibration when it takes three quarters of the shift away.
+    # A known mistake explains a calibration if its correction removes three quarters of the shift.
     explained = [remedy for remedy, T in mistakes.items() if shift_share(T) <= 0.25 * min(share, 1.0)]
     apart_mm, apart_deg = _apart(camera, T_world_cam)
     raise AlignmentError(

@@ -1,11 +1,10 @@
 """Search for the pose of the robot: many poses that agree with the prompted boxes, the best improved further.
 
-Boxes leave heading and depth open and are drawn manually, so a thousand poses are scored in small
-images. The robot has the same colors in all images, and others than its surroundings: colors inside and just
-outside the silhouette, pooled over a few images, differ most at the true pose. Silhouettes are drawn as points
-on the surface, thousands in a second. The best poses, kept apart from one another, are perturbed in ever smaller
-steps; good ones are verified by contours later. Source: a plain evolution strategy, Beyer and Schwefel,
-2002, with niches.
+Boxes do not determine heading and depth, and are drawn manually, so a thousand poses are scored in small images. The robot has
+the same colors in all images, and its surroundings have others, so the colors inside and just outside the silhouette, pooled
+over a few images, differ most at the true pose. Silhouettes are rendered as points on the surface, thousands per second. The
+best poses that differ from one another are perturbed in decreasing steps; contours verify good ones later. Source: a plain
+evolution strategy, Beyer and Schwefel, 2002, with niches.
 """
 
 from dataclasses import dataclass, replace
@@ -30,10 +29,10 @@ class Generation:
     """One round of the evolution strategy.
 
     Attributes:
-        parents: Poses kept.
-        apart: They differ by more than this, as a share of the robot's size.
-        children: New poses near each.
-        step: Standard deviation of their distance along each axis, same share.
+        parents: Number of poses that are kept.
+        apart: Least distance between them, as a share of the robot's size.
+        children: Number of new poses near each.
+        step: Standard deviation of their distance along each axis, as a share of the robot's size.
     """
 
     parents: int
@@ -42,28 +41,28 @@ class Generation:
     step: float
 
 
-# Poses that fit the prompted boxes worse than the best by this share of a box are dropped; boxes are inexact.
+# Poses whose misfit to the prompted boxes exceeds the smallest one by this share of a box are dropped; boxes are inexact.
 MAX_MISFIT = 0.15
-# Width of the images for the first pass over all poses, [px]: links are a few pixels wide, and it is quick.
+# Width of the images for the first pass over all poses, [px]: links are still a few pixels wide.
 FIRST_WIDTH = 48
-# Rounds; steps begin at the size of the basin of attraction, about the thickness of a link.
+# Rounds of the search; the first steps have the size of the basin of attraction, about the thickness of a link.
 GENERATIONS = (
     Generation(parents=50, apart=0.08, children=6, step=0.06),
     Generation(parents=24, apart=0.06, children=8, step=0.04),
     Generation(parents=12, apart=0.05, children=10, step=0.025),
     Generation(parents=6, apart=0.03, children=12, step=0.012),
 )
-# Number of poses returned at most: the best and its rivals; they differ by more than a share of the robot's size.
+# Largest number of returned poses: the best and its alternatives, which differ by more than a share of the robot's size.
 KEPT, KEPT_APART = 3, 0.5
 # Colors in the palette of the images; k-means merges similar ones, so more change little.
 COLORS = 40
-# Width of the band, as a share of the image's width: less than an arm's link is thick.
+# Width of the band outside the silhouette, as a share of the image's width: less than the thickness of a link.
 RIM = 0.06
-# A silhouette of which less than this share is in the images gets a lower score.
+# Share of the silhouette in the images below which the score is reduced.
 SEEN = 0.5
-# Poses scored at once: bounds the memory, no effect on the result.
+# Number of poses that are scored at once; it limits the memory and does not change the result.
 BATCH = 128
-# Points on the robot's surface: enough that neighbours are a pixel apart.
+# Number of points on the robot's surface: the distance between neighbors is about one pixel.
 SURFACE_POINTS = 1200
 
 
@@ -72,8 +71,8 @@ class Scan:
     """Input of the alignment, from structure and prompts.
 
     Attributes:
-        views: Images that show the robot as it stood during the scan.
-        boxes: Prompted boxes around the robot; two far apart are better than one.
+        views: Images that show the robot in its configuration during the scan.
+        boxes: Prompted boxes around the robot; two on distant views are better than one.
         errors: Uncertainty of the cameras; None treats them as exact.
     """
 
@@ -112,7 +111,7 @@ def search_poses(
     """Find likely poses of the robot, best first and far from one another.
 
     Args:
-        guesses: Poses scored first.
+        guesses: Number of poses in the first pass.
         view_count, width: Number of the small images, and their width, [px].
 
     Returns:
@@ -195,7 +194,7 @@ class ColorScore:
         palette = _palette(np.concatenate(pixels), rng)
         one_hot = np.eye(COLORS, dtype=np.float32)
         self._views = views
-        # One row (COLORS,) for each pixel of a view.
+        # Each pixel of a view has one row (COLORS,).
         self._labels = [one_hot[vq(part, palette)[0]] for part in pixels]
         points = configuration.surface_world(SURFACE_POINTS, rng)
         self._points = np.concatenate([points, np.ones((SURFACE_POINTS, 1))], 1).astype(np.float32)
@@ -216,7 +215,7 @@ class ColorScore:
             inside += masks.reshape(count, -1).astype(np.float32) @ labels
             outside += rims.reshape(count, -1).astype(np.float32) @ labels
             seen += share / len(self._views)
-        # Pixels of one link are alike: evidence grows with the length of the outline, not with area.
+        # Pixels of one link are correlated: evidence is proportional to the length of the outline, not to the area.
         length = np.sqrt(inside.sum(1) / sum(len(labels) for labels in self._labels))
         return divergence(inside, outside) * length * np.minimum(seen / SEEN, 1.0)
 
@@ -225,7 +224,7 @@ class ColorScore:
         camera = view.camera_recon
         K = np.array([[camera.fx, 0, camera.cx], [0, camera.fy, camera.cy], [0, 0, 1]])
         Ms = K @ (camera.T_cam_world @ Ss_recon_world)[:, :3]
-        # Pixels are whole numbers here: single precision is more than enough.
+        # Pixels are whole numbers here, so single precision is sufficient.
         u, v, z = np.einsum("hij,pj->ihp", Ms.astype(np.float32), self._points, optimize=True)
         depth = np.maximum(z, np.float32(1e-6))
         u, v = np.floor(u / depth), np.floor(v / depth)
@@ -241,7 +240,7 @@ class ColorScore:
 def divergence(inside: Array, outside: Array) -> Array:
     """Compute the Jensen-Shannon divergence (H,), 0..1, between pairs of rows of counts (H, K), corrected for bias.
 
-    Few counts differ by chance; to first order by (K - 1) / (4 ln 2) * (1/n + 1/m) bits over 2.
+    The bias of small samples is to first order (K - 1) / (4 ln 2) * (1/n + 1/m) bits over 2.
     """
     n, m = inside.sum(1, keepdims=True), outside.sum(1, keepdims=True)
     p, q = inside / np.maximum(n, 1), outside / np.maximum(m, 1)
@@ -269,7 +268,7 @@ def _dilate(masks: NDArray[np.bool_], by: int) -> NDArray[np.bool_]:
     for axis in (1, 2):
         reach = 0
         while reach < by:
-            # Doubling: a mask grown by r, moved by up to r + 1 both ways, is grown by 2 r + 1.
+            # The range doubles: a mask dilated by r, shifted by up to r + 1 in both directions, is dilated by 2 r + 1.
             step = min(reach + 1, by - reach)
             grown = masks.copy()
             low, high = [slice(None)] * 3, [slice(None)] * 3

@@ -27,15 +27,15 @@ from aomgen.io.images import resize
 from aomgen.robots.robot import RobotConfiguration
 from aomgen.robots.silhouette import SilhouetteRenderer
 
-# Least and largest share of the image that the robot may cover: below is no signal, above no contour.
+# Least and largest share of the image that the robot covers: a smaller one has too little signal, a larger one no contour.
 _SHARES = (0.002, 0.7)
-# Contour points without which an image does not determine six degrees of freedom.
+# Least number of contour points that determine six degrees of freedom.
 _MIN_POINTS = 20
-# Cells of the meshes that are drawn coarsely: a pixel of a small image sees as much at two metres.
+# Cell size of the coarse meshes, [m]: the size of a pixel of a small image at a distance of two meters.
 COARSE_CELL_M = 0.006
-# Edges farther than a pixel fade.
+# Scale of the robust kernel of edges, [px]: edges at a larger distance have less weight.
 EDGE_KERNEL = Kernel(scale=1.0)
-# Steps on one rendering: its points move with the robot, which holds for some pixels.
+# Number of steps on one rendering: its points move with the robot, which is valid for a few pixels.
 _STEPS = 3
 
 
@@ -75,7 +75,7 @@ def render_robot(
     contour = outline(camera, mask, depth, limit)
     if len(contour.pixels) < _MIN_POINTS:
         return None
-    # The outline runs half a pixel outside the pixels it was found on.
+    # The outline is half a pixel outside the pixels on which it was found.
     column, row = np.floor(contour.pixels - 0.5 * contour.normals).astype(int).T
     return contour, mask, bodies[row, column]
 

@@ -36,7 +36,7 @@ def align_scan(results: Results, progress: Progress, boxes: Sequence[RobotBox] =
     """Estimate the similarity from the robot's contours; held-out images are not used.
 
     Args:
-        boxes: Around the robot, besides those of the prompts.
+        boxes: Boxes around the robot, in addition to those of the prompts.
     """
     capture, structure = results.pinhole_capture, results.structure
     first_srgb = {name: video.frames_srgb[0] for name, video in results.videos.items()}

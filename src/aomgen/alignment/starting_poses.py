@@ -1,7 +1,7 @@
 """Starting poses of the robot from gravity and its prompted boxes: many guesses, each fitted to the boxes.
 
-Two whole boxes determine the pose for a given heading; one box leaves the depth open, and a box that
-the image border cuts leaves more. What boxes leave open keeps the value that was guessed.
+Two complete boxes determine the pose for a given heading; a single box does not determine the depth, and a box that the image
+border cuts determines less. Undetermined quantities keep their initial guess.
 """
 
 from dataclasses import dataclass
@@ -16,15 +16,15 @@ from aomgen.core.least_squares import Kernel
 from aomgen.core.transforms import apply, matrix_from_rotvec, similarity
 from aomgen.core.values import Array, freeze_arrays
 
-# A side of a box this close to the image border is cut by it, [px]: the accuracy of a hand-drawn box.
+# Distance to the image border within which it cuts the side of a box, [px]: the accuracy of a hand-drawn box.
 BORDER_PX = 3.0
-# Sides of manually drawn boxes miss by some tenths of the box; beyond this a side counts less.
+# Error of a side of a manually drawn box, as a share of the box; larger gaps have less weight.
 _SIDE_ERROR = 0.1
-# A guess holds on with the weight of a side that is this many times less exact.
+# Prior of a guess (translation and log scale): relative standard deviations, and its weight in units of the weight of a box side.
 _GUESS_SPREAD, _GUESS_WEIGHT = np.array([1.0, 1.0, 1.0, 0.5]), 0.02
 # Gauss-Newton steps of a starting pose; it is refined on contours later.
 _STEPS = 12
-# Triples tried in the search for a level plane: one that holds a tenth of the points is met all but surely.
+# Triples tried in the search for a level plane: sufficient to find one that contains a tenth of the points almost surely.
 _PLANE_TRIALS = 1500
 # Plane normals that are tried before the mean of the cameras: table and floor.
 _PLANES = 2
@@ -37,7 +37,7 @@ class RobotBox:
     """A box around the robot in one scan image.
 
     Attributes:
-        box_px: x0, y0, x1, y1 (4,), [px]; a side on the image border may hide more robot.
+        box_px: x0, y0, x1, y1 (4,), [px]; the robot may extend beyond a side on the image border.
     """
 
     camera_recon: Camera
@@ -56,7 +56,7 @@ def find_starting_poses(
 ) -> tuple[Array, Array]:
     """Guess heading, depth and size, then move and scale each guess until it fills the boxes.
 
-    Every guess but the first few has its own boxes, perturbed by the error of manually drawn boxes.
+    Except for the first few guesses, the boxes are perturbed for each guess by the error of manually drawn boxes.
 
     Args:
         vertices_world: Points on the posed robot (V, 3), [m].
@@ -67,7 +67,7 @@ def find_starting_poses(
         Poses `S_world_recon` (H, 4, 4) and their scores (H,): minus the root mean square gap between box sides and
         the robot's extent, as a share of the box's size.
 
-    Source: own; the box sides are what a projected convex hull must touch.
+    Source: own; the projected convex hull of the robot touches all sides of its box.
     """
     middle = (vertices_world.min(0) + vertices_world.max(0)) / 2
     hull = _outline_points(vertices_world - middle, rng)
@@ -94,7 +94,7 @@ def find_starting_poses(
     gaps, _ = measure(x)
     scales_recon = size * np.exp(x[:, 3])
     places = center + depth[:, None] * x[:, :3]
-    # p_recon_point = s_recon * R^T (p_world - middle) + p_recon, turned around:
+    # The inverse of p_recon_point = s_recon * R^T (p_world - middle) + p_recon:
     Ss = [
         similarity(1 / s, R, middle - R @ p / s)
         for s, R, p in zip(scales_recon, Rs_world_recon, places, strict=True)
@@ -133,7 +133,7 @@ def up_candidates(cameras_recon: list[Camera], points_recon: Array, rng: np.rand
 def _outline_points(points: Array, rng: np.random.Generator) -> Array:
     """Select the points that are farthest in some direction, which determine the extent of a projection.
 
-    As many random points represent the extent of a robot that the image border cuts.
+    The same number of random points represents the extent of a robot that the image border cuts.
     """
     farthest = np.argmax(points @ rng.normal(size=(3, _EXTREME_POINTS)), axis=0)
     return points[np.unique(np.concatenate([farthest, rng.integers(len(points), size=_EXTREME_POINTS)]))]
@@ -179,14 +179,14 @@ def _guesses(
         )
         centers[mine] = apply(camera.T_world_cam, depth[:, None] * rays)
         depths[mine] = depth
-        # A box that the border cuts holds only a part of the robot.
+        # A box that the border cuts contains only a part of the robot.
         sizes[mine] = depth * np.max((high - low) / [camera.fx, camera.fy]) / extent
         sizes[mine] *= np.exp(rng.uniform(0, 0.5, len(mine)) * _cut(box, 2 * _SIDE_ERROR).any())
     return centers, depths, sizes
 
 
 def _cut(box: RobotBox, near: float = 0.0) -> NDArray[np.bool_]:
-    """Mask of the sides (4,) on the image border, or nearer to it than a share of the box's size."""
+    """Mark the sides (4,) on the image border, or nearer to it than a share of the box's size."""
     x0, y0, x1, y1 = box.box_px
     camera = box.camera_recon
     room = np.array([x0, y0, camera.width - x1, camera.height - y1])
@@ -194,12 +194,12 @@ def _cut(box: RobotBox, near: float = 0.0) -> NDArray[np.bool_]:
 
 
 def _maybe_cut(box: RobotBox, rng: np.random.Generator, count: int) -> NDArray[np.bool_]:
-    """Sample masks (N, 4) of sides that the border cuts: a side a little short of it may be cut, too."""
+    """Sample masks (N, 4) of sides that the border cuts; a side close to the border may be cut as well."""
     return _cut(box) | (_cut(box, 2 * _SIDE_ERROR) & (rng.random((count, 4)) < 0.5))
 
 
 def _perturb_box(box: RobotBox, rng: np.random.Generator, count: int) -> Array:
-    """Perturb the sides (N, 4) of a box by the error of manual drawing; a quarter stays, and so do cut sides."""
+    """Perturb the sides (N, 4) of a box by the error of manual drawing; cut sides and a quarter of the boxes are not perturbed."""
     spans = np.tile(box.box_px[2:] - box.box_px[:2], 2)
     noise = rng.uniform(-_SIDE_ERROR, _SIDE_ERROR, (count, 4)) * spans
     noise[::4] = 0
@@ -222,7 +222,7 @@ def _gaps(
         ],
         -1,
     )
-    # A box is drawn around what the image shows of the robot.
+    # A box is drawn around the part of the robot inside the image.
     shown = (pixels >= 0) & (pixels <= [camera.width, camera.height])
     span = np.tile(box.box_px[2:] - box.box_px[:2], 2)
     rows = np.arange(len(points))
@@ -240,6 +240,6 @@ def _gaps(
         J[:, side, :3] = along * depth[:, None]
         J[:, side, 3] = np.einsum("hd,hd->h", along, arms[rows, extreme])
     outward = np.array([-1.0, -1.0, 1.0, 1.0])
-    # A box cut by the image border says only that the robot reaches at least that far.
+    # A side on the image border is only a lower limit of the robot's extent.
     free = cut & (gaps * outward > 0)
     return np.where(free, 0.0, np.clip(gaps, -5, 5)), np.where(free[..., None], 0.0, J)

@@ -1,11 +1,9 @@
 """The offset between the video's clock and the joint log's clock, from silhouettes alone.
 
-Where the robot model, posed by the log, covers a pixel at one of two moments only, the video must
-have changed there between these moments; where it covers the pixel at neither, it should not have.
-The offset under which that is most likely wins, first on a grid over everything the two clocks
-allow, with clocks that drift against one another among the hypotheses, then in steps of a fraction
-of a frame. Only changes count, so a small error of the camera pose hardly moves the estimate; what is
-left of it is absorbed by a common shift of the silhouettes. `bundle_adjustment` continues from here.
+If the robot model, posed by the log, covers a pixel at only one of two times, the video changes at this pixel between these times;
+if it covers the pixel at neither, the video should not change. The estimate is the most likely offset, first on a grid over all
+possible offsets and drifts, then in steps of a fraction of a frame. Only changes are compared, so a small error of the camera pose
+has little influence; a common shift of the silhouettes compensates it. `bundle_adjustment` continues from here.
 """
 
 from dataclasses import replace
@@ -23,32 +21,31 @@ from aomgen.io.images import resize
 from aomgen.io.video import Video
 from aomgen.robots.silhouette import MasksAt
 
-# Distances between compared frames, in coarse steps: fast, usual and slow motion of an arm.
+# Lags between compared frames, in coarse steps, for fast, medium and slow motions of an arm.
 LAGS = (1, 3, 8)
-# Share of the video that the log has to cover: the greater part must vote.
+# Least share of the video that the log covers.
 MIN_OVERLAP = 0.5
-# Image width for the comparison, [px]: a link is some pixels wide.
+# Image width for the comparison, [px]: a link is a few pixels wide.
 WIDTH = 160
-# Coarse step; frames are taken this far apart, [s].
+# Coarse step, which is also the interval between frames, [s].
 STEP_S = 0.1
-# Fine steps in one coarse step, 25 ms each: less than a frame, a parabola does the rest.
+# Number of fine steps in one coarse step, 25 ms each: less than a frame; a parabola interpolates between them.
 FINE_STEPS = 4
 # Frame pairs used for the fine search.
 FINE_PAIRS = 14
 # Silhouette shifts tried along x and y in the fine search, [px]: the error of an unrefined camera pose.
 SHIFTS_PX = (-4, -2, 0, 2, 4)
-# Probability of a change where silhouettes differ; below 1, as robot and background may look alike.
+# Probability of a change where silhouettes differ; less than 1, because robot and background may have similar colors.
 CHANGE_LIKELIHOOD = 0.6
-# Largest score of another offset, as share of the best one: with more, the offset is ambiguous.
+# Largest score of another offset, as a share of the best one; beyond it, the offset is ambiguous.
 MAX_RIVAL = 0.85
-# Offsets farther than this from the best are rivals, [s]: beyond the width of its peak.
+# Least distance of another offset from the best one, [s]: more than the width of its peak.
 RIVAL_DISTANCE_S = 0.5
-# Largest clock drift among the hypotheses, in seconds a second: above a 25 fps video that is labelled as 24
-# fps (0.04).
+# Largest clock drift among the hypotheses, [s/s]: more than that of a 25 fps video that is labeled as 24 fps (0.04).
 MAX_RATE = 0.06
-# Least share of the image by which the silhouette has to change at once, above compression noise.
+# Least share of the image by which the silhouette changes between two frames: more than compression noise.
 MIN_CHANGE = 0.003
-# Least height of the best score over the others, in standard deviations of these.
+# Least difference between the best score and the mean of the others, in standard deviations of these.
 MIN_GAIN_SD = 2.0
 # Segments of time left out in turn for the standard deviation (jackknife).
 _BLOCKS = 5
@@ -60,7 +57,7 @@ class ClockFrames:
     """Small frames of a video at nearly equal steps, and the noise between two of them."""
 
     def __init__(self, video: Video) -> None:
-        # Frames of a variable rate are taken at even times, the nearest one to each.
+        # For videos with a variable rate, the frame nearest to each of evenly spaced times is used.
         stride = max(1, round(STEP_S * video.fps))
         even = np.arange(video.times_s[0], video.times_s[-1] + 0.5 / video.fps, stride / video.fps)
         chosen = np.abs(video.times_s - even[:, None]).argmin(1)
@@ -95,18 +92,18 @@ def change_gains(changes: NDArray[np.float32]) -> tuple[NDArray, NDArray]:
 
 
 def estimate_clock(video: Video, log_times_s: Array, masks_at: MasksAt) -> Clock:
-    """Find the offset, and roughly the drift, from the arm's own motion.
+    """Find the offset, and roughly the drift, from the motion of the arm.
 
     Args:
-        log_times_s: Times of the joint log (T,), its own clock, [s].
-        masks_at: Draws the robot at log times.
+        log_times_s: Times of the joint log (T,), clock of the log, [s].
+        masks_at: Renders masks of the robot at log times.
 
     Returns:
-        The clock; its drift is known to half a step between the drifts tried.
+        The clock; the error of its drift is at most half the step between the tested drifts.
 
     Raises:
-        SyncError: The log does not cover enough of the video under any offset, the arm stands still
-            or out of view, or two offsets explain the video equally well.
+        SyncError: The log does not cover enough of the video under any offset, the arm does not move or is out of view, or
+            two offsets explain the video equally well.
 
     Not checked: a drift that changes during the demonstration.
     """
@@ -217,7 +214,7 @@ def _fine(frames: ClockFrames, guess: Clock, log_times_s: Array, masks_at: Masks
     best = _vertex(offsets, table.sum(0).max(1))
     blocks = np.array_split(np.arange(len(pairs)), min(_BLOCKS, len(pairs)))
     left_out = np.array([_vertex(offsets, np.delete(table, block, 0).sum(0).max(1)) for block in blocks])
-    # Jackknife over segments of time, in which a wrong camera pose acts alike.
+    # Jackknife over segments of time, because the error of the camera pose is correlated within a segment.
     sd = float(np.sqrt(jackknife_covariance(left_out[:, None])[0, 0]))
     return replace(guess, offset_s=best, sd_s=max(sd, MIN_CLOCK_SD_S)), float(table.sum(0).max())
 
@@ -257,7 +254,7 @@ def _telling_pairs(frames: ClockFrames, clock: Clock, log_times_s: Array) -> lis
         raise SyncError(
             "joint log", "does not cover the moving frames", "export the log of the whole demonstration"
         )
-    # Evenly over the energy, not the strongest: strokes in different directions separate time from shift.
+    # The pairs are spread evenly over the energy: motions in different directions separate a time offset from an image shift.
     energy = np.cumsum([frames.change(k, k + lag).sum() + 1e-6 for k in covered])
     marks = (np.arange(FINE_PAIRS) + 0.5) / FINE_PAIRS * energy[-1]
     chosen = np.unique(np.searchsorted(energy, marks))
@@ -265,7 +262,7 @@ def _telling_pairs(frames: ClockFrames, clock: Clock, log_times_s: Array) -> lis
 
 
 def _vertex(offsets: NDArray, scores: NDArray) -> float:
-    """Offset at the vertex of a parabola through the best score and its neighbours."""
+    """Compute the offset at the vertex of a parabola through the best score and its neighbors."""
     top = int(np.argmax(scores))
     near = slice(max(0, top - 2), top + 3)
     if len(offsets[near]) < 3:

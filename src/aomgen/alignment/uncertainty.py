@@ -1,10 +1,9 @@
-"""Covariance of an alignment, of the joint values it assumes, and of the camera poses it rests on.
+"""Covariance of an alignment, of its joint values, and of its camera poses.
 
-Errors of neighbouring contour points are correlated, and so are those of neighbouring views. The
-number of points therefore carries no information: groups of neighbouring views are left out in turn (jackknife).
-Errors of neighbouring cameras are correlated, since they see the same points; an alignment that rests
-on many views averages little of them away. Source: Triggs et al., "Bundle adjustment - a modern
-synthesis", 2000, sec. 6 (reduced camera system) and 9 (gauge).
+Errors of neighboring contour points are correlated, and so are those of neighboring views. Therefore the number of points is no
+measure of the information, and groups of neighboring views are left out in turn (jackknife). Errors of neighboring cameras are
+correlated, because they observe the same points, so averaging over many views reduces them little. Source: Triggs et al.,
+"Bundle adjustment - a modern synthesis", 2000, sec. 6 (reduced camera system) and 9 (gauge).
 """
 
 from collections.abc import Callable
@@ -25,13 +24,13 @@ from aomgen.core.values import Array, freeze_arrays
 
 # Groups of views, or segments of a video, left out in turn (jackknife): the rest must still determine all joints.
 JACKKNIFE_GROUPS = 8
-# Largest joint offset of a mastered arm, [rad].
+# Largest joint offset of a calibrated arm, [rad].
 MAX_JOINT_OFFSET_RAD = float(np.radians(2.0))
 # Standard deviations of a significant deviation: four, because many quantities are tested.
 SIGNIFICANT_SDS = 4.0
-# Arms report their joints to a fraction of a degree; offsets beyond this are not expected at all.
+# Standard deviation of a wide prior of joint offsets, [rad]; encoders of arms are accurate to a fraction of a degree.
 JOINT_PRIOR_RAD = np.radians(20.0)
-# The mean length of a plane normal error over its deviation along one axis.
+# Mean length of a normally distributed error in a plane over its standard deviation along one axis.
 _RAYLEIGH = float(np.sqrt(np.pi / 2))
 
 
@@ -40,8 +39,7 @@ class CameraErrors:
     """Joint covariance of camera poses.
 
     Attributes:
-        covariance: (6 N, 6 N), of each camera's centre, then its rotation vector [rad], in the axes
-            and units of a frame.
+        covariance: (6 N, 6 N), for each camera the center, then the rotation vector [rad], in the axes and units of a frame.
     """
 
     names: tuple[str, ...]
@@ -76,8 +74,8 @@ def camera_covariance(
     """
     point, camera = observations[:, 0].astype(np.int64), observations[:, 1].astype(np.int64)
     J_point, J_camera = _jacobians(cameras, points, point, camera)
-    # Observations of one point are of one patch, whose corner a detector misses in the same way: all
-    # of them together carry the information of one.
+    # All observations of one point show the same patch, and the detector has the same error in all of them. Together they have
+    # the information of one observation.
     share = 1 / np.sqrt(np.bincount(point, minlength=len(points))[point])[:, None, None]
     J_point, J_camera = share * J_point, share * J_camera
     U = np.zeros((len(cameras), 6, 6))
@@ -101,7 +99,7 @@ def camera_covariance(
 def _jacobians(
     cameras: list[Camera], points: Array, point: NDArray[np.int64], camera: NDArray[np.int64]
 ) -> tuple[Array, Array]:
-    """Change of every observation with its point (M, 2, 3) and its camera's pose (M, 2, 6)."""
+    """Compute the change of every observation with its point (M, 2, 3) and its camera's pose (M, 2, 6)."""
     J_point, J_camera = np.empty((len(point), 2, 3)), np.empty((len(point), 2, 6))
     for index, one in enumerate(cameras):
         own = camera == index
@@ -138,8 +136,8 @@ def _gauge_projection(centers: Array) -> Array:
 def similarity_covariance(evidence: list[ViewEvidence]) -> Array:
     """Compute the covariance (7, 7) of rotation vector [rad], end effector [m] and log scale.
 
-    Infinite with fewer than three views. Not checked: errors that all views share;
-    see `covariance_from_cameras`.
+    The covariance is infinite with fewer than three views. Not checked: errors that all views share; see
+    `covariance_from_cameras`.
     """
     return _jackknife(evidence, _similarity_step)
 
@@ -168,7 +166,7 @@ def covariance_from_cameras(evidence: list[ViewEvidence], errors: CameraErrors) 
             expected.append(float(np.trace(move @ errors.covariance[own, own] @ move.T)))
     if not seen:
         return np.zeros((7, 7))
-    # The median of a sum of two squares is ln 2 of its mean.
+    # The median of the sum of two squares of normal errors is ln 2 times its mean.
     ratio = np.median(np.array(seen) / np.maximum(expected, 1e-12)) / np.log(2)
     K = np.linalg.solve(H + 1e-12 * np.trace(H) * np.eye(7), K)
     return np.asarray(max(1.0, float(ratio)) * K @ errors.covariance @ K.T, np.float64)
@@ -177,13 +175,13 @@ def covariance_from_cameras(evidence: list[ViewEvidence], errors: CameraErrors) 
 def joint_offsets(evidence: list[ViewEvidence]) -> tuple[Array, Array, Array]:
     """Estimate joint offsets from at least one view.
 
-    Joints and similarity are solved together, linearly about the drawn state, so that offsets of
-    more than some ten degrees are only recognised as large.
+    Joints and similarity are estimated together, linearized about the rendered state, so offsets of more than about ten degrees
+    are only detected as large.
 
     Returns:
-        Offsets (J,) and their standard deviations (J,), [rad]; and the root mean square (J,), [px], of how far each offset
-        moves the outline where no motion of the whole robot does the same: a turn about the axis of a round base moves
-        next to nothing.
+        Offsets (J,) and their standard deviations (J,), [rad]; and the root mean square (J,), [px], of the motion
+        of the outline by each offset that no motion of the whole robot explains; it is nearly zero for a rotation about the
+        axis of a round base.
     """
     offsets = _joint_step(evidence)[7:]
     covariance = _jackknife(evidence, _joint_step, 7 + len(offsets))
