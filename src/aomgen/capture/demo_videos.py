@@ -138,7 +138,7 @@ def find_push(video: Video) -> tuple[float, float] | None:
 
 
 def _shift_px(first: NDArray[np.complex128], other: NDArray[np.complex128], size: tuple[int, int]) -> float:
-    """Shift of another frame's background from the first one's, 0 where it stayed, [px]."""
+    """Estimate the shift of another frame's background from the first one's, [px]; 0 if it did not move."""
     product = first.conj() * other
     surface: Array = np.fft.irfft2(product / np.maximum(np.abs(product), 1e-9), size)
     rows, columns = np.fft.fftfreq(size[0], 1 / size[0]), np.fft.fftfreq(size[1], 1 / size[1])

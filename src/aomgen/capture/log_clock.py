@@ -1,4 +1,4 @@
-"""The time column of a joint log: which column it is, its unit, and the order of its rows."""
+"""The time column of a joint log: its name, its unit, and the order of its rows."""
 
 import re
 from collections.abc import Sequence
@@ -12,9 +12,9 @@ from aomgen.capture.log_table import LogTable, read_number
 from aomgen.core.values import Array
 from aomgen.errors import MalformedFileError, NonFiniteError
 
-# The column that the capture format asks for.
+# Name of the column in the capture format.
 TIME_COLUMN: Final = "time_s"
-# Ticks a second by unit.
+# Ticks per second by unit.
 TICKS: Final = {"seconds": 1.0, "milliseconds": 1e3, "microseconds": 1e6, "nanoseconds": 1e9}
 _ABBREVIATIONS: Final = {
     "s": "seconds", "sec": "seconds", "secs": "seconds", "second": "seconds", "seconds": "seconds",
@@ -29,25 +29,25 @@ _NAME: Final = re.compile(
     r"%?(?:[a-z]*[._ ])?(?:time|times|timestamp|timestamps|stamp|t|clock)"
     r"(?:[ _.\-]*[\[(]?(" + "|".join(sorted(_ABBREVIATIONS, key=len, reverse=True)) + r")[\])]?)?"
 )
-# The slowest log that is used has four rows a second. Its period in seconds is shorter than that of a log of 2 kHz
-# in milliseconds; the same holds for the next units, so the median period determines the unit of an unnamed clock, [s].
+# Longest median period of a log, [s]: four rows per second. This number is smaller than the period of a 2 kHz log in milliseconds,
+# and likewise for the next units, so the median period determines the unit of a column whose name states none.
 LONGEST_PERIOD_S: Final = 0.25
-# Packets overtake one another by less than this; a larger step back is another recording, [s].
+# Largest step back between rows that are only out of order, [s]; a larger one is the start of another recording.
 MAX_REORDER_S: Final = 0.25
-# No joint of a table-top arm is faster; the fastest wrists reach some 6 rad/s, [rad/s].
+# Upper limit of the joint speeds of a table-top arm, [rad/s]; the fastest wrists reach about 6 rad/s.
 MAX_SPEED_RAD_S: Final = 12.0
 
 
 def find_time_column(header: Sequence[str]) -> tuple[str, str]:
-    """Name of the time column and its unit, "" where the name does not state it.
+    """Find the name of the time column and its unit; the unit is "" if the name does not state it.
 
-    `time_s` is taken where it exists, otherwise the first name that reads as a time, names with a unit first.
+    The column is `time_s` if it exists, or else the first name that denotes a time; names with a unit have priority.
 
     Args:
         header: Column names that are not those of joints.
 
     Returns:
-        Column and unit; both empty where there is none.
+        Column and unit; both empty if there is none.
 
     Example:
         >>> find_time_column(["force", "Timestamp [ms]"])
@@ -55,7 +55,7 @@ def find_time_column(header: Sequence[str]) -> tuple[str, str]:
     """
     matches = [(name, _NAME.fullmatch(name.strip().lower())) for name in header]
     named = [(name, _ABBREVIATIONS.get(found[1] or "", "")) for name, found in matches if found]
-    # A stable sort: `time_s` first, then names with a unit, then the order of the columns.
+    # The sort is stable: `time_s` is first, then names with a unit, then the others in the order of the columns.
     named.sort(key=lambda item: (item[0] != TIME_COLUMN, not item[1]))
     return named[0] if named else ("", "")
 
@@ -67,7 +67,7 @@ def read_times(table: LogTable, others: Sequence[str]) -> tuple[Array, tuple[str
         others: Columns that contain other quantities.
 
     Returns:
-        Times (T,) in the order of the file, and notes on what was assumed.
+        Times (T,) in the order of the file, and notes on the assumptions.
 
     Raises:
         MalformedFileError: No time column, or a field that is neither a number nor an ISO 8601 date.

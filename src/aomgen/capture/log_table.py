@@ -162,7 +162,7 @@ def _find_header(
 
 
 def _count_names(names: Sequence[str], separator: str) -> int:
-    """Number of names in a header whose names are not known; they may contain spaces next to another separator."""
+    """Count the names in a header whose names are unknown; they may contain spaces if another separator is used."""
     if separator == " " and any(mark in name for name in names for mark in SEPARATORS if mark != " "):
         return 0
     return sum(bool(name) and not _is_number(name) for name in names)

@@ -108,7 +108,7 @@ def common_size(images: tuple[Path, ...]) -> tuple[int, int]:
 
 
 def _describe_rotated(images: Sequence[Path]) -> str:
-    """End of a sentence that names the images that EXIF turns; empty for none."""
+    """Write the end of a sentence that names the images that EXIF rotates; empty without any."""
     turned = []
     for path in images:
         with open_image(path) as image:

@@ -42,7 +42,7 @@ class Policy(Protocol):
         ...
 
     def looks(self, frame: int) -> bool:
-        """Return False: the policy uses no images."""
+        """Return whether the policy uses images at a frame; rendering takes most of the time."""
         ...
 
     def act(self, observation: dict[str, Any]) -> Array:
@@ -125,7 +125,7 @@ class NearestReplay:
         self._frame = 0
 
     def looks(self, frame: int) -> bool:
-        """Never."""
+        """Return False: the policy uses no images."""
         return False
 
     def act(self, observation: dict[str, Any]) -> Array:

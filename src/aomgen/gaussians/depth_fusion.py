@@ -196,7 +196,7 @@ def confirm_samples(depth_map: DepthMap, votes: NDArray[np.int32]) -> Samples:
 
 
 def count_confirmations(depth_map: DepthMap, maps: list[DepthMap]) -> NDArray[np.int32]:
-    """Number of neighbours (H, W) whose own depth maps agree with each pixel's depth."""
+    """Count the neighbors (H, W) whose depth maps agree with each pixel's depth."""
     finite = depth_map.inverse_depth > depth_map.step
     points = _points(depth_map)[finite]
     votes = np.zeros(len(points), np.int32)
@@ -267,7 +267,7 @@ def thin(samples: Samples, target: int, *, min_weight: float = MIN_WEIGHT) -> Sa
 
 
 def contrast_detail(image_srgb: NDArray[np.uint8]) -> Array:
-    """Level of detail (H, W), 0.45..1.8, at each pixel: about the root of the local contrast."""
+    """Compute the level of detail (H, W), 0.45..1.8, at each pixel: about the root of the local contrast."""
     gray = image_srgb.mean(-1)
     contrast = ndimage.gaussian_filter(ndimage.gaussian_gradient_magnitude(gray, 0.8), 1.5)
     return np.clip(np.sqrt(contrast / 6.0), 0.45, 1.8)

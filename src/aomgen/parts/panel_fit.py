@@ -146,7 +146,7 @@ def descend(panel: Panel, size: float, terms: Sequence[Term], shares: Sequence[f
 
 
 def compute_loss(panel: Panel, size: float, terms: Sequence[Term], limit: float = np.inf) -> float:
-    """Sum of all terms and of the regularization; infinite for impossible boxes, and where it reaches the limit."""
+    """Add all terms and the regularization; infinite for impossible boxes, and if the sum reaches the limit."""
     if not panel.is_valid:
         return np.inf
     thick = panel.thicken_body(0.5 * SKIN_SHARE * size)

@@ -82,7 +82,7 @@ class PromptSession:
         }
 
     def encode(self, index: int) -> "Future[PreparedImage] | None":
-        """Start to encode an image if it is not encoded yet; returns None without a segmenter."""
+        """Start to encode an image if it is not encoded yet; return None without a segmenter."""
         segmenter = self._segmenter
         if segmenter is None:
             return None

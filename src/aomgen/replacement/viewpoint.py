@@ -94,7 +94,7 @@ def _corners(points: ArrayLike) -> Array:
 
 
 def _framing_score(camera: Camera, first: Camera, points: Array, share: float) -> float:
-    """Score by distance from the first camera's direction and by framing; -inf when it misses the points."""
+    """Score a camera by its angle to the first camera and by framing; -inf if it does not show the points."""
     small = camera.resize(*LOOK_PX)
     pixels, depths = small.project(points)
     size = np.array(LOOK_PX)
@@ -102,7 +102,7 @@ def _framing_score(camera: Camera, first: Camera, points: Array, share: float) -
     if not inside.mean() >= share:
         return -np.inf
     span = float(np.ptp(pixels[:, 0])) / LOOK_PX[0]
-    # Seen from above.
+    # The angle is measured in the top view.
     angle = angle_between(*((1 - UP) * (eye.center - points.mean(0)) for eye in (camera, first)))
     return float(min(angle / (np.pi / 2), 1.0) * 0.6 - abs(np.log(max(span, 0.01) / WANTED_SPAN)) * 0.4)
 

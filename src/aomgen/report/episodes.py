@@ -245,7 +245,7 @@ def draw_histogram(item: Distribution) -> str:
 
 
 def _map(results: Results, draws: list[dict[str, Any]]) -> str:
-    """Map of the objects of all draws, on the scene and the reach of the arm."""
+    """Draw a map of the objects of all draws, with the scene and the reach of the arm."""
     folder, count = results.folders["episodes"], len(results.fitted_assets)
     maps = [load_artifact(folder, REACH_MAP.format(number), ReachMap) for number in range(count)]
     ordered = sorted(draws, key=lambda draw: list(OUTCOMES)[::-1].index(draw["outcome"]))

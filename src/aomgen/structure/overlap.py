@@ -122,7 +122,7 @@ def measure_overlap(images: Mapping[str, NDArray[np.float32]]) -> ScanOverlap:
     """Match small copies of a scan's images.
 
     Args:
-        images: Grey levels (H, W) by name, all of one size, see `scan_images.read_grey`.
+        images: Gray levels (H, W) by name, all of one size, see `scan_images.read_grey`.
 
     Returns:
         Confirmed matches of each pair, and approximate poses; unmatched pairs of a long scan have 0 matches.

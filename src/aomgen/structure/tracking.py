@@ -8,7 +8,7 @@ from scipy.ndimage import map_coordinates, uniform_filter
 
 from aomgen.core.values import Array
 
-# A grey image at full, half and quarter size, (H, W) each.
+# A gray image at full, half and quarter size, (H, W) each.
 Pyramid = tuple[NDArray[np.float32], ...]
 # Pyramid levels: tracking succeeds for motions of up to four windows between frames.
 LEVELS = 3

@@ -118,7 +118,7 @@ def measure_coverage(
 
 
 def outline_request(ranges: Ranges, fitted: FittedAsset) -> Array:
-    """Corners (N, 2) of the area in which the center of an object is requested, world frame, [m]."""
+    """Compute the corners (N, 2) of the area in which the center of an object is requested, world frame, [m]."""
     if ranges.polygon:
         return np.array(ranges.polygon)
     (x0, x1), (y0, y1) = ranges.place_bounds
@@ -174,7 +174,7 @@ def describe_holes(area: Array, rows: Sequence[dict[str, Any]]) -> Iterator[dict
 
 
 def locate_draws(fitted: FittedAsset, variations: Sequence[Mapping[str, Any]]) -> Array:
-    """Center of an object's footprint and direction of its front (N, 4) in stored variations, world frame, [m].
+    """Compute the center of an object's footprint and the direction of its front (N, 4) in stored variations, world frame, [m].
 
     `reach_map.front_line` computes the same for one variation.
     """

@@ -35,14 +35,14 @@ def project_segments(camera: Camera, segments: ArrayLike) -> Array:
 
 
 def join_points(points: ArrayLike, *, closed: bool = False) -> Array:
-    """Segments (N - 1, 2, 3) that join points (N, 3) in order; (N, 2, 3) if closed."""
+    """Create the segments (N - 1, 2, 3) that join points (N, 3) in order; (N, 2, 3) if closed."""
     points = np.asarray(points, np.float64)
     following = np.roll(points, -1, 0)
     return np.stack([points, following], 1)[: None if closed else -1]
 
 
 def outline_camera(camera: Camera, size: float) -> Array:
-    """Segments (8, 2, 3) of a camera's viewing pyramid with depth `size`, world frame."""
+    """Create the segments (8, 2, 3) of a camera's viewing pyramid with depth `size`, world frame."""
     u = (np.array([0, camera.width, camera.width, 0]) - camera.cx) / camera.fx
     v = (np.array([0, 0, camera.height, camera.height]) - camera.cy) / camera.fy
     corners = apply(camera.T_world_cam, size * np.stack([u, v, np.ones(4)], 1))
@@ -80,7 +80,7 @@ def outline_geoms(model: mujoco.MjModel) -> list[tuple[int, Array]]:
 
 
 def outline_hull(points: Array) -> Array:
-    """Segments (E, 2, 3) of the sharp edges of the convex hull of points (N, 3)."""
+    """Create the segments (E, 2, 3) of the sharp edges of the convex hull of points (N, 3)."""
     hull = ConvexHull(points)
     normals, segments = hull.equations[:, :3], []
     for face, (corners, neighbors) in enumerate(zip(hull.simplices, hull.neighbors, strict=True)):
@@ -101,7 +101,7 @@ def _circle(radius: float, height: float) -> Array:
 
 
 def _outline_tube(radius: float, half: float, cap: float) -> Array:
-    """Two circles, four lines between them along z, and half circles of round caps."""
+    """Create two circles, four lines between them along z, and half circles of round caps."""
     rings = [_circle(radius, height) for height in (-half, half)]
     lines = np.stack([rings[0][:: SIDES // 4], rings[1][:: SIDES // 4]], 1)
     parts = [*(join_points(ring, closed=True) for ring in rings), lines]

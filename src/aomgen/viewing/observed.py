@@ -26,7 +26,7 @@ SOLID_ALPHA: Final = 0.5
 def project_coverage(
     found: Survey, camera: Camera, depth: NDArray[np.float32], *, with_robot: bool
 ) -> list[list[float]]:
-    """Rows of x, y [px] and coverage for the surveyed points that the rendered depth (H, W) [m] does not hide.
+    """Project the surveyed points that the rendered depth (H, W) [m] does not hide to rows of x, y [px] and coverage.
 
     The points of the robot have their positions during the scan; without `with_robot` they are omitted.
     """

@@ -174,7 +174,7 @@ def find_evaluations(path: Path, suite: Suite) -> list[Evaluation]:
 
 
 def distances_mm(first: RolloutRecord, second: RolloutRecord) -> Array:
-    """Distances between the end effectors after each action of both trials (F,), [mm]."""
+    """Compute the distances between the end effectors after each action of both trials (F,), [mm]."""
     count = min(first.frames, second.frames)
     return 1000 * np.linalg.norm(first.ee_world[:count] - second.ee_world[:count], axis=1)
 

@@ -61,7 +61,7 @@ class PosableScene:
         return View(*(drawn[name][0] for name in ("rgb8", "alpha", "median_depth")))
 
     def find_center(self) -> Array:
-        """Mean point (3,) of the object at rest, world frame."""
+        """Compute the mean point (3,) of the object at rest, world frame."""
         mine = replace(self.twin, relit=None).select(_select(self.twin.labels, ("static", "moving")))
         return (
             pose_bodies(mine, body_poses(self.twin, self.robot, self.rest)).means.mean(0).astype(np.float64)
