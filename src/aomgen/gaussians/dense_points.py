@@ -29,15 +29,15 @@ from aomgen.splatting.surfaces import in_free_space
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DensifyParams:
-    """Effort and limits.
+    """Effort and limits of the dense points.
 
     Attributes:
         target_points: Requested points on surfaces; the result is within a few percent.
-        long_side: Long side the images are reduced to, [px]: upright and sideways photos cost the same.
-        planes: Depth hypotheses a pixel, evenly spaced in inverse depth from infinity on.
-        sources: Neighbours a view is matched with.
-        shell_points: At most this many on the far sphere, where it was seen.
-        threads: Views worked on at once.
+        long_side: Long side of the reduced images, [px], so that portrait and landscape photos take the same time.
+        planes: Number of depth hypotheses of a pixel, evenly spaced in inverse depth from infinity on.
+        sources: Number of neighbors with which a view is matched.
+        shell_points: Largest number of points on the far sphere, where it was observed.
+        threads: Number of views that are processed at the same time.
     """
 
     target_points: int = 78_000
@@ -60,11 +60,11 @@ def densify(
         images_srgb: Images (H, W, 3) uint8 by name; a subset of the structure's images.
 
     Returns:
-        Points on surfaces, which are thinned by their size in the nearest view and more where the image has
-        detail, with the sparse points and with large planes continued where stereo is undecided; and points of a
-        far shell where the views agree on infinity. Normals are towards the cameras, or zero where unknown.
+        Points on surfaces, and points of a far shell where the views agree on infinity. Surface points are thinned by
+        their size in the nearest view, and are denser where the image has detail. They include the sparse points, and large
+        planes are continued where stereo is ambiguous. Normals are towards the cameras, or zero if they are unknown.
 
-    Not checked: mirrors and glass, which give points at the mirrored place.
+    Not checked: mirrors and glass, which cause points at mirrored positions.
     """
     names = [name for name in structure.cameras_recon if name in images_srgb]
     views = [

@@ -16,25 +16,25 @@ from aomgen.splatting.native import library
 from aomgen.splatting.surfaces import ViewDepth
 
 _STATUS = {1: "refuses its arguments", 2: "is short of memory"}
-# Radius of the correlation window, [px]: 5 x 5, small against the objects at the width of the views.
+# Radius of the correlation window, [px]: 5 x 5, smaller than the objects in the reduced views.
 WINDOW_RADIUS = 2
-# Sources averaged at a pixel: fewer tolerate more occlusion.
+# Number of sources that are averaged at a pixel; fewer tolerate more occlusion.
 BEST_SOURCES = 2
 # Standard deviation of image noise, 0..1: three 8-bit steps.
 NOISE = 0.012
-# Penalty of a change by one plane between neighbours, in matching cost 0..255: slanted surfaces are common.
+# Penalty of a change by one plane between neighboring pixels, in matching cost 0..255: slanted surfaces are common.
 SMALL_JUMP_PENALTY = 10.0
 # Penalty of a larger change, in matching cost: depth edges are rare.
 LARGE_JUMP_PENALTY = 60.0
-# A depth is confirmed by a view whose own depth there differs by at most this many planes.
+# Largest difference, in planes, between a depth and that of a view that confirms it.
 MAX_PLANES_APART = 1.5
-# Neighbours that must confirm a depth: one may agree by chance.
+# Least number of neighbors that confirm a depth: a single one may agree by chance.
 MIN_CONFIRMATIONS = 2
 # Least normalized correlation at a confirmed depth, -1..1: above that of unrelated texture, which is about 0.
 MIN_SCORE = 0.25
-# Pixels that must agree on a cell for it to hold a point.
+# Least weight of a cell that contains a point, in pixels.
 MIN_WEIGHT = 5.0
-# Bins that cells are counted in.
+# Logarithm to base 2 of the number of bins in which cells are counted.
 BIN_BITS = 22
 
 
@@ -75,7 +75,7 @@ def plane_sweep(
         discards those that no other view confirms.
 
     Raises:
-        BackendError: The engine refuses or is short of memory.
+        BackendError: The engine refuses the inputs or has not enough memory.
     """
     camera, image = reference
     height, width = image.shape
@@ -128,8 +128,8 @@ class DepthMap:
         camera: Camera at the map's resolution, recon frame.
         inverse_depth: (H, W); 0 is infinity.
         score: Correlation at it (H, W), -1..1.
-        step: Distance of two hypotheses in inverse depth.
-        neighbours: Indices of the views it was matched with.
+        step: Difference of two adjacent hypotheses in inverse depth.
+        neighbours: Indices of the views with which it was matched.
     """
 
     camera: Camera
@@ -142,7 +142,7 @@ class DepthMap:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Samples:
-    """P points with what thinning needs.
+    """P points with the quantities that thinning requires.
 
     Attributes:
         footprints: Size of a pixel at the point (P,), recon units.
@@ -236,7 +236,7 @@ def thin(samples: Samples, target: int, *, min_weight: float = MIN_WEIGHT) -> Sa
     low, high = 0.5, 30.0
     for _ in range(10):
         factor = np.sqrt(low * high)
-        # Counting needs no exact cells: a few that share a bin do not matter.
+        # The counts may be approximate: it does not matter that a few cells share a bin.
         bins = (_cell_keys(samples.points_recon, wanted * factor) >> np.uint64(64 - BIN_BITS)).astype(
             np.int64
         )
@@ -284,7 +284,7 @@ def _cell_keys(points: Array, sizes: Array) -> NDArray[np.uint64]:
     level = np.round(np.log2(np.maximum(sizes, 1e-12)) * 2).astype(np.int64)
     edge = 2.0 ** (level / 2)
     keys = np.concatenate([level[:, None], np.floor(points / edge[:, None]).astype(np.int64)], 1)
-    # A 64-bit mix instead of sorting rows: a hundred times faster for millions of samples.
+    # A 64-bit hash is a hundred times faster than sorting rows, for millions of samples.
     mixed = np.zeros(len(keys), np.uint64)
     for column in range(4):
         mixed = (mixed ^ keys[:, column].astype(np.uint64)) * np.uint64(0x9E3779B97F4A7C15)

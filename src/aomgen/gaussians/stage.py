@@ -41,7 +41,7 @@ def train_in(
 ) -> dict[str, Any]:
     """Train (see `train_scene`), write `gaussians.ply`, `metrics.json` and `heldout.png`, and return the metrics.
 
-    `training.checkpoint` lies in the folder while this works: a killed run continues there.
+    The folder contains `training.checkpoint` during the training, from which an interrupted run continues.
     """
     images_srgb = {name: read_image(path) for name, path in sorted(images.items())}
     checkpoint = Checkpoint(path=folder / CHECKPOINT_FILE)

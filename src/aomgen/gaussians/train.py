@@ -26,7 +26,7 @@ from aomgen.splatting.training import TrainingParams, train
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class GaussiansParams:
-    """Effort and limits.
+    """Effort and limits of the stage.
 
     Attributes:
         densify: Parameters of the initial points.
@@ -185,7 +185,7 @@ def without_floaters(
     for camera in cameras:
         nearest, _ = tree.query(camera.center)
         keep &= np.linalg.norm(gaussians.means - camera.center, axis=1) > near_share * nearest
-    # Isolated: alone within ten times the usual spacing, faint, and inside of the cameras' reach.
+    # Isolated Gaussians have no neighbor within ten times the usual spacing, are faint, and are close to the cameras.
     distances, _ = cKDTree(gaussians.means).query(gaussians.means, k=6)
     alone = distances[:, -1] > 20 * np.median(distances[:, -1])
     inside = np.linalg.norm(gaussians.means - np.median(surface, 0), axis=1) < 2 * max(

@@ -8,17 +8,17 @@ from aomgen.core.camera import Camera, look_at
 from aomgen.core.values import Array
 from aomgen.core.walk import Walk, describe_walk
 
-# A gap between the directions of the scan's cameras that is wider is not crossed, [rad].
+# Largest gap between the directions of the scan's cameras that the path crosses, [rad].
 MAX_GAP_RAD: Final = np.pi / 2
-# Share of the outermost cameras on either side that the path does not reach: views there are extrapolated.
+# Share of the outermost cameras on either side beyond the ends of the path, because views there are extrapolated.
 MARGIN: Final = 0.05
 
 
 def plan_turntable(cameras: list[Camera], frames: int) -> list[Camera]:
-    """Plan a closed path around what the cameras of a scan look at.
+    """Plan a closed path around the point at which the cameras of a scan look.
 
-    A scan from all sides gives a circle, any other a swing between its ends; distance and height are the cameras'
-    median.
+    The path is a circle for a scan from all sides, and otherwise moves back and forth between the ends of the scan. Distance and
+    height are the median of the cameras.
 
     Args:
         cameras: At least two, upright on average.
