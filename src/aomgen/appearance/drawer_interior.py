@@ -1,7 +1,7 @@
 """Interior of a drawer: walls and bottom behind its front, which only the demonstration shows.
 
-A scan sees a closed drawer, so that a twin's open front would hang in the air. Walls and bottom move
-with the front; those that predict the video best from its other frames are kept, or none.
+A scan shows a closed drawer, so the twin of an open drawer would consist of its front only. Walls and bottom are added that move
+with the front: those that predict frames of the video best from the other frames, or none.
 """
 
 from dataclasses import dataclass
@@ -23,26 +23,25 @@ from aomgen.robots.robot import RobotModel
 from aomgen.splatting.rasterizer import render
 from aomgen.twin.twin import CONTOUR_PX, PART, PosedImages, TwinModel, body_poses, pose_bodies
 
-# Images are compared in this width, where small errors of the joint value are below a pixel.
+# Width of the compared images, [px]: small errors of the joint value are less than a pixel.
 WIDTH_PX = 320
-# Frames used, at different openings: enough to predict each from the others.
+# Number of frames at different openings: sufficient to predict each from the others.
 FRAMES = 5
 # Share of the travel from which a drawer counts as open: its interior is visible from there.
 OPEN_SHARE = 0.4
-# Insets of the walls from the outline of the front that are tried, as share of its width.
+# Tested insets of the walls from the outline of the front, as a share of its width.
 INSETS = (0.02, 0.06)
-# Wall heights tried, as share of the front's height; a few, as the best is chosen by image error.
+# Tested heights of the walls, as a share of the front's height; the best is chosen by image error, so a few are sufficient.
 HEIGHTS = (0.25, 0.5, 0.75, 0.95)
-# A tray has to take away this share of the squared error where it may be, or there is none.
+# Least share of the squared error that a tray removes in its region.
 MIN_GAIN = 0.3
-# Pixels that make a judgement.
+# Least number of pixels for a decision.
 MIN_PIXELS = 100
-# A drawer's front lies at the end of its body to which it moves, no farther inside than this share of the
-# body.
+# Largest distance of the front from the end of the body to which it moves, as a share of the body's depth.
 MAX_INSIDE_SHARE = 0.2
-# Extent and thickness of a disc as share of the spacing: neighbours overlap without gaps, and none is degenerate.
+# Extent and thickness of a disc as a share of the spacing: neighbors overlap without gaps, and no disc is degenerate.
 EXTENT = (0.7, 0.7, 0.05)
-# Limit on discs, which lie a pixel apart, so that a large drawer does not slow down rendering.
+# Largest number of discs, so that a large drawer does not slow down rendering; their distance is about one pixel.
 MAX_DISCS = 20_000
 
 
@@ -71,10 +70,9 @@ class _Shot:
 def add_drawer_interior(twin: TwinModel, robot: RobotModel, view: PosedImages) -> TwinModel:
     """Add walls and bottom behind the front of a drawer to a bound scan, with colors from the demonstration.
 
-    The twin stays as it is when the part does not slide out of its body, or when no interior explains the video
-    clearly better.
+    The twin is not changed if the part does not slide out of its body, or if no interior explains the video clearly better.
 
-    Not checked: that the drawer's floor is level with the front's lower edge, and what it holds.
+    Not checked: whether the floor of the drawer is level with the lower edge of the front, and the content of the drawer.
     """
     front = _front(twin, max((state.theta for state in view.states), default=0.0))
     if front is None:
@@ -118,7 +116,7 @@ def _front(twin: TwinModel, travel_m: float) -> _Front | None:
 def _shots(twin: TwinModel, robot: RobotModel, view: PosedImages, travel_m: float) -> list[_Shot]:
     opened = [k for k, state in enumerate(view.states) if state.theta >= OPEN_SHARE * travel_m]
     thetas = np.array([view.states[k].theta for k in opened])
-    # Frames of different openings: the same image twice says nothing new.
+    # The frames have different openings, because a repeated image adds no information.
     wanted = np.linspace(OPEN_SHARE * travel_m, travel_m, FRAMES)
     chosen = sorted({opened[int(np.argmin(np.abs(thetas - value)))] for value in wanted}) if opened else []
     small = view.camera.narrow(WIDTH_PX)
@@ -161,7 +159,7 @@ def _discs(front: _Front, inset: float, height: float, spacing_m: float) -> Gaus
     rows, columns = np.arange(floor, top, spacing_m), np.arange(left, right, spacing_m)
     walls = [np.stack(np.meshgrid(x, rows, z), -1).reshape(-1, 3) for x in (left, right)]
     bottom = np.stack(np.meshgrid(columns, floor, z), -1).reshape(-1, 3)
-    # Columns of the discs' rotations: two axes in the face, then its normal.
+    # The columns of the discs' rotations are two axes in the face, then its normal.
     faces = [(walls[0], [1, 2, 0]), (walls[1], [1, 2, 0]), (bottom, [2, 0, 1])]
     quats = [np.tile(quat_from_matrix(front.axes[:, order]), (len(places), 1)) for places, order in faces]
     means = np.concatenate([places for places, _ in faces]) @ front.axes.T

@@ -1,8 +1,8 @@
-"""Colors of the robot's surface that turn with its links, fitted to all that images show of it.
+"""Colors of the robot's surface that depend on the orientation of its links, fitted to all images.
 
-A disc's color is its material's response to its direction (nine harmonics, so that the light stays
-where it is while links turn), times what distinguishes the disc from others of its material, plus
-what was seen of it near this orientation of its link, plus specular term: a function of where it is seen from.
+The color of a disc is the color of its material for the disc's normal (nine harmonics in the world frame, so the light does not
+rotate with the links), times the ratio of the disc to its material, plus the residual that was observed near this orientation of
+its link, plus a specular term that depends on the direction of view.
 """
 
 from dataclasses import dataclass
@@ -20,24 +20,24 @@ from aomgen.core.sh import sh_basis
 from aomgen.core.values import Array, freeze_arrays
 from aomgen.twin.relighting import NEGLIGIBLE, Relit, ResidualAppearance, orientation_weights
 
-# Turn over which a seen color fades. A link's specular term moves twice as fast as the link; halves and
-# doubles of this were worse or no better on images between those that were fitted.
+# Rotation over which the weight of an observed residual decreases. The highlights of a link move twice as fast as the link. On
+# images between the fitted ones, half and twice this value were worse or no better.
 REACH_RAD: Final = float(np.radians(10.0))
 # Distance between the orientations at which residual colors are stored, as a share of REACH_RAD.
 SPACING: Final = 1.5
-# Alternations of the least-squares fits, which share what none of them explains alone.
+# Alternations of the least-squares fits.
 ROUNDS: Final = 4
-# Linear colors below this are black: the slope of sRGB would give them all the weight.
+# Linear colors below this are treated as black; otherwise the slope of sRGB would give them too much weight.
 BLACK: Final = 0.003
-# Pull of a disc towards its material and of a material towards all others, in observations of one pixel.
+# Regularization of a disc towards its material, in observations of one pixel.
 DISC_PULL: Final = 1.0
-# Regularization of a material towards all others, relative to the data: only decides what is not observed.
+# Regularization of a material towards all others, relative to the data: it determines only unobserved directions.
 MATERIAL_PULL: Final = 1e-3
-# A disc is at most this many times as bright or dark as its material.
+# Largest ratio of the brightness of a disc to that of its material, and of its inverse.
 MAX_RATIO: Final = 5.0
-# Nearest seen discs that give an unseen disc its color, by their mean.
+# Number of nearest observed discs whose mean is the color of an unobserved disc.
 NEIGHBORS: Final = 6
-# Pull of specular term towards none, in observations (their weight is the root of their pixels).
+# Regularization of the specular term towards zero, in observations (their weight is the root of their pixels).
 SPECULAR_PULL: Final = 0.3
 
 
@@ -62,14 +62,14 @@ def fit_robot_colors(observations: SurfelObservations, discs: RobotDiscs) -> tup
     """Fit colors of M discs to observations.
 
     Returns:
-        The discs' diffuse appearance, one light a material, with indices 0..M-1; and harmonics of bands 1 and 2
+        The discs' diffuse appearance with one light for each material and indices 0..M-1; and harmonics of bands 1 and 2
         (M, 8, 3) that add the specular term to the color, body frames.
     """
     R = observations.Ts_world_body[observations.image_index, discs.bodies[observations.disc], :3, :3]
     answers = open_transfer(np.einsum("nij,nj->ni", R, discs.normals[observations.disc])).astype(np.float64)
     seen = np.asarray(linear_from_srgb(observations.color_srgb), np.float64)
     ratio, radiance, lit = _fit(observations, discs, answers, seen)
-    # Lit as the twin lights it, clipped to what an image can show.
+    # The colors are lit as in the twin and clipped to the range of an image.
     predicted = np.asarray(srgb_from_linear(np.clip(ratio[observations.disc] * lit, 0, 1)))
     difference = observations.color_srgb - predicted
     views = sh_basis(observations.directions_body, 2)[:, 1:]

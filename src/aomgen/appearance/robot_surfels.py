@@ -1,7 +1,7 @@
-"""The robot as its model's surface, colored from everything that the capture shows of it.
+"""Surface of the robot from its model, with colors from all images of the capture.
 
-A scan sees one side of a robot in one joint configuration, from outside: its undersides are missing, outlines
-are ragged and light is baked in. The model's shape has none of that.
+A scan shows the robot in one joint configuration and from one side: undersides are missing, outlines are ragged, and the colors
+include the light. The model's surface is complete.
 """
 
 from collections.abc import Sequence
@@ -24,16 +24,16 @@ from aomgen.splatting.surfels import Surfels, surfels_of
 from aomgen.twin.relighting import Relit
 from aomgen.twin.twin import PosedImages, TwinModel
 
-# Discs lie this far apart in the images, [px], within limits that keep episodes fast.
+# Distance between discs in the images, [px], unless their number exceeds its limits.
 SPACING_PX: Final = 2.0
 # Least and largest number of discs: covers a small robot, keeps episodes fast.
 COUNTS: Final = (12_000, 40_000)
-# Least number of discs a body and material, so that small parts stay closed surfaces.
+# Least number of discs for each body and material, so that small parts have closed surfaces.
 MIN_PER_BODY: Final = 120
-# Scanned Gaussians this far outside the model that hide more than they let through are objects it does not have,
-# like cables. Nearer ones are the scan's own blur of the same surface.
+# Distance from the model beyond which opaque scanned Gaussians are objects that the model does not contain, such as cables, [m].
+# Nearer ones are blur of the same surface.
 ATTACHED_M: Final = 0.012
-# Bodies of which the scan and the video show less are left as scanned.
+# Least number of observations of a body; bodies with fewer keep their scanned Gaussians.
 MIN_OBSERVATIONS: Final = 200
 
 
@@ -42,8 +42,8 @@ def replace_robot_gaussians(
 ) -> TwinModel:
     """Replace the scanned Gaussians of the robot by surfels on its model.
 
-    Views are of the scan and of the demonstration, in one exposure. The twin, as bound from the scan, stays as it is
-    when the model has no meshes or images hardly show it.
+    The views of the scan and of the demonstration have the same exposure. The twin is not changed if the model has no meshes
+    or the images hardly show it.
     """
     if not robot.meshes or not views:
         return twin

@@ -30,11 +30,11 @@ from aomgen.twin.binding import bind, object_frame
 from aomgen.twin.support import find_support
 from aomgen.twin.twin import PosedImages, TwinModel, TwinState, pose_twin
 
-# More images add little information, and take as long again.
+# Largest number of scan images; more add little information and take as much time each.
 MAX_SCAN_IMAGES = 80
-# Frames of the video for each image of the scan: more from one place make all other views worse.
+# Number of video frames for each scan image; more frames from one camera reduce the quality of all other views.
 DEMO_SHARE = 0.5
-# Fewer frames skip parts of the motion.
+# Least number of frames, so that no part of the motion is skipped.
 MIN_DEMO_FRAMES = 16
 
 

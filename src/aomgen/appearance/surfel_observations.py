@@ -42,7 +42,7 @@ class SurfelObservations:
 def observe_surfels(twin: TwinModel, robot: RobotModel, views: Sequence[PosedImages]) -> SurfelObservations:
     """Measure the color of every surfel in every image where it is visible.
 
-    The twin's relit Gaussians, all of which move, are the surfels (M); whatever else is in it may hide them.
+    The surfels (M) are the relit Gaussians of the twin, all of which move; its other Gaussians may hide them.
     """
     moving = moving_layer(twin.select(twin.moves))
     first_disc = len(twin.gaussians) - len(twin.relit_bodies)
@@ -55,7 +55,7 @@ def observe_surfels(twin: TwinModel, robot: RobotModel, views: Sequence[PosedIma
             parts = RigidParts(indices=moving.bodies, Ts_world_part=Ts)
             drawn = layer.session.draw(moving.gaussians, parts, with_ids=True)
             discs = np.asarray(drawn.max_id).astype(np.int64) - first_disc
-            # Outlines are left out: a pixel there shows what is behind, and cameras are uncertain by as much.
+            # Outlines are left out, because pixels there also show the background, and the cameras have errors of about one pixel.
             seen = binary_erosion(discs >= 0)
             which, inverse, pixels = np.unique(discs[seen], return_inverse=True, return_counts=True)
             colors = image[seen] / 255.0
@@ -82,7 +82,7 @@ def observe_surfels(twin: TwinModel, robot: RobotModel, views: Sequence[PosedIma
 def match_exposure(view: PosedImages, drawn_srgb: Array, compared: NDArray[np.bool_]) -> PosedImages:
     """Match exposure and white balance to those of the scan.
 
-    The view's first image shows what `drawn_srgb` (H, W, 3), 0..1, shows, at the pixels (H, W) to be compared.
+    The first image of the view is compared with `drawn_srgb` (H, W, 3), 0..1, at the given pixels (H, W).
     """
     gains = fit_gains(view.images_srgb[0][compared] / 255, drawn_srgb[compared])
     return replace(view, images_srgb=tuple(change_exposure(image, gains) for image in view.images_srgb))
