@@ -33,7 +33,7 @@ MIN_PER_BODY: Final = 120
 # Distance from the model beyond which opaque scanned Gaussians are objects that the model does not contain, such as cables, [m].
 # Nearer ones are blur of the same surface.
 ATTACHED_M: Final = 0.012
-# Least number of observations of a body; bodies with fewer keep their scanned Gaussians.
+# Least number of observations of the robot; with fewer, it keeps its scanned Gaussians.
 MIN_OBSERVATIONS: Final = 200
 
 
