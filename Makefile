@@ -88,9 +88,9 @@ environments: $(READERS:%=.venv-%/installed.stamp)
 datasets-test: $(VENV)/dev.stamp environments
 	EPISODES=$(abspath $(OUT))/08_episodes $(BIN)/python -m pytest -s tests/readers
 
-# The examples of the public interface on a finished run, and the script of the README.
+# The examples of the public interface and the documented commands on a finished run, and the script of the README.
 api-test: $(VENV)/dev.stamp
-	AOMGEN_TEST_RUN=$(abspath $(OUT)) $(BIN)/python -m pytest tests/unit/api
+	AOMGEN_TEST_RUN=$(abspath $(OUT)) $(PYTEST) tests/unit/api
 	cd build && ../$(BIN)/python ../examples/03_generate_episodes.py $(abspath $(OUT)) opening
 
 # The tutorials of the documentation on a finished run. `make tutorials TUTORIALS=docs/tutorials` replaces their outputs.

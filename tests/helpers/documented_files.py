@@ -42,6 +42,8 @@ DESK = """<robot name="desk">
     <axis xyz="0 -1 0"/><limit lower="0" upper="0.2" effort="1" velocity="1"/></joint>
 </robot>
 """
+# Number of photos of a scan, which is the smallest that a capture may have.
+PHOTOS = 12
 BOX = '<{kind}><origin xyz="{xyz}"/><geometry><box size="{size}"/></geometry></{kind}>'
 
 
@@ -50,7 +52,9 @@ def write_files(folder: Path) -> None:
     (folder / "my_capture").symlink_to(sample_capture())
     project = (folder / "out" / "project.toml").read_text("utf-8")
     (folder / "project.toml").write_text(project.replace('\nout = "."', '\nout = "out"'), "utf-8")
-    shutil.copytree(sample_capture() / "scan", folder / "photos")
+    (folder / "photos").mkdir()
+    for photo in sorted((sample_capture() / "scan").glob("*.jpg"))[:PHOTOS]:
+        shutil.copy(photo, folder / "photos")
     (folder / "robot").mkdir()
     (folder / "robot" / "arm.urdf").write_text(urdf_text(), "utf-8")
     write_usd(make_asset("microwave", 22), folder / "other.usda")

@@ -18,36 +18,41 @@ PAGES = (
 )
 FENCE = re.compile(r"^( *)```(\S*)\n(.*?)^\1```$", re.S | re.M)
 
-TRAINED = "needs a trained policy; `make datasets-test` trains and evaluates policies with these commands"
-INSTALLED = "installs AOMGen, which .ci/run does before"
+INSTALLED = "installs AOMGen, which .ci/run does before the tests"
+PACKAGED = "`make package-test` installs the wheel in a new environment"
+PART = "runs a part of `make test`"
 SERVES = "serves pages until Ctrl+C; tests/unit/viewing and tests/unit/prompting test the pages"
-RECORDED = "needs a recording or the robot; tests/unit/importers imports every format"
-SERVER = "needs the policy server of another program on a GPU; tests/unit/recipes checks the flags"
+RECORDED = "needs a robot or its recording; tests/unit/importers imports every format"
+TRAINED = "belongs to a training; `make datasets-test` runs these commands in a LeRobot environment"
+SERVED = "needs a GPU with another program; tests/unit/recipes checks the flags"
 EPISODES = "replaces the episodes, which takes a minute; .ci/run calls examples/04_set_a_parameter.py"
-PUSHES = "changes the reader's clone"
-# Beginning of a command -> why it is not run.
+CLUSTER = "needs a Ray cluster; tests/unit/test_executors.py starts one"
+SANITIZED = "replaces the engine of the installation; `make sanitize` runs the tests of its C interface"
+# Beginning of a command: reason why it is not run.
 NOT_RUN = {
     "apt-get install": INSTALLED,
     "make install": INSTALLED,
     "make develop": INSTALLED,
-    "python3 -m venv": "`make package-test` installs the wheel in a new environment",
-    "pip install": "`make package-test` installs the wheel in a new environment",
-    "make demo": "takes minutes; .ci/run calls it, and these commands use its run",
+    "python3 -m venv": PACKAGED,
+    "pip install": PACKAGED,
+    "make demo": "takes minutes; .ci/run calls it before, and these tests use its run",
     "aomgen demo out": "takes minutes; `make demo` calls it",
-    "make quick": "runs a part of `make test`",
-    ".venv/bin/python -m pytest": "runs a part of `make test`",
+    "make quick": PART,
+    ".venv/bin/python -m pytest": PART,
     "make format check": "changes the checkout; .ci/run calls `make check`",
-    "git": PUSHES,
-    "aomgen --install-completion": "changes the reader's shell",
+    "git": "changes the checkout",
+    "aomgen --install-completion": "changes the settings of the shell",
+    "aomgen check my_capture": "takes ten seconds; tests/unit/cli/test_preflight.py",
     "aomgen prompts": SERVES,
     "aomgen view out": SERVES,
     "aomgen view my_capture": SERVES,
     "aomgen run project.toml --set": EPISODES,
     "aomgen run out --set": EPISODES,
-    "aomgen run project.toml --ray": "needs a Ray cluster; tests/unit/test_executors.py starts one",
-    "ray start": "needs a Ray cluster; tests/unit/test_executors.py starts one",
-    "aomgen corpus": "takes minutes for each capture; tests/unit/api/test_corpus.py runs one",
+    "aomgen run project.toml --ray": CLUSTER,
+    "ray start": CLUSTER,
+    "aomgen corpus": "takes minutes for each capture; tests/unit/api/test_corpus.py",
     "aomgen splat": "takes minutes; tests/unit/pipeline/test_splat.py calls it with few small photos",
+    "aomgen export OUT": "docs/datasets.md contains the same command with other names of folders",
     "aomgen export out demonstration.rrd": "needs the extra rerun; tests/unit/exports/test_recordings.py",
     "python -m mujoco.viewer": "opens a window; tests/unit/api/test_run_exports.py loads the file",
     "aomgen import demo open": RECORDED,
@@ -56,6 +61,12 @@ NOT_RUN = {
     "ros2": RECORDED,
     "lerobot-record": RECORDED,
     ". .venv-policy/bin/activate": TRAINED,
+    "aomgen export out dataset": TRAINED,
+    "aomgen export out images": TRAINED,
+    "aomgen export out others": TRAINED,
+    "aomgen export out demonstrations": TRAINED,
+    "aomgen evaluate suite out suite.json --trials 200 --size": TRAINED,
+    "aomgen evaluate suite out suite.json --actions": TRAINED,
     "export ACCELERATE_MIXED_PRECISION": TRAINED,
     "lerobot-train": TRAINED,
     "lerobot-eval": TRAINED,
@@ -63,16 +74,18 @@ NOT_RUN = {
     "aomgen evaluate suite.json --policy lerobot:": TRAINED,
     "aomgen evaluate --real": "needs trials on a real robot; tests/unit/evaluation/test_real_trials.py",
     ".venv-policy/bin/python -m benchmarks policy": "takes hours; .ci/run calls it with --quick",
-    "cp build/sanitize": "replaces the engine; `make sanitize` runs the engine's own tests",
-    "LD_PRELOAD": "replaces the engine; `make sanitize` runs the engine's own tests",
-    "HF_LEROBOT_HOME": SERVER,
-    "uv run": SERVER,
-    "sh RECIPES": SERVER,
-    "python vla-scripts": SERVER,
-    "aomgen evaluate suite.json --policy openpi:": SERVER,
-    "aomgen evaluate suite.json --policy openvla:": SERVER,
+    "cp build/sanitize": SANITIZED,
+    "LD_PRELOAD": SANITIZED,
+    "HF_LEROBOT_HOME": SERVED,
+    "uv run": SERVED,
+    "sh RECIPES": SERVED,
+    "python vla-scripts": SERVED,
+    "aomgen evaluate suite.json --policy openpi:": SERVED,
+    "aomgen evaluate suite.json --policy openvla:": SERVED,
 }
-# Text of a command -> what is run in its place: placeholders, large numbers, and files that a reader must own.
+# Commands that begin like a listed one and are run.
+RUN = ("aomgen view out --export",)
+# Part of a command: text that is run in its place, for placeholders, large numbers and names that do not exist.
 REPLACED = {
     "import scan PHOTOS my_capture": "import scan photos imported",
     "import demo RECORDING my_capture": "import demo out/dataset imported",
@@ -82,16 +95,13 @@ REPLACED = {
     "--trials 200": "--trials 2",
     "--n 24000": "--n 2",
     "--n 500": "--n 2",
-    "--n 6000": "--n 2",
-    "--n 1000": "--n 2",
+    "--episode 3": "--episode {episode}",
     "fridge.urdf": "fridge.xml",
     "cabinet.urdf": "cabinet.xml",
     "drawer.usda --for": "microwave.usda --for",
     "panda.xml": "arm.urdf",
     "--workers N": "--workers 1",
     "--json F": "--json figures.json",
-    "OUT": "out",
-    "DATA": "data",
 }
 
 
@@ -106,15 +116,25 @@ def find_commands(page: str) -> list[str]:
 COMMANDS = {page: commands for page in PAGES if (commands := find_commands(page))}
 
 
-def replace_words(command: str) -> str:
-    """Apply `REPLACED`, and include optional arguments."""
-    for written, run in REPLACED.items():
-        command = command.replace(written, run)
-    return re.sub(r"\[(--[^]]*)\]", r"\1", command)
-
-
 def is_listed(command: str) -> bool:
-    return command.startswith(tuple(NOT_RUN)) and "view out --export" not in command
+    return command.startswith(tuple(NOT_RUN)) and not command.startswith(RUN)
+
+
+def choose_commands() -> dict[str, list[str]]:
+    """Choose the commands that are run, by page; a command of several pages is run on the first one."""
+    first = {command: page for page in reversed(COMMANDS) for command in COMMANDS[page]}
+    chosen = {
+        page: [c for c in dict.fromkeys(commands) if first[c] == page and not is_listed(c)]
+        for page, commands in COMMANDS.items()
+    }
+    return {page: commands for page, commands in chosen.items() if commands}
+
+
+def replace_words(command: str, episode: int) -> str:
+    """Apply `REPLACED`, and include optional arguments, which are in brackets."""
+    for written, run in REPLACED.items():
+        command = command.replace(written, run.format(episode=episode))
+    return re.sub(r"\[(--[^]]*)\]", r"\1", command)
 
 
 def test_every_block_names_its_language() -> None:
@@ -124,25 +144,28 @@ def test_every_block_names_its_language() -> None:
         for _, language, block in FENCE.findall((REPOSITORY / page).read_text("utf-8"))
         if not language
     ]
-    assert bare == [], "write ```bash for commands that a reader runs, ```text for listings"
+    assert bare == [], "write ```bash for commands that a reader runs, and ```text for listings"
 
 
-def test_every_command_is_run_or_listed_and_every_entry_is_used() -> None:
+def test_every_command_is_run_or_listed() -> None:
+    neither = [c for commands in choose_commands().values() for c in commands if not c.startswith("aomgen ")]
+    assert neither == [], "add these commands to NOT_RUN with a reason"
+
+
+def test_every_entry_is_used() -> None:
     commands = [command for page in COMMANDS.values() for command in page]
-    neither = [c for c in commands if not is_listed(c) and not c.startswith("aomgen ")]
-    assert neither == [], "run these commands, or add them to NOT_RUN with a reason"
     assert [entry for entry in NOT_RUN if not any(c.startswith(entry) for c in commands)] == []
-    assert [entry for entry in REPLACED if not any(entry in c for c in commands)] == []
+    assert [entry for entry in REPLACED if not any(entry in c and not is_listed(c) for c in commands)] == []
 
 
-@pytest.mark.parametrize("page", COMMANDS)
+@pytest.mark.parametrize("page", choose_commands())
 def test_commands_of_a_page_succeed(page: str, tmp_path: Path) -> None:
-    commands = [command for command in COMMANDS[page] if not is_listed(command)]
-    if not commands:
-        return
-    if copy_finished_run(tmp_path) is None:
+    out = copy_finished_run(tmp_path)
+    if out is None:
         pytest.skip(f"{VARIABLE} names no finished run; `make api-test` does")
     write_files(tmp_path)
-    for command in map(replace_words, commands):
+    episode = min(int(path.name) for path in (out / "08_episodes").iterdir() if path.name.isdecimal())
+    for written in choose_commands()[page]:
+        command = replace_words(written, episode)
         done = aomgen(*shlex.split(command)[1:], folder=tmp_path)
         assert done.returncode == 0, f"{command}\n{done.stdout}{done.stderr}"
