@@ -16,19 +16,19 @@ from aomgen.io.images import read_image, resize
 from aomgen.report.html import jpeg_url, page, paragraph, picture, section, table, text
 from aomgen.structure.overlap import MIN_WALK, ScanOverlap
 
-# Three thumbnails fit into the width of the page, [px].
+# Width of a thumbnail, [px]; three fit into the width of the page.
 THUMBNAIL_PX: Final = 320
 # Approximate width of the overlap matrix; pairs of 64 images then have 7 px, [px].
 MATRIX_PX: Final = 480
 # Side of the plan of the walk, [px], over twice the distance of the farthest camera.
 PLAN_PX: Final = 420
-# The farthest camera and its sector stay visible inside the rim of the plan.
+# Margin of the plan, relative to the distance of the farthest camera, so that its sector is visible.
 PLAN_MARGIN: Final = 1.15
 # Points on the rim of the sector without images.
 SECTOR_POINTS: Final = 24
-# Matches from which a pair is drawn as bright as can be.
+# Number of matches from which on a pair has the largest brightness.
 MANY_MATCHES: Final = 100
-# Parts have the colors that they have in `aomgen prompts`.
+# Colors of the parts, as in `aomgen prompts`.
 COLORS: Final = {"robot": (209, 73, 91), "static": (31, 111, 139), "moving": (232, 163, 61)}
 
 
@@ -92,7 +92,7 @@ def _draw_walk(overlap: ScanOverlap) -> str:
         return paragraph(overlap.describe_walk())
     walk = describe_walk(list(overlap.Ts_recon_cam.values()))
     radius = float(np.hypot(*walk.positions[:, :2].T).max())
-    # Rows of an image go down, forward on the plan goes up.
+    # The rows of an image increase downwards, whereas the forward direction of the plan is up.
     to_px = np.array([1.0, -1.0]) * PLAN_PX / (2 * PLAN_MARGIN * radius)
     dots, ends = (
         walk.positions[:, :2] * to_px,

@@ -27,7 +27,7 @@ from aomgen.simulation.judge import PassRule
 SHOWN = 24
 # Size of one histogram, [px].
 WIDTH, HEIGHT = 230, 92
-# Rejects listed for each reason.
+# Number of rejected samples that are listed for each reason.
 LISTED = 20
 # Figures of a verdict, and which of its settings is the worst.
 WORST = {

@@ -172,7 +172,7 @@ def draw_chart(
     """Draw curves over video time as SVG.
 
     Args:
-        y_label: With its unit.
+        y_label: Label of the y axis with its unit.
         curves: Name, times [s] and values of each.
         level: Name and value of a horizontal line.
         span: Shaded interval of time, [s].
@@ -234,5 +234,5 @@ def _ticks(low: float, high: float) -> list[float]:
     while (high - low) / step > 6:
         step *= 2 if (high - low) / step < 12 else 2.5
     first = np.ceil(low / step) * step
-    # Zero may come out as minus zero, which would be written so.
+    # The sum converts -0.0 to 0.0, so that no tick is labeled -0.
     return [float(value) + 0.0 for value in np.arange(first, high + 1e-9 * step, step)]

@@ -86,7 +86,7 @@ def _cut(
     shown = np.concatenate([pixels[depths > 0], np.stack([columns, rows], 1)])
     limits = np.array([camera.width, camera.height])
     low, high = np.clip([shown.min(0), shown.max(0)], 0, limits)
-    # A square image keeps three of them in a row readable; a margin shows the gripper.
+    # The crop is square, so that three of them fit in a row, and has a margin that shows the gripper.
     side = min(1.3 * float((high - low).max()), float(limits.min()))
     corner = np.clip((low + high) / 2 - side / 2, 0, limits - side)
     left, top = (int(value) for value in corner)
@@ -142,14 +142,14 @@ def _certainty(motion: MotionEstimate) -> str:
 
 
 def write_refusal(out: Path, reason: str) -> Path | None:
-    """Draw the motion score that a refused run left behind.
+    """Draw the motion score of a refused run.
 
     Args:
         out: The run's folder.
-        reason: The error's sentence.
+        reason: Message of the error.
 
     Returns:
-        Path of the page; None when the run was refused before or after its motion.
+        Path of the page; None if the run was refused before or after the stage "motion".
     """
     if not (out / f"{REFUSED_MOTION}.json").is_file():
         return None

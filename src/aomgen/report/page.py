@@ -42,7 +42,7 @@ CONTACT_SHEET = "episodes.jpg"
 # Name in the run's folder under which `aomgen view --export` writes the page that the report links to.
 OFFLINE_PAGE = "page.html"
 SHEET_FRAMES, SHEET_EPISODES = 5, 12
-# The figures that a reader looks for first: stage, names.
+# The most important figures: stage, names.
 HEADLINES = (
     ("episodes", ("episodes", "smallest_margin")),
     ("dataset", ("frames",)),
