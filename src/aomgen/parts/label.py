@@ -1,8 +1,8 @@
 """Labels of all Gaussians: robot, static part, moving part or background.
 
 Source: AOMGen, sec. 4.1. The robot needs no segmenter: its masks are rendered from the aligned model. The
-object's parts are one smooth labelling by all evidence: boxes fitted to prompts and masks, the masks
-themselves, and the motion of each Gaussian in the demonstration. Labels and motion are estimated in turn.
+parts of the object are one smooth labeling by all evidence: boxes fitted to prompts and masks, the masks, and the motion of each
+Gaussian in the demonstration. Labels and motion are estimated alternately.
 """
 
 from collections.abc import Callable
@@ -25,32 +25,32 @@ from aomgen.parts.panel_terms import iou
 from aomgen.parts.prompted_images import PromptedImage, compare_with_prompts, find_surface
 from aomgen.parts.scan_views import ScanView, spread
 
-# Seed of the robot's surface samples and of the panel's search: equal in every round, so that rounds differ
-# by their evidence alone.
+# Seed of the robot's surface samples and of the panel's search: equal in every round, so that the rounds differ only in their
+# evidence.
 SEED = 0
-# Fewest Gaussians of a usable part.
+# Least number of Gaussians of a usable part.
 MIN_GAUSSIANS = 50
-# Gaussians farther from the object's middle than this multiple of the median distance are not of it (2 on captures).
+# Gaussians farther from the object's center than this multiple of the median distance do not belong to it (2 on captures).
 FAR = 10
-# Parts of one object touch: this share of the moving part's diagonal between them is too much (0.03 on
-# captures with right prompts, 0.6 and more with boxes around a neighbor).
+# Largest distance between the parts of one object, as a share of the moving part's diagonal (0.03 on captures with correct prompts,
+# 0.6 and more with boxes around a neighboring object).
 MAX_APART_SHARE = 0.2
 # Log-likelihood ratio (N,) of the demonstration if a Gaussian moves to that if it rests, given all Gaussians and their
 # labels; None where no motion is found with these labels.
 MotionEvidence = Callable[[Gaussians, NDArray[np.uint8]], Array | None]
-# Most rounds, and overlap (IoU) of the moving part of two rounds from which another round would not change it.
+# Largest number of rounds, and overlap (IoU) of the moving part in two rounds at which the iteration has converged.
 MAX_ROUNDS, SETTLED_IOU = 2, 0.95
-# A demonstration that keeps less than this share of the prompted part contradicts the prompts. The motion stage
-# reports that; it needs the labels of the prompts.
+# Least share of the prompted part in the result; with less, the demonstration contradicts the prompts. The motion stage reports
+# this and needs the labels of the prompts.
 MIN_KEPT = 0.5
 # Neighbors of a Gaussian in the graph: those around it on a surface.
 NEIGHBORS = 10
 # Coupling of two touching neighbors of one color, a log-likelihood ratio; and its share that is left across an edge
 # in color.
 COUPLING, ACROSS_EDGE = 0.6, 0.2
-# Distance over which points are one surface, [m]; and over which colors are one, of 0..1.
+# Distance within which points belong to one surface, [m], and difference within which colors are equal, of 0..1.
 REACH_M, COLOR_SD = 0.01, 0.08
-# Mean-field iterations: labels can spread over as many neighborhoods.
+# Number of mean-field iterations: labels can spread over this number of neighborhoods.
 ITERATIONS = 30
 
 
@@ -61,10 +61,10 @@ class PromptedScan:
     Attributes:
         gaussians: World frame, cut.
         cut: Gaussians of the scan that were cut.
-        bodies: (N,) robot bodies, -1 where a Gaussian is not of the robot.
+        bodies: (N,) robot bodies, -1 for Gaussians that do not belong to the robot.
         prompted: Segmented prompts.
         surfaces: Views in which boxes are rendered.
-        given: Evidence of another method; None for that of boxes.
+        given: Evidence of another method; None for the evidence of boxes.
     """
 
     gaussians: Gaussians
@@ -82,7 +82,7 @@ def segment_scan(
     prompted: list[PromptedImage],
     given: PartEvidence | None = None,
 ) -> PromptedScan:
-    """Collect what is known of the parts without the demonstration.
+    """Collect the evidence of the parts without the demonstration.
 
     Args:
         gaussians: The scan, world frame.

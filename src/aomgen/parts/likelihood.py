@@ -19,7 +19,7 @@ from aomgen.parts.scan_views import ScanView, lift
 LABELS: Final = np.array([BACKGROUND, STATIC, MOVING], np.uint8)
 # Blended weight of a Gaussian in a view below which the view does not show it, [px].
 MIN_WEIGHT = 0.02
-# Probability that boxes are wrong about a Gaussian that is visible in views, and about one that no view shows.
+# Probability that boxes mislabel a Gaussian that is visible in views, and one that no view shows.
 PANEL_ERROR, UNSEEN_ERROR = 0.02, 0.15
 # Probability that a mask in a box (row) is as it is if a Gaussian there is background, static or moving: seen
 # inside the mask, in the box outside the mask, and outside the box. Masks are ragged and bleed; boxes are drawn by
@@ -28,8 +28,7 @@ GIVEN_MASK: Final = {
     MOVING: np.array([[0.3, 0.3, 0.6], [0.3, 0.3, 0.2], [0.4, 0.4, 0.05]]),
     STATIC: np.array([[0.2, 0.6, 0.6], [0.4, 0.2, 0.4], [0.4, 0.05, 0.4]]),
 }
-# Fitted boxes with a greater mean `box_misfit` to the prompts (8 % of a box a side) explain nothing; correct ones
-# reach 0.07.
+# Largest mean `box_misfit` of valid fitted boxes to the prompts (8 % of a box at each side); correct ones reach 0.07.
 MAX_MISFIT = 0.3
 # Likelihood ratio of background to parts outside all masks, where no boxes explain the prompts.
 BACKGROUND_RATIO = 1.5
@@ -72,8 +71,8 @@ def weigh_prompts(
         gaussians: World frame.
         prompted: Segmented prompts.
         surfaces: Views in which fitted boxes are rendered.
-        rng: For the panel's search.
-        motion_log_ratios: See `weigh_evidence`; shapes the boxes, and is not added here.
+        rng: Generator for the panel's search.
+        motion_log_ratios: See `weigh_evidence`; used for the fit of the boxes only.
     """
     tracked = None if motion_log_ratios is None else TrackedPoints.of(gaussians, motion_log_ratios)
     try:
@@ -82,7 +81,7 @@ def weigh_prompts(
         panel, misfits = None, ()
     if panel is not None and np.mean(misfits) <= MAX_MISFIT:
         return weigh_panel(gaussians, panel, surfaces)
-    # The part is no panel; only its masks are known.
+    # The part is no panel, so only its masks are used.
     masks = sum((_weigh_mask(gaussians, item) for item in prompted), np.zeros((len(gaussians), 3)))
     return PartEvidence(log_likelihoods=masks + np.log([BACKGROUND_RATIO, 1, 1]), method="masks")
 

@@ -30,18 +30,18 @@ from aomgen.core.values import Array, Matrix4, Vector3, freeze_arrays
 from aomgen.errors import ReconstructionError
 
 STAGE = "parts"
-# Fronts within this angle of level or upright are taken as level or upright: objects rest on a support, and
-# planes are found to a degree or two. Lids that are ajar lean more.
+# Largest angle of a front from level or upright at which it is assumed to be level or upright: objects rest on a support, and planes
+# have errors of one or two degrees. The angle of lids that are ajar is larger.
 SNAP_DEG = 4.0
-# Reconstructed surfaces scatter about their plane by this share of the part's diagonal.
+# Standard deviation of reconstructed surfaces about their plane, as a share of the part's diagonal.
 SCATTER_SHARE = 0.015
-# RANSAC samples: with a third of inliers a good one is missed with a probability far below 1e-9.
+# Number of RANSAC samples: with a third of inliers, the probability that none is good is far below 1e-9.
 TRIALS = 1000
-# Surface pixels below which the normal of a plane is noise.
+# Least number of surface pixels for the normal of a plane.
 MIN_POINTS = 50
-# A face cuts a Gaussian that has at least this share on either side.
+# Least share of a Gaussian on either side of a face that cuts it.
 MIN_SHARE = 0.1
-# Opacities end below 1: a Gaussian never blocks all light.
+# Largest opacity: a Gaussian never blocks all light.
 MAX_OPACITY = 0.999
 # Unknowns of the boxes in a step (13,): left, right, lower and upper edge of the panel; its seam and reach; low and high
 # corner of the body, all [m]; yaw of the body about the vertical, [rad].
@@ -108,7 +108,7 @@ class Panel:
         `labels_seen`.
         """
         T_body_panel = invert(self.T_panel_body)
-        # One coordinate at a time: the search of a panel spends its time here.
+        # The coordinates are computed separately, because the search of a panel spends most of its time here.
         x, y, z = (local[..., axis] for axis in range(3))
         body = [row[0] * x + row[1] * y + row[2] * z + row[3] for row in T_body_panel[:3]]
         ours = _within(body, self.body_low, self.body_high)
@@ -178,9 +178,9 @@ def find_panel_frame(
     """Find the panel frame (4, 4) on the largest plane among points of the part, and the diagonal of the points, [m].
 
     Args:
-        points_of_views: Surface points (N, 3) inside the box, one array a view, world frame.
+        points_of_views: Surface points (N, 3) inside the box, one array for each view, world frame.
         centers_world: Camera centres (V, 3); the front faces them.
-        rng: For the plane search.
+        rng: Generator for the plane search.
 
     Raises:
         ReconstructionError: The boxes show almost no surface.

@@ -1,9 +1,8 @@
 """Search for the two boxes (see `panel`) that explain prompts, masks, video and gripper.
 
-A box drawn around a part touches it on all four sides, in every prompted image at once: that is
-stronger evidence than a single mask. Masks that fill their box count as well, and points of which
-the demonstration shows whether they move. Open and closed objects have one model: an upright body,
-and a panel of any orientation.
+A box that is drawn around a part touches it on all four sides, in every prompted image. This is stronger evidence than a single
+mask. Further evidence are masks that fill their box, and points for which the demonstration shows whether they move. Open and
+closed objects have the same model: an upright body, and a panel of any orientation.
 """
 
 from collections.abc import Sequence
@@ -32,11 +31,11 @@ COARSE_PIXELS, FINE_PIXELS = 3_000, 32_000
 COARSE_STEPS, FINE_STEPS = (0.2, 0.1, 0.05, 0.025), (0.025, 0.012, 0.006, 0.003)
 # After each coarse step the worse half of the starts is dropped; this number of the best is refined on all pixels.
 REFINED = 2
-# Rounds over all unknowns at one step size; a further one seldom finds more.
+# Number of rounds over all unknowns at one step size; another one seldom reduces the loss.
 MAX_ROUNDS = 4
-# Most steps in one direction at once: distant starts (a wall behind the object) need many.
+# Largest number of steps in one direction; distant starts (a wall behind the object) need many.
 MAX_STRIDES = 50
-# The loss has to fall by this much: a tenth of a pixel of a box 200 px wide.
+# Least reduction of the loss by a step: a tenth of a pixel of a box of 200 px.
 MIN_GAIN = 1e-4
 # Thickness of the body's faces, in which their Gaussians scatter, as share of the panel's diagonal. Half of it while
 # boxes are compared, whose sides are those of the face itself. None below, where the support is.
@@ -50,15 +49,15 @@ UNCOVERED_WEIGHT = 0.15
 # Regularization weight of a body that is not square to its panel, per radian, and the limit of this term: bodies behind closed and ajar parts
 # are square, open doors have any angle.
 SKEW_WEIGHT, MAX_SKEW_LOSS = 0.5, 0.1
-# First seams behind the panel, as shares of its diagonal: a thick door, a thin lid.
+# Initial seams behind the panel, as shares of its diagonal: a thick door, a thin lid.
 SEAM_SHARES = (0.05, 0.015)
-# First reach of handles, as share of the panel's diagonal.
+# Initial reach of handles, as a share of the panel's diagonal.
 REACH_SHARE = 0.1
 # Points this close to the front plane, as share of the panel's diagonal, belong to the panel; and fewest of them.
 FRONT_SHARE, MIN_FRONT_PIXELS = 0.05, 20
 # Planes this parallel (2 degrees) and close, as share of the panel's diagonal, are one.
 SAME_PLANE_COS, SAME_PLANE_SHARE = 0.9994, 0.02
-# Quantiles between which the first edges of a panel are.
+# Quantiles of the points that bound the initial panel.
 EDGE_QUANTILES = (0.03, 0.97)
 
 
@@ -77,8 +76,8 @@ def fit_panel(
 
     Args:
         views: Prompted images; at least one of each part.
-        rng: For the search of the front's plane.
-        tracked: Points of which the demonstration shows whether they move.
+        rng: Generator for the search of the front's plane.
+        tracked: Points for which the demonstration shows whether they move.
 
     Returns:
         The boxes, and the distance of their extents from each prompt, see `box_misfit`.
@@ -86,7 +85,7 @@ def fit_panel(
     Raises:
         ReconstructionError: A prompt shows no surface, or its part is no panel.
 
-    Not checked: the panel is a rectangle with level edges; the body is a box. Read the misfits.
+    Not checked: the panel is a rectangle with level edges; the body is a box. The misfits indicate violations.
     """
     panels = []
     for T_world_panel, size in _find_frames([view for view in views if view.part == MOVING], rng):

@@ -17,9 +17,9 @@ from aomgen.segmentation.interface import Mask
 # A mask is of another object if its own extent is this far from its box (see `box_misfit`), or this much farther than
 # that of another mask, or if less than this share of it is inside the box.
 MAX_MASK_MISFIT, MASK_SPREAD, MIN_SHARE_INSIDE = 0.25, 0.1, 0.5
-# Weight of a mask relative to a box: segmenters are wrong by whole faces, people by a few pixels.
+# Weight of a mask relative to a box: segmenters may miss whole faces, manual boxes have errors of a few pixels.
 MASK_WEIGHT = 0.5
-# Log-likelihood ratio from which a point counts: e = 2.7 to 1.
+# Least absolute log-likelihood ratio of a point that is used: e = 2.7 to 1.
 MIN_LOG_RATIO = 1.0
 # Points farther from the panel than this, as share of its diagonal, belong to other objects.
 MAX_DISTANCE_SHARE = 1.2
@@ -49,8 +49,8 @@ class PromptedView:
 def box_misfit(mask: Mask, box: Array) -> float:
     """Compute the distance between the extent of a mask (H, W) and a box: 0 if the mask touches all sides from inside.
 
-    The distances of the four sides, as shares of the box, and twice the share of the mask outside.
-    Single pixels do not make an extent. Without a mask it is 4: each side off by the whole box.
+    The result is the sum of the distances of the four sides, as shares of the box, and twice the share of the mask outside.
+    Single pixels do not determine the extent. Without a mask the result is 4, a whole box for each side.
     """
     total = np.count_nonzero(mask)
     width, height = box[2] - box[0], box[3] - box[1]
@@ -105,7 +105,7 @@ class Crop:
         stride = max(1, round(np.sqrt((x1 - x0) * (y1 - y0) / pixels)))
         window = (slice(y0, y1, stride), slice(x0, x1, stride))
         inside = pixels_within(view.box, (height, width))
-        # Masks bleed over the border of the boxed part; one that is mostly outside shows another object.
+        # Masks extend beyond the border of the boxed part; a mask that is mostly outside shows another object.
         kept = [mask & inside for mask in view.masks if share_inside(mask, view.box) > MIN_SHARE_INSIDE]
         misfits = [box_misfit(mask, view.box) for mask in kept]
         limit = min([MAX_MASK_MISFIT, *(misfit + MASK_SPREAD for misfit in misfits)])

@@ -18,12 +18,12 @@ from aomgen.robots.robot import RobotConfiguration
 from aomgen.segmentation.interface import Mask
 from aomgen.splatting.rasterizer import contribution_weights, render
 
-# Number of views whose masks vote.
+# Number of views whose masks are used.
 VIEWS = 20
 # Distance from a link within which a Gaussian belongs to it, [m]: scan noise plus alignment error; and within which it
 # can belong to it: cables and housings that the model omits.
 MAX_DISTANCE_M, LOOSE_DISTANCE_M = 0.02, 0.06
-# Surface samples per square metre: about 4 mm apart, well below the distance above.
+# Surface samples per square meter: about 4 mm apart, well below the distance above.
 SAMPLES_PER_M2 = 60_000.0
 
 
@@ -78,9 +78,9 @@ def label_robot(
     close = (share > 0.5) & (distances < MAX_DISTANCE_M)
     # A Gaussian on a thin finger extends well beyond the finger's outline.
     close |= (share > 0.25) & (distances < 0.5 * MAX_DISTANCE_M)
-    # Rims outside the outline, and small Gaussians that nearly touch the model, are robot too.
+    # Rims outside the outline, and small Gaussians close to the model, belong to the robot as well.
     close |= (distances < 0.3 * MAX_DISTANCE_M) & (gaussians.scales.max(1) < MAX_DISTANCE_M)
-    # Mirroring metal is reconstructed behind its surface: Gaussians inside the robot in all views are robot.
+    # Reflecting metal is reconstructed behind its surface: Gaussians inside the robot in all views belong to it.
     behind = (share > 0.85) & (distances < LOOSE_DISTANCE_M)
     # A Gaussian that no view shows is inside the robot if it is close to its surface.
     robot = (near >= 0) & np.where(seen > 0.05, close | behind, distances < 0.01)

@@ -21,9 +21,9 @@ from aomgen.core.values import Array, freeze_arrays
 from aomgen.robots.robot import RobotConfiguration
 from aomgen.splatting.surfaces import PARALLAX_DEG, ViewDepth
 
-# Views that a depth requires: one, and two that confirm it.
+# Number of views that a depth requires: one, and two that confirm it.
 MIN_VIEWS = 3
-# A view at a smaller cosine to the normal does not cover a point.
+# Least cosine between the normal of a point and the direction to a view that covers it.
 MIN_COSINE = 0.25
 # Number of points along each edge of a side.
 GRID = 12
@@ -31,7 +31,7 @@ GRID = 12
 SPAN = np.linspace(-0.9, 0.9, GRID)
 # Number of points on the robot's surface.
 ROBOT_POINTS = 6000
-# A side with a smaller share of covered points is warned about.
+# Share of covered points of a side below which a warning is given.
 MIN_SHARE = 0.5
 
 
