@@ -21,16 +21,16 @@ LABELS: Final = np.array([BACKGROUND, STATIC, MOVING], np.uint8)
 MIN_WEIGHT = 0.02
 # Probability that boxes mislabel a Gaussian that is visible in views, and one that no view shows.
 PANEL_ERROR, UNSEEN_ERROR = 0.02, 0.15
-# Probability that a mask in a box (row) is as it is if a Gaussian there is background, static or moving: seen
-# inside the mask, in the box outside the mask, and outside the box. Masks are ragged and bleed; boxes are drawn by
-# people. Segmenters find whole objects, so a mask of the static part is no evidence against the moving one.
+# Probability of the position of a Gaussian, for each part of the prompt: in the mask, in the box outside the mask, or outside the box
+# (rows), if the Gaussian is background, static or moving (columns). Masks have errors at their borders, and boxes are drawn manually.
+# Segmenters find whole objects, so a mask of the static part is no evidence against the moving one.
 GIVEN_MASK: Final = {
     MOVING: np.array([[0.3, 0.3, 0.6], [0.3, 0.3, 0.2], [0.4, 0.4, 0.05]]),
     STATIC: np.array([[0.2, 0.6, 0.6], [0.4, 0.2, 0.4], [0.4, 0.05, 0.4]]),
 }
 # Largest mean `box_misfit` of valid fitted boxes to the prompts (8 % of a box at each side); correct ones reach 0.07.
 MAX_MISFIT = 0.3
-# Likelihood ratio of background to parts outside all masks, where no boxes explain the prompts.
+# Likelihood ratio of background to parts outside all masks, if no boxes fit the prompts.
 BACKGROUND_RATIO = 1.5
 
 # A scan view and its surface points (H, W, 3), world frame, NaN where there is no surface or the robot.

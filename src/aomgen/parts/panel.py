@@ -3,9 +3,9 @@
 Segmentation masks of doors, drawers and lids are ragged or end at a window; the boxes have straight borders.
 Panel frame: x level along the panel, y up (across, for a lid), z out of the front, origin on the front face.
 Body frame: z up.
-Gaussians on a plain front are large and extend across the seam around a drawer or a door. With one label they
-would move a strip of the body with the part. A Gaussian that a face intersects is therefore cut in two; each half is
-the moment match of the Gaussian truncated at the face. Its weight is kept, so that renderings of the scan stay.
+Gaussians on a plain front are large and extend across the seam around a drawer or a door. With a single label, a strip of the body
+would move with the part. A Gaussian that a face intersects is therefore cut in two; each half has the moments of the Gaussian
+truncated at the face. The weight is preserved, so the renderings of the scan do not change.
 """
 
 from dataclasses import dataclass, replace

@@ -27,7 +27,7 @@ from aomgen.parts.panel_terms import (
 
 COARSE_PIXELS, FINE_PIXELS = 3_000, 32_000
 # Steps of the search, as shares of the panel's diagonal: coarse ones on fewer pixels, then fine ones on all pixels,
-# down to a few millimetres on a door.
+# down to a few millimeters on a door.
 COARSE_STEPS, FINE_STEPS = (0.2, 0.1, 0.05, 0.025), (0.025, 0.012, 0.006, 0.003)
 # After each coarse step the worse half of the starts is dropped; this number of the best is refined on all pixels.
 REFINED = 2
@@ -37,25 +37,25 @@ MAX_ROUNDS = 4
 MAX_STRIDES = 50
 # Least reduction of the loss by a step: a tenth of a pixel of a box of 200 px.
 MIN_GAIN = 1e-4
-# Thickness of the body's faces, in which their Gaussians scatter, as share of the panel's diagonal. Half of it while
-# boxes are compared, whose sides are those of the face itself. None below, where the support is.
+# Thickness of the body's faces, in which their Gaussians are distributed, as a share of the panel's diagonal. Half of it is used to
+# compare boxes, whose sides are those of the faces. The lower side has none, because it is on the support.
 SKIN_SHARE = 0.02
-# Regularization weights in units of the loss (see `Crop.loss`; 1 = a box off by its whole width): of the extent of both
-# boxes per diagonal, so that edges are on the outermost points and not in the air beyond.
+# Regularization weight of the extent of both boxes, per diagonal, in units of the loss (see `Crop.loss`; 1 is an error of a whole
+# box width): the edges then are at the outermost points, not beyond them.
 SIZE_WEIGHT = 0.03
-# Regularization weight of the panel outside the body's footprint, per diagonal: most objects are scanned closed, and a side that no prompt
-# shows ends at the panel. The masks of open doors outweigh this.
+# Regularization weight of the panel outside the body's footprint, per diagonal: most objects are scanned closed, and a side without
+# a prompt ends at the panel. The masks of open doors have more weight.
 UNCOVERED_WEIGHT = 0.15
-# Regularization weight of a body that is not square to its panel, per radian, and the limit of this term: bodies behind closed and ajar parts
-# are square, open doors have any angle.
+# Regularization weight of the angle between body and panel, per radian, and the limit of this term: closed and ajar parts are
+# parallel to their body, open doors have any angle.
 SKEW_WEIGHT, MAX_SKEW_LOSS = 0.5, 0.1
 # Initial seams behind the panel, as shares of its diagonal: a thick door, a thin lid.
 SEAM_SHARES = (0.05, 0.015)
 # Initial reach of handles, as a share of the panel's diagonal.
 REACH_SHARE = 0.1
-# Points this close to the front plane, as share of the panel's diagonal, belong to the panel; and fewest of them.
+# Largest distance to the front plane of points on the panel, as a share of the panel's diagonal, and least number of them.
 FRONT_SHARE, MIN_FRONT_PIXELS = 0.05, 20
-# Planes this parallel (2 degrees) and close, as share of the panel's diagonal, are one.
+# Least cosine between normals (2 degrees) and largest distance, as a share of the panel's diagonal, of two equal planes.
 SAME_PLANE_COS, SAME_PLANE_SHARE = 0.9994, 0.02
 # Quantiles of the points that bound the initial panel.
 EDGE_QUANTILES = (0.03, 0.97)

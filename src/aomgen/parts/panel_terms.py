@@ -14,8 +14,8 @@ from aomgen.core.values import Array, freeze_arrays
 from aomgen.parts.panel import Panel
 from aomgen.segmentation.interface import Mask
 
-# A mask is of another object if its own extent is this far from its box (see `box_misfit`), or this much farther than
-# that of another mask, or if less than this share of it is inside the box.
+# Largest `box_misfit` of a mask to its box, largest difference to the smallest misfit of a mask, and least share of the mask inside
+# the box; other masks show another object.
 MAX_MASK_MISFIT, MASK_SPREAD, MIN_SHARE_INSIDE = 0.25, 0.1, 0.5
 # Weight of a mask relative to a box: segmenters may miss whole faces, manual boxes have errors of a few pixels.
 MASK_WEIGHT = 0.5
