@@ -73,18 +73,18 @@ def load_pipeline(folder: Path, kind: str) -> Any:
 
 
 def estimate_environment(folder: Path, photograph: Photograph, world: Gaussians, seed: int) -> EnvironmentMap:
-    """Estimate the light around the middle of a photograph.
+    """Estimate the light at the location that the center of a photograph shows.
 
     Args:
         folder: A pipeline `LIGHT_PIPELINE`, as diffusers saves it.
         photograph: Photograph of the scan.
         world: The scanned Gaussians, world frame.
-        seed: Chooses the balls.
+        seed: Seed of the balls.
 
     Raises:
         BackendError: The extra is not installed, or the folder holds no such pipeline.
 
-    Not checked: whether the ball mirrors the room; the model may invent it.
+    Not checked: whether the ball reflects the room; the model may invent it.
     """
     pipeline = load_pipeline(folder, LIGHT_PIPELINE)
     side = _image_side(pipeline)
@@ -169,7 +169,7 @@ def _add_ball(
 
 
 def inpaint_table(folder: Path, image: Array, known: NDArray[np.bool_], seed: int) -> Array:
-    """Complete an image (H, W, 3), 0..1, where it is not known (H, W); without any known pixel it is grey.
+    """Complete an image (H, W, 3), 0..1, where `known` (H, W) is False; without any known pixel it is gray.
 
     The synthesized colors are shifted smoothly, so that they continue the known ones.
 

@@ -27,15 +27,15 @@ from aomgen.twin.support import Support
 LOWEST_M: Final = 0.015
 # Side of a grid cell, [m]; gaps of this size are closed.
 CELL_M: Final = 0.02
-# Each sample stands for this much opaque surface, [m^2]; a cell that a surface crosses has about sixteen.
+# Area of opaque surface for each sample, [m^2]; a cell that a surface crosses has about sixteen samples.
 SAMPLE_M2: Final = 2.5e-5
 # Distance by which an obstacle may be farther away than the arm reaches, [m]: the arm still touches its front.
 BEHIND_M: Final = 0.3
 # Largest radius of a Gaussian's disc, [m]: larger ones belong to the distant background.
 LARGEST_M: Final = 0.1
-# Samples of a solid cell.
+# Least number of samples of a solid cell.
 SOLID_SAMPLES: Final = 8
-# An obstacle begins at most this high above the table, [m]; the hidden part of its foot is seldom higher.
+# Largest height of the lower end of an obstacle above the table, [m]; the hidden part of its foot is seldom higher.
 FOOT_M: Final = 0.06
 # Smallest number of cells of an obstacle, seen from above: a computer mouse covers about fifteen.
 LEAST_CELLS: Final = 8
@@ -51,15 +51,14 @@ OBJECT_M: Final = 0.03
 SAVED_SHARE: Final = 0.15
 # Share of the samples beyond a side of a box that count as outliers.
 BEYOND: Final = 0.01
-# Distance around the object within which the table is searched and free table grows, [m].
+# Distance around the object within which the table and its free rectangle are searched, [m].
 TABLE_REACH_M = 1.0
-# Cell of the image in which the table is found, and of the grid on which free table grows, [m]: finer than its
-# outline has to be known.
+# Cell size of the image in which the table is found, and of the grid on which the free rectangle grows, [m]: finer than the
+# required accuracy of the outline.
 TABLE_CELL_M, FREE_CELL_M = 0.01, 0.02
 # Cells with less accumulated alpha are unobserved.
 SURFACE_ALPHA = 0.15
-# Holes of this many cells between Gaussians are closed, and a strip of cells counts as free table when no run of
-# hidden ones in it is longer.
+# Largest number of adjacent cells of a hole between Gaussians that is closed, and of hidden cells in a strip that counts as free.
 GAP_CELLS = 3
 
 
@@ -69,12 +68,12 @@ def find_obstacles(
     reach: Reach,
     configuration: RobotConfiguration,
 ) -> tuple[OrientedBox, ...]:
-    """Cover obstacles within reach by boxes, from the table up; tall obstacles are cut where the reach ends.
+    """Cover obstacles within reach by boxes, from the table upwards; tall obstacles are cut at the limit of the reach.
 
     Args:
-        surroundings: All that never moves and is not the object, world frame.
-        support: The table, and where the object stood.
-        configuration: The scanned robot.
+        surroundings: Static Gaussians without the object, world frame.
+        support: The table below the object.
+        configuration: Robot as scanned.
     """
     far_m, rng = reach.reach_m + BEHIND_M, np.random.default_rng(0)
     away = np.linalg.norm(surroundings.means - reach.shoulder_world, axis=1)
@@ -210,7 +209,7 @@ def free_rectangle(surface_xy: ArrayLike, low: ArrayLike, high: ArrayLike) -> tu
 
     Args:
         surface_xy: Points of the surface (N, 2), seen from above, [m].
-        low, high: Corners (2,) of the object's own footprint, taken as free.
+        low, high: Corners (2,) of the object's footprint, which is assumed to be free, [m].
     """
     xy = np.asarray(surface_xy, np.float64)
     low, high = np.asarray(low, np.float64), np.asarray(high, np.float64)

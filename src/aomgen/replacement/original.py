@@ -92,7 +92,7 @@ def _as_boxes(
     held = apply(to_asset, contact.path_world[0])
     joint = demo.joint.move(to_asset)
     joint = replace(joint, lower=0.0, upper=BEYOND * float(contact.thetas[-1]) / LIMIT_SHARE)
-    # A held bar lies along x of the end effector, and upright or level on its face.
+    # A held bar is parallel to the x axis of the end effector, and upright or level on its face.
     hand_x = to_asset[:3, :3] @ demo.Ts_world_ee[demo.contact_frames[0], :3, 0]
     bar, across = (0, 2) if abs(hand_x[0]) > abs(hand_x[2]) else (2, 0)
     panel, handle = _part_boxes(moving, held, bar, across)
@@ -140,9 +140,9 @@ def _part_boxes(moving: Array, held: Array, bar: int, across: int) -> tuple[Arra
     """Fit the corners (2, 3) of the boxes of panel and handle, asset frame, [m].
 
     Args:
-        moving: Points (N, 3), asset frame, as all here.
-        held: The held point (3,).
-        bar, across: Axis along the handle's bar, and the other one of its face.
+        moving: Points (N, 3) of the moving part, asset frame, [m].
+        held: The held point (3,), asset frame, [m].
+        bar, across: Index of the axis along the handle's bar, and of the other axis of its face.
 
     Raises:
         EstimationError: See `fit_original`.
@@ -160,7 +160,7 @@ def _part_boxes(moving: Array, held: Array, bar: int, across: int) -> tuple[Arra
         )
     panel[0, 2] = max(panel[0, 2], GAP_M)
     handle = np.quantile(moving[near], HANDLE_QUANTILES, axis=0)
-    # A bar is as deep as wide; behind it the scan shows posts and blur.
+    # The depth of a bar is assumed to equal its width, because the scan shows posts and blur behind it.
     handle[1, 1] = handle[0, 1] + np.ptp(handle[:, across])
     return panel, handle
 

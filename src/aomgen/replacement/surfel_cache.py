@@ -21,7 +21,7 @@ from aomgen.replacement import asset_surfels
 from aomgen.splatting.surfels import Surfels
 
 FOLDER: Final = "surfels"
-# Increased whenever a fit of the same asset gives another result.
+# Version of the fit, increased whenever a fit of the same asset gives another result.
 VERSION: Final = 1
 # Number of assets that are kept, the most recently used ones; one takes about 10 MB.
 KEPT: Final = 64
@@ -31,15 +31,15 @@ LAST_FILE: Final = "moving.json"
 # Largest time to fit the surfels of one asset, which takes half a minute, [s].
 FIT_S: Final = 1800.0
 DIGEST_LENGTH: Final = 64
-# Priority of the processes of the background: they only use cores that are idle otherwise.
+# Niceness of background processes, which use only idle cores.
 IDLE_PRIORITY: Final = 19
 
 
 def find_surfels(asset: ArticulatedAsset) -> tuple[Surfels, Surfels]:
     """Return the surfels of an asset's static and moving link, from the cache or else by a fit, which is then stored.
 
-    If another process fits the same asset, its result is awaited. Without a writable cache folder nothing is stored, of
-    which the user is warned.
+    If another process fits the same asset, its result is awaited. Without a writable cache folder, nothing is stored and the
+    user is warned.
 
     Raises:
         AssetError, BackendError: See `fit_surfels`.
@@ -71,7 +71,7 @@ def find_all_surfels(
 ) -> Iterator[tuple[int, tuple[Surfels, Surfels]]]:
     """Find the surfels of several assets and yield them with their numbers: first the stored ones, then each one that is fitted.
 
-    Every fit has its own process. Errors as for `find_surfels`.
+    Every fit has a separate process. The errors are those of `find_surfels`.
     """
     missing = [number for number, asset in assets.items() if not (_entry(asset) / LAST_FILE).is_file()]
     for number, asset in assets.items():
