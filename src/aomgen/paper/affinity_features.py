@@ -1,14 +1,14 @@
-"""Affinity features: what belongs together, at a chosen size. [paper 4.1]
+"""Affinity features, which group Gaussians into parts of a chosen size. [paper 4.1]
 
-Every Gaussian carries a feature; a gate that depends on the size asked for switches its channels on and off,
-and two Gaussians belong together at that size when their gated features point the same way. In each step of
-the training the features are drawn into one view, and pixels and a size are sampled. Pixels that share a mask
-up to that size are pulled together; pixels that a mask of about that size separates are pushed apart; other
-pairs inside a larger mask are pulled weakly. Geometry and colors are frozen.
+Every Gaussian has a feature. A gate that depends on the requested size weights its channels, and two Gaussians belong together at
+that size if their gated features have similar directions. In each training step, the features are rendered into one view, and
+pixels and a size are sampled. The loss increases the similarity of pixels that share a mask up to that size, reduces it for pixels
+that a mask of about that size separates, and weakly increases it for other pairs inside a larger mask. Geometry and colors are
+constant.
 
-Source: SAGA (Cen et al., Segment Any 3D Gaussians, AAAI 2025), sec. 3.1-3.3; own code. Differs in the pairs:
-there, a pair without a common mask is always pushed apart, which asks for masks at every level in every view.
-A segmenter that gives one mask a point does not have them.
+Source: SAGA (Cen et al., Segment Any 3D Gaussians, AAAI 2025), sec. 3.1-3.3; own code. The pairs differ:
+there, the similarity of a pair without a common mask is always reduced, which requires masks at every level in every view. A
+segmenter that returns one mask for each point does not provide them.
 """
 
 import warnings
@@ -34,30 +34,30 @@ from aomgen.splatting.differentiable import CpuRasterizer, GaussianTensors, Rast
 from aomgen.splatting.optimizer import parameters_of
 from aomgen.splatting.surfaces import compute_surface_points
 
-# Gaussians, itself included, whose mean feature each one is rendered with: local smoothing against noise.
+# Number of neighboring Gaussians, including itself, over which the feature of each is averaged, to reduce noise.
 NEIGHBORS = 8
-# Masks down to this share of the sampled size separate: half an octave.
+# Least size of a separating mask, as a share of the sampled size: half an octave.
 LEAST_SHARE = 0.5**0.5
-# Weight of pairs that no mask separates and only a larger mask joins: far below that of certain pairs.
+# Weight of pairs that no mask separates and only a larger mask joins: much smaller than that of certain pairs.
 WEAK_WEIGHT = 0.05
 # Weight of the regularization that makes all Gaussians on a ray agree.
 NORM_WEIGHT = 0.2
 # Learning rate of the features, which have about unit length; gates learn ten times slower.
 RATE = 0.02
-# Pixels of the smallest mask whose size counts.
+# Least number of pixels of a mask whose size is used.
 MIN_PIXELS = 4
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AffinityParams:
-    """Effort.
+    """Effort of the training.
 
     Attributes:
-        views: Views that are segmented, the prompted ones among them.
-        channels: D, length of a feature.
-        iterations: Steps; one view each.
-        pixels: Pixels sampled a step.
-        width: Width of the drawn features, [px].
+        views: Number of segmented views, including the prompted ones.
+        channels: Length D of a feature.
+        iterations: Number of steps, each with one view.
+        pixels: Number of sampled pixels in a step.
+        width: Width of the rendered features, [px].
     """
 
     views: int = 12
@@ -85,7 +85,7 @@ FeaturesAt = Callable[[float], NDArray[np.float32]]
 def gate_features(
     features: NDArray[np.float32], gates: Array, known_m: Array, size_m: float
 ) -> NDArray[np.float32]:
-    """Compute gated features (N, D) of unit length at a size; zero where a Gaussian has none.
+    """Compute gated features (N, D) of unit length at a size; zero for Gaussians without a feature.
 
     Args:
         features: Features of N Gaussians (N, D).
@@ -165,7 +165,7 @@ def train_affinity(
     scene, smoothing = parameters_of(gaussians, 0).values, _neighbor_mean(gaussians)
     values = rng.normal(0, 1 / np.sqrt(params.channels), (len(gaussians), params.channels))
     features = torch.tensor(values, dtype=torch.float32, requires_grad=True)
-    # Half of the channels start out for small masks, half for large ones.
+    # Half of the channels are initialized for small masks, half for large ones.
     gates = torch.linspace(-2, 2, params.channels)
     slopes, offsets = (4 * gates).requires_grad_(), (-2 * gates + 1).requires_grad_()
     optimizer = torch.optim.Adam(
@@ -175,7 +175,7 @@ def train_affinity(
     draw = CpuRasterizer()
     for step in range(params.iterations):
         view = views[int(rng.integers(len(views)))]
-        # A size of the view's own masks: at other sizes the view separates few pixels.
+        # The size is that of a mask of the view, because at other sizes the view separates few pixels.
         size = float(rng.choice(view.sizes_m))
         gate = torch.sigmoid(slopes * float(relative_sizes(np.array([size]), sizes)[0]) + offsets)
         pixels = _sample_pixels(view, size, params.pixels, rng)
@@ -183,7 +183,7 @@ def train_affinity(
         image = draw(GaussianTensors(**scene, features=smooth), view.camera, RasterOptions(sh_degree=0))
         if image.features is None:
             raise ReconstructionError("affinity", "the rasterizer drew no features", "rebuild the engine")
-        # Relative to what hides the background.
+        # The features are relative to the alpha of the Gaussians.
         seen = (image.features / image.alpha.detach().clamp_min(1e-3)[..., None]).flatten(0, 1)[pixels]
         loss = _pair_loss(seen, gate, view, pixels, size)
         optimizer.zero_grad(set_to_none=True)
@@ -220,7 +220,7 @@ def _sample_pixels(view: SizedMasks, size_m: float, count: int, rng: np.random.G
 
 
 def _about(sizes_m: Array, size_m: float) -> Mask:
-    # A hundredth on top, so that the mask whose size was sampled counts as that large.
+    # The tolerance of 1 % includes the mask whose size was sampled.
     return (sizes_m <= 1.01 * size_m) & (sizes_m >= LEAST_SHARE * size_m)
 
 
@@ -228,13 +228,13 @@ def pair_evidence(masks: Mask, sizes_m: Array, size_m: float) -> tuple[Mask, Mas
     """Decide which pairs of pixels the masks of a view join or separate at a size.
 
     Args:
-        masks: (M, P), whether each pixel lies in each mask.
+        masks: (M, P), whether each pixel is in each mask.
 
     Returns:
-        together (P, P): They share a mask up to the size.
-        apart (P, P): Not together, and a mask of about the size holds one of them only, or the
-            smallest larger masks around them differ.
-        perhaps (P, P): Neither, and the same mask is the smallest larger one around both.
+        together (P, P): The pixels share a mask up to the size.
+        apart (P, P): They are not together, and a mask of about the size contains only one of them, or the smallest
+            larger masks around them differ.
+        perhaps (P, P): They are neither, and the same mask is the smallest larger one around both.
     """
     small = masks[sizes_m <= 1.01 * size_m].astype(np.float32)
     near = masks[_about(sizes_m, size_m)].astype(np.float32)

@@ -9,9 +9,9 @@ from aomgen.core.values import Array
 from aomgen.motion.part_shape import find_face_normal
 from aomgen.paper.mask_keyframes import Variant
 
-# Points on each edge between which distances are taken; the score is their mean.
+# Number of points on each edge; the score is the mean of the distances between corresponding points.
 _EDGE_SAMPLES = 9
-# Point pairs averaged for the joint's center, the paper's K; it names no value.
+# Number of point pairs that are averaged for the joint's center, the paper's K; the paper gives no value.
 NEAREST_PAIRS = 50
 
 
@@ -36,11 +36,11 @@ def pair_costs(
 ) -> Array:
     """Compute the cost (12, 12) of every pair (static edge, moving edge) to lie along a joint of known type.
 
-    Printed: `l1 score +- l2 |e . v| +- l3 distance(contact, e)`, plus for revolute and minus for
-    prismatic; the edge nearest to the contact is a cheap revolute joint, against the text, which
-    requires the far side. Repaired: minus before the revolute joint's distance, and no distance for a
-    prismatic one, whose parallel edges differ in nothing else. The paper gives no values for the
-    weights; here all are 1, with distances divided by the moving part's diagonal.
+    Printed: `l1 score +- l2 |e . v| +- l3 distance(contact, e)`, with plus for revolute and minus for
+    prismatic joints. The cost of a revolute joint is then small at the edge nearest to the contact, in contradiction to the
+    text, which requires the far side. Repaired: the distance of a revolute joint has a minus sign, and that of a prismatic
+    joint, whose parallel edges differ only in it, is omitted. The paper gives no values for the weights; here all are 1,
+    and distances are divided by the diagonal of the moving part.
 
     Args:
         boxes: Boxes of the static and the moving part, world frame.
@@ -48,8 +48,8 @@ def pair_costs(
         direction_world: Unit vector (3,): approach of the end effector, or its displacement.
 
     Source: AOMGen, sec. 4.2, "Articulated Object Modeling", with twelve edges instead of eight, and the
-    mean of the sampled distances instead of their sum, so that their number does not count. Costs of the
-    two types do not compare: the printed prismatic one is lower whatever moved.
+    mean of the sampled distances instead of their sum, so that it does not depend on their number. The costs of the two joint
+    types are not comparable: the printed cost of a prismatic joint is always lower.
     """
     edges = boxes[1].edges()
     along = np.abs(_units(edges) @ direction_world)
@@ -73,11 +73,11 @@ def box_joint(
         points: Points of the static (N, 3) and of the closed moving part (M, 3), world frame, [m].
         contact_world: Contact point on the moving part (3,), [m].
         direction_world: Unit direction (3,) of the end effector, the paper's `v_ee`.
-        joint_type: Known beforehand, as in the paper.
+        joint_type: Type of the joint, which is given as in the paper.
         variant: See `pair_costs`.
 
     Returns:
-        The joint, world frame, whose axis has no sense of direction and no limits yet, and a unit normal (3,).
+        The joint, world frame, whose axis has an arbitrary sign and whose limits are not set; and a unit normal (3,).
 
     Raises:
         InputError: A part has too few points.

@@ -1,9 +1,8 @@
 """The paper's alignment: robot points of the scan moved onto points of the posed model by rigid ICP.
 
-It is kept to compare with the outlines of `alignment`. The paper takes the robot's points as
-segmented and the scan in metres; here they are what lies in all prompted boxes above the support,
-and heading and size come from the places that `align` starts from: a rigid motion cannot correct
-the size later.
+It serves as a comparison for the outlines of `alignment`. The paper assumes that the robot's points are segmented and that the scan
+is in meters. Here the points are those in all prompted boxes above the support, and heading and size are those of the starting
+poses of `align`, because a rigid motion cannot correct the size later.
 """
 
 import numpy as np
@@ -23,22 +22,21 @@ from aomgen.errors import AlignmentError
 from aomgen.robots.robot import RobotConfiguration
 
 STAGE = "alignment (paper)"
-# Points sampled on the robot model, denser than those of the scan that are moved onto it.
+# Numbers of points sampled on the robot model, and of the scan; those on the model are denser.
 _MODEL_POINTS, _SCAN_POINTS = 12_000, 2_000
-# Starting poses whose colors score at least this share of the best one's; the one that is moved best onto the
-# model counts.
+# Least color score of a starting pose, as a share of the best one; the pose with the best match after ICP is used.
 _START_SHARE = 0.5
-# Opacity from which a Gaussian is surface.
+# Least opacity of a Gaussian on a surface.
 _SOLID = 0.3
-# Triples tried in the search for supports: a plane that holds a quarter of the points is met all but surely.
+# Triples tried in the search for supports: sufficient to find a plane with a quarter of the points almost surely.
 _PLANE_TRIALS = 500
-# Fewest robot points of a usable scan.
+# Least number of robot points of a usable scan.
 _MIN_POINTS = 200
-# Least share of them that has to lie on the model in the end.
+# Least share of the robot points on the model after ICP.
 MIN_MATCHED = 0.3
-# Closest-point steps at one kernel width at most; they end earlier where nothing moves.
+# Largest number of closest-point steps at one kernel width; they end earlier if the motion is small.
 _STEPS = 40
-# Motions smaller than these change nothing that is reported.
+# Motion of a step at which the iteration ends; smaller ones do not change the reported values.
 _SETTLED_M, _SETTLED_RAD = 1e-5, 1e-5
 
 
@@ -52,16 +50,16 @@ def align_as_paper(
 ) -> Alignment:
     """Estimate `S_world_recon` by rigid ICP; `support` is the share of robot points that lie on the model.
 
-    Outlines are not looked at, so `residual_px` is 0 and nothing is known about chance; `ee_sd_m`
-    is the root mean square distance of the points from the model.
+    Outlines are not used, so `residual_px` is 0 and the support by chance is unknown; `ee_sd_m` is the root mean square distance
+    of the points from the model.
 
     Args:
-        views: Scan images, for the starts only.
+        views: Scan images, used for the starting poses only.
         boxes: Prompted boxes around the robot, two or more.
-        min_matched: Least share of the robot points that has to lie on the model in the end.
+        min_matched: Least share of the robot points on the model after ICP.
 
     Raises:
-        AlignmentError: Too few boxes or robot points, or too few of them end on the model.
+        AlignmentError: Too few boxes or robot points, or too few of them match the model.
 
     Source: AOMGen, sec. 4.1, "Scene and robot alignment". Not checked: the scale.
     """
@@ -77,7 +75,7 @@ def align_as_paper(
     up = up_candidates([view.camera_recon for view in scan.views], scan.points_recon, rng)[0]
     points = robot_points(scan.points_recon, scan.boxes, up, rng)
     model = configuration.surface_world(_MODEL_POINTS, rng)
-    # Samples lie about this far apart on the model.
+    # The distance between samples on the model is about this value.
     meshes = configuration.robot.meshes
     area = sum(face_normals_areas(mesh.vertices_body, mesh.faces)[1].sum() for mesh in meshes)
     spacing_m = float(np.sqrt(area / _MODEL_POINTS))
@@ -114,7 +112,7 @@ def robot_points(
     """Select points (N, 3) of the surface that all boxes show and that belong to no level support, thinned evenly.
 
     Raises:
-        AlignmentError: There are too few.
+        AlignmentError: There are too few points.
     """
     inside = np.ones(len(surface_recon), bool)
     for box in boxes:
@@ -150,7 +148,7 @@ def _thin(points: Array, cell: float) -> Array:
 def _without_support(points: Array, up: Array, rng: np.random.Generator) -> Array:
     """Remove the level plane with the most points if it contains at least a tenth of them."""
     tolerance = 0.03 * _spread(points) if len(points) else 0.0
-    # Within 15 degrees of level; other planes may be the arm's own.
+    # The planes are level within 15 degrees; others may belong to the arm.
     plane = (
         fit_plane(points, tolerance, rng, _PLANE_TRIALS, axis=up, max_tilt_deg=15.0) if len(points) else None
     )
@@ -172,11 +170,11 @@ def rigid_icp(source: Array, target: Array, kernel_m: float) -> Array:
     Args:
         source: Points (N, 3), [m].
         target: Points (M, 3), [m], denser than `kernel_m`.
-        kernel_m: Distances well beyond this do not count in the end.
+        kernel_m: Final width of the kernel; distances much larger than this have no weight.
 
     Source: Zhang, Yao and Deng, "Fast and Robust Iterative Closest Point", PAMI 2021 (Welsch's
-    function, its width halved from coarse to fine; without their acceleration). Not checked: that
-    the start leads to the right of several places.
+    function, its width halved from coarse to fine; without their acceleration). Not checked: whether
+    the iteration converges to the correct one of several minima.
     """
     tree = cKDTree(target)
     T, distances = np.eye(4), tree.query(source)[0]
@@ -207,7 +205,7 @@ def measure_match(points: Array, target: Array, kernel_m: float) -> tuple[float,
 def fit_weighted_rigid(source: Array, target: Array, weights: Array) -> Array:
     """Fit the rigid motion (4, 4) between corresponding points (N, 3) by weighted least squares.
 
-    Source: Kabsch, 1976. Weights (N,) that are all zero leave the points where they are.
+    Source: Kabsch, 1976. If all weights (N,) are zero, the result is the identity.
     """
     total = float(weights.sum())
     if not total > 1e-12:
