@@ -177,17 +177,17 @@ def _remove_staging(folder: Path) -> None:
 def _forget_others(folder: Path, quotas: list[_Quota]) -> None:
     """Delete episodes, their objects and rejections beyond what is requested now."""
 
-    def asked(unit: Unit) -> bool:
+    def is_requested(unit: Unit) -> bool:
         return unit.asset < len(quotas) and unit.index < quotas[unit.asset].drawn
 
     committed, rejected = list_ended_units(folder)
-    for unit in filterfalse(asked, committed):
+    for unit in filterfalse(is_requested, committed):
         remove_folder(episode_folder(folder, unit.number))
-    for unit in filterfalse(asked, rejected):
+    for unit in filterfalse(is_requested, rejected):
         rejection_file(folder, unit).unlink()
     for path in (folder / OBJECTS_FOLDER).glob("[0-9]*"):
         unit = unit_of(path.name)
-        if unit not in committed or not asked(unit):
+        if unit not in committed or not is_requested(unit):
             remove_folder(path)
 
 

@@ -79,19 +79,19 @@ def find_drives(scene: Scene) -> dict[int, tuple[float, float, float]]:
         joint = int(model.actuator_trnid[actuator, 0])
         drives[joint] = (float(arm.kp[row]), float(arm.kv[row]), float(arm.torques[row]))
     number = model.actuator(scene.gripper.actuator).id
-    shares = actuated_joints(model, number)
+    shares = find_actuated_joints(model, number)
     total = sum(shares.values())
     kp, kv = -model.actuator_biasprm[number, 1], -model.actuator_biasprm[number, 2]
     limited = model.actuator_forcelimited[number]
     most = float(model.actuator_forcerange[number, 1]) if limited else np.inf
     for joint, share in shares.items():
         drives[joint] = (float(share * total * kp), float(share * total * kv), abs(share) * most)
-    for joint, (leader, _, _) in coupled_joints(model, shares).items():
+    for joint, (leader, _, _) in find_coupled_joints(model, shares).items():
         drives[joint] = drives[leader]
     return drives
 
 
-def actuated_joints(model: mujoco.MjModel, actuator: int) -> dict[int, float]:
+def find_actuated_joints(model: mujoco.MjModel, actuator: int) -> dict[int, float]:
     """Return the joints (id) that an actuator moves, with the coefficients of its length."""
     target = int(model.actuator_trnid[actuator, 0])
     if model.actuator_trntype[actuator] != mujoco.mjtTrn.mjTRN_TENDON:
@@ -101,7 +101,9 @@ def actuated_joints(model: mujoco.MjModel, actuator: int) -> dict[int, float]:
     return {int(model.wrap_objid[wrap]): float(model.wrap_prm[wrap]) for wrap in wraps}
 
 
-def coupled_joints(model: mujoco.MjModel, driven: Collection[int]) -> dict[int, tuple[int, float, float]]:
+def find_coupled_joints(
+    model: mujoco.MjModel, driven: Collection[int]
+) -> dict[int, tuple[int, float, float]]:
     """Return leader, offset and ratio of each joint (id) that an equality couples to a driven joint."""
     found = {}
     for number in np.flatnonzero(model.eq_type == mujoco.mjtEq.mjEQ_JOINT):

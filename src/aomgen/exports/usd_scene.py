@@ -21,10 +21,10 @@ from aomgen.exports.usd_physics import (
     DEGREES,
     OBJECT,
     ROBOT,
-    actuated_joints,
     add_physics,
-    coupled_joints,
     drive_axis,
+    find_actuated_joints,
+    find_coupled_joints,
 )
 from aomgen.io.ply import check_readable
 from aomgen.io.usd import define_gaussians, export_stage, new_stage
@@ -169,9 +169,9 @@ def _commanded_joints(motion: SceneMotion, scene: Scene) -> Iterator[tuple[int, 
         yield joint.id, motion.commands[:, row] - model.qpos0[joint.qposadr[0]]
     opened, closed = gripper.driver_range
     values = opened + motion.commands[:, -1] * (closed - opened)
-    actuated = actuated_joints(model, model.actuator(gripper.actuator).id)
+    actuated = find_actuated_joints(model, model.actuator(gripper.actuator).id)
     targets = {joint: values - model.qpos0[model.jnt_qposadr[joint]] for joint in actuated}
-    for joint, (leader, offset, ratio) in coupled_joints(model, actuated).items():
+    for joint, (leader, offset, ratio) in find_coupled_joints(model, actuated).items():
         targets[joint] = offset + ratio * targets[leader]
     yield from targets.items()
 

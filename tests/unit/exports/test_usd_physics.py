@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from aomgen.assets.choice import make_asset
-from aomgen.exports.usd_physics import actuated_joints, coupled_joints, find_drives
+from aomgen.exports.usd_physics import find_actuated_joints, find_coupled_joints, find_drives
 from aomgen.robots.loading import load_robot
 from aomgen.simulation.scene import Scene, build_scene
 from small_robot import urdf_text
@@ -23,9 +23,9 @@ def scene(tmp_path_factory: pytest.TempPathFactory) -> Scene:
 def test_the_second_finger_follows(scene: Scene) -> None:
     model = scene.model
     first, second = (model.joint(name).id for name in ("slide_a", "slide_b"))
-    actuated = actuated_joints(model, model.actuator(scene.gripper.actuator).id)
+    actuated = find_actuated_joints(model, model.actuator(scene.gripper.actuator).id)
     assert actuated == {first: 1.0}
-    leader, offset, ratio = coupled_joints(model, actuated)[second]
+    leader, offset, ratio = find_coupled_joints(model, actuated)[second]
     assert (leader, ratio) == (first, pytest.approx(1.0))
     assert offset == pytest.approx(0.0)
     drives = find_drives(scene)
