@@ -28,6 +28,7 @@ from aomgen.core.transforms import (
     transform,
 )
 from aomgen.core.values import Array
+from aomgen.errors import DemonstrationTooShortError
 from aomgen.io.video import Video
 from aomgen.motion import contact, joint_trajectory
 from aomgen.motion.estimate import MotionParams, estimate_motion
@@ -304,3 +305,22 @@ def test_time_turned_back_closes_what_was_opened(kind: str) -> None:
     assert back.thetas == pytest.approx(forth.thetas[-1] - forth.thetas[::-1], abs=5 * UNIT[kind])
     assert back.start_s == pytest.approx(LENGTH_S - forth.end_s, abs=0.11)
     assert back.end_s == pytest.approx(LENGTH_S - forth.start_s, abs=0.11)
+
+
+def test_a_rival_type_without_any_motion_does_not_refuse_the_demonstration(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """A gripper that was hardly open pushes, as far as its log shows; read as a drawer's, its motion is too short."""
+    recover = TouchRecovery.recover
+
+    def recover_doors_only(self: TouchRecovery, found: Any, joint_type: str, *rest: Any) -> Any:
+        if joint_type == "prismatic":
+            raise DemonstrationTooShortError("joint", "the gripper moved the part 4 mm", "record more")
+        return recover(self, found, joint_type, *rest)
+
+    monkeypatch.setattr(TouchRecovery, "recover", recover_doors_only)
+    found = estimate_motion(world("door"), QUICK)
+    assert found.joint.type == "revolute"
+    assert found.thetas == pytest.approx(opened("door").thetas, abs=UNIT["door"])
+    with pytest.raises(DemonstrationTooShortError):
+        estimate_motion(world("drawer"), QUICK)

@@ -10,7 +10,6 @@ from dataclasses import dataclass, field, replace
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from aomgen.core.demonstration import Demonstration
 from aomgen.core.episode import PHASES
@@ -22,6 +21,7 @@ from aomgen.episodes.free_motion import find_free_path
 from aomgen.episodes.grasps import Grasp, between, difference
 from aomgen.episodes.ik import IkSolver, find_arms, path_residuals, solve_smoothly
 from aomgen.episodes.joint_limits import IkLimits, check_speed
+from aomgen.episodes.rejections import locate, rank
 from aomgen.episodes.retarget import CONTACT, INTERVAL_PHASES, DemonstratedMotion, RetargetedMotion, ease
 from aomgen.episodes.start import find_start
 from aomgen.simulation.collision_check import (
@@ -40,18 +40,6 @@ HALVINGS: Final = 3
 MAX_APART_RAD: Final = np.pi / 2
 # A motion that is too fast is slowed down by this factor more than needed: sampling shifts its peaks.
 SLOWER = 1.05
-# Reasons of rejection, from early to late.
-REASONS = (
-    "joint_limit",
-    "unreachable",
-    "too_fast",
-    "too_jerky",
-    "self_collision",
-    "collision",
-    "no_path",
-    "grip_collision",
-    "no_grip",
-)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -64,12 +52,15 @@ class PlanParams:
         kinematic: Limits of tier A.
         max_slow_down: Largest factor on the requested duration of a phase: demonstrations
             may start near the handle.
+        search: Where no motion like the demonstrated one passes, search a free motion around obstacles and
+            other configurations of the arm. Policies learn better from demonstrations without such motions.
     """
 
     fps: float = 10.0
     ik: IkLimits = field(default_factory=IkLimits)
     kinematic: KinematicLimits = field(default_factory=KinematicLimits)
     max_slow_down: float = 5.0
+    search: bool = True
 
 
 def plan_episode(
@@ -95,7 +86,7 @@ def plan_episode(
     """
     planner = Planner(fitted, demo, variation, scene, solver, params)
     motions = planner.list_motions(usual)
-    found = planner.search(motions)
+    found = planner.search(motions, WAYS if params.search else WAYS[:2])
     if isinstance(found, Rejection):
         return found
     return found[1] if usual is None else planner.approach_usual(motions[0].grasp, *found)
@@ -159,7 +150,7 @@ class Planner:
         for found in self.evaluate_all(motions, ways):
             if not isinstance(found, Rejection):
                 return found
-            best = max(best, found, key=_rank)
+            best = max(best, found, key=rank)
         return replace(best, metrics={**best.metrics, "grasps_tried": float(len(motions))})
 
     def evaluate_all(
@@ -216,7 +207,7 @@ class Planner:
             poses = motion.at(times[first:])
             joints = solve_smoothly(self.solver, poses, guesses, params.fps, params.ik)
             if isinstance(joints, Rejection):
-                return _locate(joints, shown.phases(times), first)
+                return locate(joints, shown.phases(times), first)
             mm, deg = path_residuals(self.solver, poses, joints)
             # The smoothed path does not begin exactly at the first knot.
             goal = candidate.joints[0, 0] + joints[0] - guesses[0]
@@ -334,17 +325,4 @@ class Planner:
         gripper = np.where(between, np.minimum(gripper, widest), gripper)
         thetas = motion.thetas(times)
         result = check_kinematics(self.scene, joints, gripper, thetas, holding, self.params.kinematic)
-        return _locate(result, phases) if isinstance(result, Rejection) else result
-
-
-def _locate(rejection: Rejection, phases: NDArray[np.int64], first: int = 0) -> Rejection:
-    """Add the location to a Rejection of rows from `first` on; in contact no other approach helps."""
-    row = first + round(rejection.metrics["sample"])
-    where = {"path_share": row / len(phases), "in_contact": float(phases[row] == CONTACT)}
-    return replace(rejection, metrics={**rejection.metrics, **where})
-
-
-def _rank(rejection: Rejection) -> float:
-    """Rank how far planning came, to find the most informative of several rejections."""
-    known = REASONS.index(rejection.reason) if rejection.reason in REASONS else -1
-    return known + rejection.metrics.get("path_share", 0.0)
+        return locate(result, phases) if isinstance(result, Rejection) else result

@@ -10,7 +10,7 @@ from aomgen.core.joint import JointType
 from aomgen.core.motion import MotionCurve, MotionEstimate
 from aomgen.core.progress import Progress, silent
 from aomgen.core.values import Array
-from aomgen.errors import InputError
+from aomgen.errors import DemonstrationTooShortError, InputError
 from aomgen.motion.inputs import MotionInput
 from aomgen.motion.joint_estimation import JointCandidates, JointParams, choose_type
 from aomgen.motion.joint_trajectory import TouchRecovery
@@ -105,12 +105,19 @@ def estimate_motion(
             answer = refine(seen, prior)
             return found, seen, estimate if answer is None else _take_over(estimate, answer)
 
-        found_door, seen, door = estimate_type("revolute")
-        found_drawer, _, drawer = estimate_type("prismatic")
+        likely: JointType = "revolute" if first.margin > 0 else "prismatic"
+        found, _, answer = recovered = estimate_type(likely)
+        try:
+            rival = estimate_type("prismatic" if likely == "revolute" else "revolute")
+        except DemonstrationTooShortError:
+            # Under the wrong type, the gripper may seem to leave the part at once, so that no motion is left to explain.
+            return replace(answer, type_margin=abs(found.margin))
+    door, drawer = (recovered, rival) if likely == "revolute" else (rival, recovered)
     progress(0.9, "type of the joint")
-    video_margin = compute_type_margin(seen, ((door.joint, door.thetas), (drawer.joint, drawer.thetas)))
+    (found_door, seen, opened), (found_drawer, _, drawn) = door, drawer
+    video_margin = compute_type_margin(seen, ((opened.joint, opened.thetas), (drawn.joint, drawn.thetas)))
     found = min((found_door, found_drawer), key=lambda item: abs(item.margin))
-    answer = door if choose_type(found, video_margin) == "revolute" else drawer
+    answer = opened if choose_type(found, video_margin) == "revolute" else drawn
     return replace(answer, type_margin=abs(found.margin + video_margin))
 
 

@@ -179,14 +179,14 @@ def test_the_way_leads_around_what_stands_there(
     demo = opening(solver, fitted, before=(0.28, -0.4, 0.0))
     here = Variation(seed=0, index=0, x=0.0, y=0.0, yaw=0.0)
 
-    def planned(*boxes: OrientedBox) -> tuple[EpisodePlan | Rejection, Scene]:
+    def planned(*boxes: OrientedBox, search: bool = True) -> tuple[EpisodePlan | Rejection, Scene]:
         scene = build_scene(robot, fitted.asset, fitted.T_world_asset, SUPPORT, obstacles=boxes)
-        return plan_episode(fitted, demo, here, scene, solver, PlanParams()), scene
+        return plan_episode(fitted, demo, here, scene, solver, PlanParams(search=search)), scene
 
-    def column(place: np.ndarray, top: float) -> OrientedBox:
+    def column(place: np.ndarray, top: float, width: float = 0.02) -> OrientedBox:
         half = (top - SUPPORT.height) / 2
         T = transform(np.eye(3), [place[0], place[1], SUPPORT.height + half])
-        return OrientedBox(T_world_box=T, half_extents=np.array([0.01, 0.01, half]))
+        return OrientedBox(T_world_box=T, half_extents=np.array([0.01, width / 2, half]))
 
     plain, _ = planned()
     assert isinstance(plain, EpisodePlan)
@@ -195,6 +195,12 @@ def test_the_way_leads_around_what_stands_there(
     middle = way[np.argmin(np.abs(gone - 0.5 * gone[-1]))]
     around, scene = planned(column(middle, middle[2] + 0.02))
     assert isinstance(around, EpisodePlan), around
+    wall = column(middle, middle[2] + 0.06, width=0.2)
+    searched, _ = planned(wall)
+    assert isinstance(searched, EpisodePlan), searched
+    assert searched.grasp.endswith("searched free motion")
+    unsearched, _ = planned(wall, search=False)
+    assert getattr(unsearched, "reason", "") == "collision"
     still = np.zeros(len(plain), bool)
     struck = check_kinematics(scene, plain.joints, 0.0 * plain.thetas, plain.thetas, still, KinematicLimits())
     assert getattr(struck, "reason", "") == "collision"

@@ -136,7 +136,7 @@ def test_rejects_are_grouped_by_reason_with_pair_and_limit(results: Results) -> 
 
 
 def test_every_reason_of_planning_is_explained() -> None:
-    from aomgen.episodes.planning import REASONS
+    from aomgen.episodes.rejections import REASONS
 
     assert set(REASONS) <= set(reasons())
 
