@@ -53,7 +53,7 @@ class PlanParams:
         max_slow_down: Largest factor on the requested duration of a phase: demonstrations
             may start near the handle.
         search: Where no motion like the demonstrated one passes, search a free motion around obstacles and
-            other configurations of the arm. Policies learn better from demonstrations without such motions.
+            other configurations of the arm. Demonstrations without such motions resemble each other more.
     """
 
     fps: float = 10.0
