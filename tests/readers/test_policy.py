@@ -50,7 +50,7 @@ def train(tmp_path: Path, *policy: str) -> None:
     )
 
 
-@pytest.mark.parametrize("part", ["small_act", "finder", "handle_act"])
+@pytest.mark.parametrize("part", ["small_act", "finder", "handle_act", "handle_plan"])
 def test_a_part_of_the_plugin_keeps_its_laws(part: str) -> None:
     if not (BIN / "python").is_file():
         pytest.skip("needs .venv-policy: make policy-env")

@@ -30,7 +30,9 @@ def create_policy(finder: Path, suite: Path, library: Path, out: Path) -> None:
     """
     trials, results = open_suite(suite)[0], open_results(library)
     if (trials.joint_names, trials.fps) != (tuple(results.robot.joint_names), round(results.fps)):
-        raise ConfigError(library, f"has another arm or rate than {suite}", "name a run with the same recording")
+        raise ConfigError(
+            library, f"has another arm or rate than {suite}", "name a run with the same recording"
+        )
     config = HandlePlanConfig(
         finder=str(finder),
         suite=str(suite),

@@ -80,7 +80,9 @@ class HandlePlanPolicy(PreTrainedPolicy):
         motions = list[np.ndarray]()
         for number, state in enumerate(batch[OBS_STATE].double().cpu().numpy()):
             cameras = [
-                Camera(fx=K[0, 0], fy=K[1, 1], cx=K[0, 2], cy=K[1, 2], width=width, height=height, T_world_cam=T)
+                Camera(
+                    fx=K[0, 0], fy=K[1, 1], cx=K[0, 2], cy=K[1, 2], width=width, height=height, T_world_cam=T
+                )
                 for K, T in zip(_array(views.K), _array(views.T_world_cam[number]), strict=True)
             ]
             seen = (_array(values[number]) for values in (pixels, sds_px, points))

@@ -57,15 +57,7 @@ def fit_known_objects(
         start = _place_roughly(fitted, keypoints, points_world)
         if abs(start[3]) > np.pi / 2:
             continue
-
-        def compare(state: Array, fitted: FittedAsset = fitted, keypoints: Array = keypoints) -> Array:
-            placed = apply(_pose(fitted, state), keypoints * np.exp(state[:3]))
-            return _compare_detections(cameras, placed, pixels, sds_px)
-
-        terms = [
-            ResidualTerm(name="detections", residual=compare, kernel=CAUCHY),
-            ResidualTerm(name="stretch", residual=lambda state: state[:3], sd=STRETCH_SD),
-        ]
+        terms = _list_terms(fitted, keypoints, cameras, pixels, sds_px)
         options = {"dimension": UNKNOWNS, "max_iterations": MAX_ITERATIONS, "tolerance": TOLERANCE}
         state = solve(terms, start, retract=add, **options).state
         stretched = stretch(fitted, np.exp(state[:3]))
@@ -103,9 +95,7 @@ def _stretch_link(link: AssetLink, factors: Array) -> AssetLink:
         R, center = box.T_asset_box[:3, :3], box.T_asset_box[:3, 3]
         sides = np.linalg.norm(factors[:, None] * R, axis=0)
         boxes.append(
-            replace(
-                box, T_asset_box=transform(R, center * factors), half_extents=box.half_extents * sides
-            )
+            replace(box, T_asset_box=transform(R, center * factors), half_extents=box.half_extents * sides)
         )
     return replace(link, meshes=(), colliders=tuple(boxes), mass=link.mass * float(factors.prod()))
 
@@ -113,7 +103,10 @@ def _stretch_link(link: AssetLink, factors: Array) -> AssetLink:
 def _place_roughly(fitted: FittedAsset, keypoints: Array, points_world: Array) -> Array:
     """Compute an initial state (6,) without stretching: the planar rigid motion that fits the keypoints best."""
     shown = keypoints @ fitted.T_world_asset[:3, :3].T
-    (a, b), (p, q) = (centered.T for centered in ((shown - shown.mean(0))[:, :2], (points_world - points_world.mean(0))[:, :2]))
+    (a, b), (p, q) = (
+        centered.T
+        for centered in ((shown - shown.mean(0))[:, :2], (points_world - points_world.mean(0))[:, :2])
+    )
     yaw = np.arctan2(a @ q - b @ p, a @ p + b @ q)
     R = matrix_from_rotvec(np.array([0.0, 0.0, yaw]))
     return np.concatenate([np.zeros(3), [yaw], (points_world - shown @ R.T).mean(0)[:2]])
@@ -123,6 +116,24 @@ def _pose(fitted: FittedAsset, state: Array) -> Array:
     """Compute the pose T_world_asset (4, 4) of a state (6,)."""
     T = fitted.T_world_asset
     return transform(matrix_from_rotvec(np.array([0.0, 0.0, state[3]])) @ T[:3, :3], [*state[4:], T[2, 3]])
+
+
+def _list_terms(
+    fitted: FittedAsset, keypoints: Array, cameras: Sequence[Camera], pixels: Array, sds_px: Array
+) -> list[ResidualTerm[Array]]:
+    """List the evidence about a state: the detections, in units of their standard deviations, and usual sizes."""
+
+    def compare(state: Array) -> Array:
+        placed = apply(_pose(fitted, state), keypoints * np.exp(state[:3]))
+        return _compare_detections(cameras, placed, pixels, sds_px)
+
+    def read_stretch(state: Array) -> Array:
+        return state[:3]
+
+    return [
+        ResidualTerm(name="detections", residual=compare, kernel=CAUCHY),
+        ResidualTerm(name="stretch", residual=read_stretch, sd=STRETCH_SD),
+    ]
 
 
 def _compare_detections(cameras: Sequence[Camera], points: Array, pixels: Array, sds_px: Array) -> Array:

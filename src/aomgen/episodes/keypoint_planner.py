@@ -44,7 +44,9 @@ class KeypointPlanner:
         """
         factory, demo = self._factory, self._factory.results.demonstration
         shapes = fit_known_objects(self._known, cameras, pixels, sds_px, points_world)
-        plan = Rejection(reason="no_object", detail="no known object can face in the direction of the keypoints")
+        plan = Rejection(
+            reason="no_object", detail="no known object can face in the direction of the keypoints"
+        )
         for params, (fitted, variation) in product(self._params, shapes[:SHAPES]):
             scene = factory.build_scene(fitted)
             usual = factory.usual_grasp(fitted.asset.category).usual
