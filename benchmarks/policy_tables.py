@@ -4,6 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Final, Literal
 
+from aomgen.datasets.features import ActionSpace
 from aomgen.errors import UnknownNameError
 from aomgen.evaluation.policies import NEAREST, ORACLE
 from aomgen.evaluation.views import VISUALS, Visuals
@@ -44,6 +45,11 @@ class Training:
     def finds(self) -> bool:
         """Return whether the policy contains a finder."""
         return self.kind in ("handle_act", "handle_plan")
+
+    @property
+    def actions(self) -> ActionSpace:
+        """Action space of the trials: a planned motion may pass a singularity, at which poses do not determine the joints."""
+        return "ee_absolute" if self.kind == "handle_act" else "joint"
 
     @property
     def name(self) -> str:

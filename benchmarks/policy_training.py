@@ -108,7 +108,10 @@ class Trainer:
         home = self.home(training)
         if not (home / WEIGHTS).is_file():
             create = import_plugin("create_handle_plan").create_policy
-            suite, library = self.data.finder_suite(Trials(world=UNSEEN)), self.data.run(training.world)
+            suite, library = (
+                self.data.finder_suite(Trials(world=UNSEEN), training.actions),
+                self.data.run(training.world),
+            )
             create(train_finder(self.data), suite, library, home)
         return home
 
@@ -119,7 +122,7 @@ class Trainer:
         """
         if not training.finds:
             return []
-        suite = self.data.finder_suite(Trials(world=UNSEEN))
+        suite = self.data.finder_suite(Trials(world=UNSEEN), training.actions)
         return [f"--policy.finder={train_finder(self.data)}", f"--policy.suite={suite}"]
 
 

@@ -5,7 +5,6 @@ from dataclasses import dataclass
 from lerobot.configs.policies import PreTrainedConfig
 from lerobot.optim.optimizers import OptimizerConfig
 
-from lerobot_policy_aomgen.configuration_handle_act import POSE_SIZE
 from lerobot_policy_aomgen.detector_configuration import DetectorConfig
 
 
@@ -28,10 +27,10 @@ class HandlePlanConfig(DetectorConfig):
         """Check the actions.
 
         Raises:
-            ValueError: Actions are not poses.
+            ValueError: The policy has no actions.
         """
-        if self.action_feature is None or self.action_feature.shape != (POSE_SIZE,):
-            raise ValueError(f"actions of handle_plan have {POSE_SIZE} elements")
+        if self.action_feature is None:
+            raise ValueError("handle_plan needs the feature action: joint targets and the gripper value")
 
     def get_optimizer_preset(self) -> OptimizerConfig:
         """Refuse a training.

@@ -9,7 +9,6 @@ from lerobot.utils.constants import ACTION
 
 from aomgen.errors import AomgenError, ConfigError
 from aomgen.evaluation.suite import open_results, open_suite
-from lerobot_policy_aomgen.configuration_handle_act import POSE_SIZE
 from lerobot_policy_aomgen.configuration_handle_plan import HandlePlanConfig
 from lerobot_policy_aomgen.modeling_handle_plan import HandlePlanPolicy
 from lerobot_policy_aomgen.processor_handle_plan import make_handle_plan_pre_post_processors
@@ -25,7 +24,7 @@ def create_policy(finder: Path, suite: Path, library: Path, out: Path) -> None:
         out: Folder of the policy.
 
     Raises:
-        ConfigError: Suite and library have different arms or rates.
+        ConfigError: Suite and library have different arms or rates, or the actions of the suite are no joint targets.
         AomgenError: A file is missing or damaged.
     """
     trials, results = open_suite(suite)[0], open_results(library)
@@ -33,12 +32,14 @@ def create_policy(finder: Path, suite: Path, library: Path, out: Path) -> None:
         raise ConfigError(
             library, f"has another arm or rate than {suite}", "name a run with the same recording"
         )
+    if trials.action_space != "joint":
+        raise ConfigError(suite, f"has actions {trials.action_space}", "make a suite with --actions joint")
     config = HandlePlanConfig(
         finder=str(finder),
         suite=str(suite),
         library=str(library.resolve()),
         device="cpu",
-        output_features={ACTION: PolicyFeature(FeatureType.ACTION, (POSE_SIZE,))},
+        output_features={ACTION: PolicyFeature(FeatureType.ACTION, (trials.action_size,))},
     )
     HandlePlanPolicy(config).save_pretrained(out)
     for processor in make_handle_plan_pre_post_processors(config):

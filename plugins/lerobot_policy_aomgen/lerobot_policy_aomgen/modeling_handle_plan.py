@@ -15,14 +15,14 @@ from torch import Tensor
 from aomgen.core.camera import Camera
 from aomgen.core.keypoints import find_keypoints
 from aomgen.core.plan import EpisodePlan, Rejection
-from aomgen.core.transforms import apply, quat_from_matrix
+from aomgen.core.transforms import apply
 from aomgen.episodes.keypoint_planner import KeypointPlanner
 from aomgen.evaluation.policies import choose_planned_action
 from aomgen.evaluation.suite import open_results
 from lerobot_policy_aomgen.configuration_handle_plan import HandlePlanConfig
 from lerobot_policy_aomgen.detection import begin_finder, continue_finder, detect_points
 from lerobot_policy_aomgen.finder import Finder
-from lerobot_policy_aomgen.geometry import Geometry, place_cameras, pose_end_effector
+from lerobot_policy_aomgen.geometry import Geometry, place_cameras
 from lerobot_policy_aomgen.lifting import lift_points
 
 LOG = logging.getLogger(__name__)
@@ -72,7 +72,7 @@ class HandlePlanPolicy(PreTrainedPolicy):
 
     @torch.no_grad()
     def predict_action_chunk(self, batch: dict[str, Tensor], **_: Any) -> Tensor:
-        """Plan the whole motion (B, N, 8): position, [m], quaternion wxyz, world frame, and gripper value."""
+        """Plan the whole motion (B, N, J + 1): targets of the joints, [rad] or [m], and of the gripper."""
         self.eval()
         views, pixels, sds_px = detect_points(self.finder, self._geometry, batch)
         points, _ = lift_points(views, pixels, sds_px)
@@ -90,7 +90,7 @@ class HandlePlanPolicy(PreTrainedPolicy):
             if isinstance(plan, Rejection):
                 LOG.warning("no plan for the located object: %s", plan.detail)
                 self.points_world = points[number]
-                motions.append(self._rest(state))
+                motions.append(state[None])
             else:
                 located = apply(plan.T_world_object, find_keypoints(plan.fitted.asset))
                 self.points_world = torch.from_numpy(located)
@@ -101,21 +101,16 @@ class HandlePlanPolicy(PreTrainedPolicy):
 
     @torch.no_grad()
     def select_action(self, batch: dict[str, Tensor], **_: Any) -> Tensor:
-        """Return the next action (B, 8); the last one of a plan is repeated."""
+        """Return the next action (B, J + 1); the last one of a plan is repeated."""
         if self._chunk is None:
             self._chunk = self.predict_action_chunk(batch)
         action = self._chunk[:, min(self._step, self._chunk.shape[1] - 1)]
         self._step += 1
         return action
 
-    def _rest(self, state: np.ndarray) -> np.ndarray:
-        """Return one action (1, 8) that keeps the pose and the gripper of a state (J + 1,)."""
-        T = _array(pose_end_effector(self._geometry, torch.from_numpy(state[None, :-1])))[0]
-        return np.concatenate([T[:3, 3], quat_from_matrix(T[:3, :3]), state[-1:]])[None]
-
 
 def _list_actions(plan: EpisodePlan) -> np.ndarray:
-    return np.stack([choose_planned_action(plan, frame, "ee_absolute") for frame in range(len(plan))])
+    return np.stack([choose_planned_action(plan, frame, "joint") for frame in range(len(plan))])
 
 
 def _array(values: Tensor) -> np.ndarray:

@@ -52,8 +52,8 @@ class PlanParams:
             may start near the handle.
         search: Where no motion like the demonstrated one passes, search a free motion around obstacles and
             other configurations of the arm. Demonstrations without such motions resemble each other more.
-        clearance_m: Distance kept between the object and the arm without its gripper, [m]: a lid that resists
-            lags behind.
+        clearance_m: Distance kept between the object and the arm, [m], because a lid that resists lags behind;
+            in searched free motions, the gripper keeps it as well.
     """
 
     fps: float = 10.0
@@ -289,7 +289,9 @@ class Planner:
     def _find_free_path(self, start: Array, goal: Array, held_at: float) -> Array | Rejection:
         """Find joints (N, J) from the start to the approach, around obstacles."""
         opened = float(self.shown.gripper(self.shown.knots[0], held_at).min())
-        is_free = make_collision_test(self.scene, opened, self.fitted.start_theta, self.params.kinematic)
+        is_free = make_collision_test(
+            self.scene, opened, self.fitted.start_theta, self.params.kinematic, grip_clearance=True
+        )
         path = find_free_path(start, goal, self.robot.joint_limits, is_free, self.seed)
         if path is None:
             return Rejection(

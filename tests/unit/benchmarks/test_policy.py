@@ -242,13 +242,13 @@ def test_a_policy_with_a_finder_is_trained_with_finder_and_suite(
     data: Any = SimpleNamespace(
         folder=tmp_path,
         dataset=lambda world, sees: tmp_path / sees,
-        finder_suite=lambda test: tmp_path / f"{test.name}.json",
+        finder_suite=lambda test, actions: tmp_path / f"{test.name}-{actions}.json",
         notify=lambda text: None,
     )
     write_episodes(tmp_path / "keypoints", *"abc")
     policy = Training(world="microwaves", demonstrations=3, sees="keypoints", kind="handle_act")
     Trainer(data=data, steps=20, command=command).train(policy)
-    suite = tmp_path / "unseen_microwaves-1-0mm.json"
+    suite = tmp_path / "unseen_microwaves-1-0mm-ee_absolute.json"
     expected = {f"--policy.finder={finder}", f"--policy.suite={suite}", "--policy.type=handle_act"}
     assert expected <= set(words.read_text().splitlines())
 
@@ -268,12 +268,14 @@ def test_a_policy_with_a_planner_is_created_once_from_the_run_of_its_objects(
     )
     monkeypatch.setattr(policy_training, "train_finder", lambda data: tmp_path / "finder")
     data: Any = SimpleNamespace(
-        folder=tmp_path, finder_suite=lambda test: tmp_path / test.world, run=lambda world: tmp_path / world
+        folder=tmp_path,
+        finder_suite=lambda test, actions: tmp_path / f"{test.world}-{actions}",
+        run=lambda world: tmp_path / world,
     )
     trainer = Trainer(data=data, steps=20, command=tmp_path / "absent")
     policy = Training(world="microwaves", demonstrations=0, sees="keypoints", kind="handle_plan")
     homes = {trainer.train(policy) for _ in range(2)}
-    assert made == [(tmp_path / "finder", tmp_path / UNSEEN, tmp_path / "microwaves", homes.pop())]
+    assert made == [(tmp_path / "finder", tmp_path / f"{UNSEEN}-joint", tmp_path / "microwaves", homes.pop())]
 
 
 def test_the_finder_gets_larger_images_of_the_same_trials(
@@ -303,7 +305,8 @@ def test_the_finder_gets_larger_images_of_the_same_trials(
     (tmp_path / "suites").mkdir()
     (tmp_path / "suites" / f"{test.name}.json").touch()
     monkeypatch.setattr(policy_data, "open_suite", lambda path: (suite, None))
-    written = load_artifact(data.finder_suite(test).parent, data.finder_suite(test).stem, Suite)
+    path = data.finder_suite(test, "ee_absolute")
+    written = load_artifact(path.parent, path.stem, Suite)
     resized = written.cameras["front"]
     assert (resized.width, resized.height) == (240, 240)
     assert (resized.fx, resized.cy) == pytest.approx((200, 125))
