@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares
 
-from aomgen.conventions import BACKGROUND, MOVING, STATIC
+from aomgen.conventions import MOVING
 from aomgen.core.alignment import Clock
 from aomgen.core.camera import Camera, look_at
-from aomgen.core.gaussians import SH_C0, Gaussians, concatenate, gaussians_of
-from aomgen.core.joint import Joint
+from aomgen.core.gaussians import concatenate
+from aomgen.core.joint import Joint, JointType
 from aomgen.core.motion import MotionEstimate
 from aomgen.core.recording import JointLog
 from aomgen.core.transforms import (
@@ -28,7 +28,7 @@ from aomgen.core.transforms import (
     transform,
 )
 from aomgen.core.values import Array
-from aomgen.errors import DemonstrationTooShortError
+from aomgen.errors import AmbiguousJointError, DemonstrationTooShortError, NoMotionError
 from aomgen.io.video import Video
 from aomgen.motion import contact, joint_trajectory
 from aomgen.motion.estimate import MotionParams, estimate_motion
@@ -41,17 +41,16 @@ from aomgen.motion.photometric import PhotometricParams
 from aomgen.robots.loading import load_robot
 from aomgen.robots.robot import RobotModel
 from aomgen.robots.silhouette import robot_masks
-from aomgen.splatting.rasterizer import RigidParts
+from aomgen.splatting.rasterizer import RigidParts, render
 from aomgen.splatting.session import RenderSession
+from patterned_box import FACE, HANDLE, scene
 
 FPS, LENGTH_S = 10.0, 5.0
 FRAMES_S = np.arange(round(FPS * LENGTH_S) + 1) / FPS
 # Film times of the hand's coming, of the motion, and of its going; symmetric, so that the film backwards is alike.
 NEAR_S, MOTION_S, GRIP_S = (1.0, 4.0), (1.5, 3.5), (1.0, 1.2, 3.8, 4.0)
-# The handle's middle and the hand's directions there: closing across the bar, out of the palm.
-HANDLE = np.array([0.45, 0.25, 0.35])
+# The hand's directions at the handle: closing across the bar, out of the palm.
 R_WORLD_HAND = np.array([[0.0, 1, 0], [0, 0, 1], [1, 0, 0]])
-FACE = HANDLE[1] + 0.035
 SEED_JOINTS = np.array([3.9, -1.8, 2.2, -0.4, 2.0, 0.0])
 # Fewer nodes, frames and pixels than usual, so that the tests are quick.
 QUICK = MotionParams(
@@ -72,53 +71,6 @@ JOINTS = {"door": HINGE, "drawer": SLIDE}
 both = pytest.mark.parametrize("kind", JOINTS)
 # Values are compared in these units: a tenth of a degree of a door, 0.3 mm of a drawer.
 UNIT = {"door": float(np.radians(0.1)), "drawer": 3e-4}
-
-
-def sheet(corner: list[float], sides: list[list[float]], seed: int) -> Gaussians:
-    """A patterned rectangle of round Gaussians, about 7 mm apart."""
-    lengths = np.linalg.norm(sides, axis=1)
-    counts = np.maximum(np.round(lengths / 0.007).astype(int), 2)
-    u, v = (grid.ravel() for grid in np.meshgrid(*((np.arange(n) + 0.5) / n for n in counts), indexing="ij"))
-    means = np.array(corner) + np.outer(u, sides[0]) + np.outer(v, sides[1])
-    colors = np.random.default_rng(seed).uniform(0.15, 0.85, (40, 40, 3))
-    rows, columns = (
-        np.clip((share * n / 4).astype(int), 0, 39) for share, n in zip((u, v), counts, strict=True)
-    )
-    return gaussians_of(
-        means=means,
-        quats=np.tile([1.0, 0, 0, 0], (len(means), 1)),
-        scales=np.full((len(means), 3), 0.005),
-        opacities=np.full(len(means), 0.95),
-        sh=(colors[rows, columns][:, None] - 0.5) / SH_C0,
-    )
-
-
-def bar(middle: Array, half_m: float) -> Gaussians:
-    """An upright handle, 12 mm thick."""
-    x, y, z = middle - [0.006, 0.006, half_m]
-    sides = [([x, y, z], [0.012, 0, 0]), ([x, y + 0.012, z], [0.012, 0, 0])]
-    sides += [([x, y, z], [0, 0.012, 0]), ([x + 0.012, y, z], [0, 0.012, 0])]
-    return concatenate([sheet(corner, [way, [0, 0, 2 * half_m]], 9) for corner, way in sides])
-
-
-def scene() -> tuple[Gaussians, Array]:
-    """A box, its door with a handle, and a wall and a table around them."""
-    x, z, wide, high, deep = 0.42, 0.22, 0.30, 0.26, 0.2
-    front = sheet([x, FACE, z], [[wide, 0, 0], [0, 0, high]], 1)
-    parts = [front, bar(HANDLE, 0.05)]
-    body = [
-        sheet([x, FACE + 0.01, z + high], [[wide, 0, 0], [0, deep, 0]], 2),
-        sheet([x, FACE + 0.01, z], [[0, deep, 0], [0, 0, high]], 3),
-        sheet([x + wide, FACE + 0.01, z], [[0, deep, 0], [0, 0, high]], 4),
-        sheet([x, FACE + 0.01, z], [[wide, 0, 0], [0, deep, 0]], 6),
-    ]
-    around = [
-        sheet([-0.2, FACE + 0.3, 0.0], [[1.5, 0, 0], [0, 0, 0.9]], 7),
-        sheet([-0.2, -0.1, 0.2], [[1.5, 0, 0], [0, FACE + 0.4, 0]], 8),
-    ]
-    pieces = [*parts, *body, *around]
-    labels = [MOVING] * len(parts) + [STATIC] * len(body) + [BACKGROUND] * len(around)
-    return concatenate(pieces), np.repeat(np.array(labels, np.uint8), [len(piece) for piece in pieces])
 
 
 def solved(robot: RobotModel, Ts_world_ee: Array, first: Array) -> Array:
@@ -192,6 +144,16 @@ def world(kind: str) -> MotionInput:
 @cache
 def opened(kind: str) -> MotionEstimate:
     return estimate_motion(world(kind), QUICK)
+
+
+def locked(demo: MotionInput) -> MotionInput:
+    """The same hand and log before a part that stays shut, while the arm's shadow passes over it."""
+    still = np.repeat(render(demo.scene, demo.camera).rgb[None], len(FRAMES_S), 0)
+    with robot_masks(demo.robot, demo.camera, demo.log) as masks_at:
+        masks = masks_at(FRAMES_S, demo.camera.width, demo.camera.height)
+    still[np.roll(masks, (-25, 25), axis=(1, 2))] *= 0.4
+    still[masks] = 0.3
+    return replace(demo, video=replace(demo.video, frames_srgb=np.clip(255 * still, 0, 255).astype(np.uint8)))
 
 
 def moved_robot(robot: RobotModel, T: Array) -> RobotModel:
@@ -307,20 +269,45 @@ def test_time_turned_back_closes_what_was_opened(kind: str) -> None:
     assert back.end_s == pytest.approx(LENGTH_S - forth.start_s, abs=0.11)
 
 
+def drop_drawers(monkeypatch: pytest.MonkeyPatch, **changes: float) -> None:
+    """Let no motion remain for a drawer, and change the candidates that are found for a door."""
+    recover = TouchRecovery.recover
+
+    def recover_doors_only(self: TouchRecovery, found: Any, joint_type: JointType, *rest: Any) -> Any:
+        if joint_type == "prismatic":
+            raise DemonstrationTooShortError("joint", "the gripper moved the part 4 mm", "record more")
+        candidates, estimate = recover(self, found, joint_type, *rest)
+        return replace(candidates, **changes), estimate
+
+    monkeypatch.setattr(TouchRecovery, "recover", recover_doors_only)
+
+
 def test_a_rival_type_without_any_motion_does_not_refuse_the_demonstration(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """A gripper that was hardly open pushes, as far as its log shows; read as a drawer's, its motion is too short."""
-    recover = TouchRecovery.recover
-
-    def recover_doors_only(self: TouchRecovery, found: Any, joint_type: str, *rest: Any) -> Any:
-        if joint_type == "prismatic":
-            raise DemonstrationTooShortError("joint", "the gripper moved the part 4 mm", "record more")
-        return recover(self, found, joint_type, *rest)
-
-    monkeypatch.setattr(TouchRecovery, "recover", recover_doors_only)
+    drop_drawers(monkeypatch)
     found = estimate_motion(world("door"), QUICK)
     assert found.joint.type == "revolute"
     assert found.thetas == pytest.approx(opened("door").thetas, abs=UNIT["door"])
     with pytest.raises(DemonstrationTooShortError):
         estimate_motion(world("drawer"), QUICK)
+
+
+def test_a_remaining_type_must_be_decided_by_the_path(monkeypatch: pytest.MonkeyPatch) -> None:
+    drop_drawers(monkeypatch, margin=1.0)
+    with pytest.raises(AmbiguousJointError):
+        estimate_motion(world("door"), QUICK)
+    monkeypatch.undo()
+    drop_drawers(monkeypatch, margin=-400.0, unseen_bulge_m=0.0)
+    with pytest.raises(DemonstrationTooShortError, match="moved the part 4 mm"):
+        estimate_motion(world("door"), QUICK)
+
+
+def test_a_locked_part_under_the_arms_shadow_is_refused() -> None:
+    """The shadow changes the part while the gripper moves, which alone looks like a motion."""
+    demo = locked(world("door"))
+    with robot_masks(demo.robot, demo.camera, demo.log) as masks_at:
+        VideoObservations.of(demo, masks_at, QUICK.width).weigh_motion(demo).check()
+    with pytest.raises(NoMotionError, match="fits a part at rest better"):
+        estimate_motion(demo, QUICK)

@@ -19,6 +19,7 @@ from aomgen.motion.observations import VideoObservations
 from aomgen.motion.photometric import (
     PhotometricFrames,
     PhotometricParams,
+    compute_motion_margin,
     compute_type_margin,
     refine,
     select_frames,
@@ -106,19 +107,30 @@ def estimate_motion(
             return found, seen, estimate if answer is None else _take_over(estimate, answer)
 
         likely: JointType = "revolute" if first.margin > 0 else "prismatic"
-        found, _, answer = recovered = estimate_type(likely)
+        found, seen, answer = recovered = estimate_type(likely)
         try:
             rival = estimate_type("prismatic" if likely == "revolute" else "revolute")
         except DemonstrationTooShortError:
             # Under the wrong type, the gripper may seem to leave the part at once, so that no motion is left to explain.
-            return replace(answer, type_margin=abs(found.margin))
-    door, drawer = (recovered, rival) if likely == "revolute" else (rival, recovered)
+            # The path alone must then decide for the other type.
+            if choose_type(found) != likely:
+                raise
+            rival = None
     progress(0.9, "type of the joint")
-    (found_door, seen, opened), (found_drawer, _, drawn) = door, drawer
-    video_margin = compute_type_margin(seen, ((opened.joint, opened.thetas), (drawn.joint, drawn.thetas)))
-    found = min((found_door, found_drawer), key=lambda item: abs(item.margin))
-    answer = opened if choose_type(found, video_margin) == "revolute" else drawn
-    return replace(answer, type_margin=abs(found.margin + video_margin))
+    margin = found.margin
+    if rival is not None:
+        (found_door, seen, opened), (found_drawer, seen_drawer, drawn) = (
+            (recovered, rival) if likely == "revolute" else (rival, recovered)
+        )
+        video_margin = compute_type_margin(seen, ((opened.joint, opened.thetas), (drawn.joint, drawn.thetas)))
+        found = min((found_door, found_drawer), key=lambda item: abs(item.margin))
+        answer = opened
+        if choose_type(found, video_margin) == "prismatic":
+            seen, answer = seen_drawer, drawn
+        margin = found.margin + video_margin
+    # Shadows of the arm may look like a motion of the part, until a motion is compared with the video.
+    replace(evidence, video_margin=compute_motion_margin(seen, (answer.joint, answer.thetas))).check()
+    return replace(answer, type_margin=abs(margin))
 
 
 def first_motion(demo: MotionInput) -> MotionEstimate:

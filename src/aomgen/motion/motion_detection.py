@@ -56,6 +56,8 @@ class MotionEvidence:
         followed, followed_sd: Result of `estimate_following`.
         nearest_m: Smallest distance of the fingers to the part, [m].
         travel_m: Path length of the gripper during the touch, [m].
+        video_margin: Twice the log evidence of the video for the recovered motion over a part at rest; 0 before the
+            motion is recovered.
     """
 
     changed: float
@@ -63,18 +65,20 @@ class MotionEvidence:
     followed_sd: float
     nearest_m: float
     travel_m: float
+    video_margin: float = 0.0
 
     @property
     def log_likelihood_ratio(self) -> float:
         """Natural logarithm of the likelihood ratio of a motion over none."""
         # Densities: 1 over 0..1 if it moved, exponential with mean _SHADOWS if not.
         change = float(np.clip(self.changed / _SHADOWS + np.log(_SHADOWS), -_MOST, _MOST))
+        seen = change + self.video_margin / 2
         share, noise = self.followed, self.followed_sd
         if not (np.isfinite(noise) and self.travel_m > STILL_M):
-            return change
+            return seen
         moved, stood = np.hypot(_FOLLOWS_SD, noise), np.hypot(_CHANCE_SD, noise)
         pull = (share / stood) ** 2 / 2 - ((share - _FOLLOWS) / moved) ** 2 / 2 + np.log(stood / moved)
-        return change + float(np.clip(pull, -2 * _MOST, 2 * _MOST))
+        return seen + float(np.clip(pull, -2 * _MOST, 2 * _MOST))
 
     def check(self) -> None:
         """Refuse a demonstration in which the part rests.
@@ -94,6 +98,8 @@ class MotionEvidence:
         pulled = f"the gripper moves {1e3 * self.travel_m:.0f} mm while it is near the part"
         if np.isfinite(self.followed_sd):
             pulled += f", the part follows by {100 * max(self.followed, 0.0):.0f} % of that"
+        if self.video_margin < 0:
+            pulled += ", the video fits a part at rest better than the recovered motion"
         raise NoMotionError(
             "demonstration video",
             f"the part does not move: {pulled}, and {100 * self.changed:.0f} % of its pixels change in between "

@@ -155,6 +155,25 @@ def compute_type_margin(seen: PhotometricFrames | None, candidates: tuple[JointM
     return margin if _explains(explained[:, int(margin > 0)]) else 0.0
 
 
+def compute_motion_margin(seen: PhotometricFrames | None, answer: JointMotion) -> float:
+    """Compute twice the log evidence of the video for an estimate over a part at rest; 0 if no frame can be compared.
+
+    The margin also counts where neither explains most of the detail: the arm's shadow on a resting part
+    lowers the share that rest explains, and such a part must be detected.
+
+    Args:
+        seen: The video as read for the estimate's type.
+        answer: The estimate.
+
+    Not checked: that the residuals of different frames are independent of each other.
+    """
+    if seen is None:
+        return 0.0
+    joint, thetas = answer
+    gains, _, squares = compare_frames(seen, ((joint, np.zeros_like(thetas)), answer))
+    return OUTLIER_SD**2 * float(squares @ gains)
+
+
 def compare_frames(
     seen: PhotometricFrames, candidates: tuple[JointMotion, JointMotion]
 ) -> tuple[Array, Array, Array]:

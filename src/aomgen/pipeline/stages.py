@@ -127,7 +127,7 @@ STAGES: tuple[Stage, ...] = (
         title="keyframes, contact, joint",
         needs=("capture", "structure", "gaussians", "alignment", "parts"),
         settings=("motion_method",),
-        version=26,
+        version=27,
         weight=9,
         function=_by_method(
             "motion_method",

@@ -1,5 +1,7 @@
 """Whether a part moved at all, and whether it is the prompted one."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -50,6 +52,15 @@ def test_what_cannot_be_seen_says_nothing() -> None:
 
 def test_a_hand_that_only_closes_does_not_pull() -> None:
     assert signs(0.01, (0.9, 0.02), travel=0.002).log_likelihood_ratio < 0
+
+
+def test_a_video_that_fits_a_resting_part_better_outweighs_a_change() -> None:
+    """The arm's shadow changed the part, and changed with the gripper; the recovered motion does not fit."""
+    shadowed = signs(0.35, (0.17, 0.001))
+    shadowed.check()
+    with pytest.raises(NoMotionError, match="fits a part at rest better than the recovered motion"):
+        replace(shadowed, video_margin=-45.0).check()
+    replace(shadowed, video_margin=20.0).check()
 
 
 def test_refusals_name_their_reason() -> None:

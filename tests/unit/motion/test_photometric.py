@@ -9,7 +9,13 @@ from aomgen.core.joint import Joint
 from aomgen.core.transforms import angle_between
 from aomgen.core.values import Array
 from aomgen.motion.estimate import find_radius_95
-from aomgen.motion.photometric import choose_frames, compute_type_margin, refine, select_frames
+from aomgen.motion.photometric import (
+    choose_frames,
+    compute_motion_margin,
+    compute_type_margin,
+    refine,
+    select_frames,
+)
 from filmed_panel import HINGE, SHARES, SLIDE, TIMES_S, World, world
 
 WRONG = np.array([0.02, -0.02, 0.006, -0.006])
@@ -140,3 +146,16 @@ def test_a_film_that_begins_with_the_motion_says_nothing() -> None:
     hand = replace(made.hand(np.zeros(4), 1.0), interval=(0.0, 3.0))
     seen = select_frames(made.demo, made.masks_at, hand)
     assert compute_type_margin(seen, ((made.joint, made.thetas), straight(made))) == 0
+
+
+def test_a_motion_is_told_from_rest() -> None:
+    moved, rested = world(), world(replace(HINGE, upper=0.0))
+    hand = moved.hand(np.zeros(4), 1.0)
+    answer = (moved.joint, moved.thetas)
+    margins = [
+        compute_motion_margin(select_frames(made.demo, made.masks_at, hand), answer)
+        for made in (moved, rested)
+    ]
+    assert margins[0] > 30
+    assert margins[1] < -30
+    assert compute_motion_margin(None, answer) == 0
