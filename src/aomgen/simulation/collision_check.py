@@ -188,7 +188,7 @@ def _sweep(
     if not pairs:
         return worst, places
     touching, at = np.concatenate(pairs), np.repeat(rows, counts)
-    mm = _depths_mm(scene, touching, np.concatenate(depths), _find_arm(scene))
+    mm = _depths_mm(scene, touching, np.concatenate(depths))
     # Contact with the handle is also allowed between two samples of which only one is part of the grasp.
     held = holding[np.floor(at).astype(int)] | holding[np.ceil(at).astype(int)]
     kind = kinds[touching[:, 0], touching[:, 1]]
@@ -221,16 +221,12 @@ def make_collision_test(
         gripper, theta: Fixed values of the gripper, 0 open .. 1 closed, and of the object's joint, [rad] or [m].
         limits: Largest accepted overlaps; they are reduced by `SEARCH_RESERVE_MM`.
         holding: Ignore overlaps of gripper and handle.
-        grip_clearance: Keep the scene's clearance between object and gripper as well.
+        grip_clearance: Keep the scene's clearance to the object with the gripper as well.
     """
     data, kinds = mujoco.MjData(scene.model), _pair_kinds(scene)
     qpos = scene.qpos(np.zeros((1, len(scene.robot.joint_names))), gripper, theta)[0]
-    deepest = np.array(
-        [np.inf, limits.max_penetration_mm, limits.max_self_penetration_mm, limits.max_penetration_mm]
-    )
-    deepest -= SEARCH_RESERVE_MM
-    deepest[HANDLE] = np.inf if holding else deepest[HANDLE]
-    kept = scene.roles.robot if grip_clearance else _find_arm(scene)
+    limit, own = limits.max_penetration_mm, limits.max_self_penetration_mm
+    deepest = np.array([np.inf, limit, own, np.inf if holding else limit]) - SEARCH_RESERVE_MM
 
     def is_free(joints: Array) -> bool:
         qpos[scene.arm.qpos] = joints
@@ -238,22 +234,20 @@ def make_collision_test(
         if not data.ncon:
             return True
         pairs = data.contact.geom
-        mm = _depths_mm(scene, pairs, data.contact.dist, kept)
+        mm = _depths_mm(scene, pairs, data.contact.dist, grip_clearance)
         return bool((mm <= deepest[kinds[pairs[:, 0], pairs[:, 1]]]).all())
 
     return is_free
 
 
-def _find_arm(scene: Scene) -> NDArray[np.bool_]:
-    """Return the mask (G,) of the robot's geoms without its gripper."""
-    return scene.roles.robot & ~scene.roles.gripper
-
-
-def _depths_mm(scene: Scene, pairs: NDArray[np.int32], distances: Array, kept: NDArray[np.bool_]) -> Array:
+def _depths_mm(
+    scene: Scene, pairs: NDArray[np.int32], distances: Array, grip_clearance: bool = False
+) -> Array:
     """Convert distances (N,), [m], of geom pairs (N, 2) to depths (N,), [mm].
 
-    Between the object and the geoms of the mask `kept` (G,), the scene's clearance is added.
+    Between object and arm, and optionally between object and gripper, the scene's clearance is added.
     """
+    kept = scene.roles.robot & (grip_clearance | ~scene.roles.gripper)
     grown = scene.roles.object[pairs].any(1) & kept[pairs].any(1)
     return -1000.0 * distances + 1000.0 * scene.clearance * grown
 
