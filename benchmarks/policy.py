@@ -89,8 +89,9 @@ class PolicyBench:
         kept = self._kept(policy, row)
         if not kept.is_file():
             learned = isinstance(policy, Training)
-            make_suite = self.data.finder_suite if learned and policy.finds else self.data.suite
-            suite, results = open_suite(make_suite(row.test))
+            finds = learned and policy.finds
+            path = self.data.finder_suite(row.test, policy.actions) if finds else self.data.suite(row.test)
+            suite, results = open_suite(path)
             address = policy if isinstance(policy, str) else f"{LEROBOT}{self.trainer.home(policy)}"
             request = EvaluationRequest(policy=address, visuals=row.visuals)
             self.data.notify(f"rollouts {kept.stem}")

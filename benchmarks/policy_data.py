@@ -10,6 +10,7 @@ import numpy as np
 
 from aomgen.core.camera import Camera
 from aomgen.core.project import Project
+from aomgen.datasets.features import ActionSpace
 from aomgen.datasets.formats import export_dataset
 from aomgen.datasets.selection import MARK
 from aomgen.evaluation.draws import SuiteRequest, make_suite
@@ -182,13 +183,13 @@ class PolicyData:
             export_dataset(episodes, home, "lerobot-v3", actions=actions, media=media, size=size)
         return home
 
-    def finder_suite(self, test: Trials) -> Path:
-        """Return the file of a test's trials with the larger images of the finder."""
-        path = self.folder / "suites" / f"{test.name}-{FINDER_SIZE[0]}px.json"
+    def finder_suite(self, test: Trials, actions: ActionSpace) -> Path:
+        """Return the file of a test's trials with the larger images of the finder, and with other actions."""
+        path = self.folder / "suites" / f"{test.name}-{actions}-{FINDER_SIZE[0]}px.json"
         if not path.is_file():
             suite, _ = open_suite(self.suite(test))
             cameras = {name: camera.resize(*FINDER_SIZE) for name, camera in suite.cameras.items()}
-            changed = replace(suite, cameras=cameras, drawn_size=FINDER_SIZE, action_space="ee_absolute")
+            changed = replace(suite, cameras=cameras, drawn_size=FINDER_SIZE, action_space=actions)
             write_suite(path, changed.seal())
         return path
 

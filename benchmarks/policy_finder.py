@@ -18,8 +18,9 @@ PER_OBJECT: Final = 20
 TESTED: Final = LEARNED[::10]
 # Objects and random seed of each set of images.
 IMAGE_SETS: Final = {"learned": (LEARNED, 0), "scenes": (TESTED, 1), "objects": (OTHERS, 2)}
-# Steps of 32 images.
-STEPS: Final = 3000
+# Steps of 32 images, and sides of the crops of the second and the third look, [px].
+STEPS: Final = 4000
+CROPS: Final = (96, 40)
 
 
 # Name of the trained finder.
@@ -35,7 +36,7 @@ def train_finder(data: PolicyData) -> Path:
     """
     home = data.folder / "finder"
     if not (home / WEIGHTS).is_file():
-        main = _plugin("train_finder").main
+        main = import_plugin("train_finder").main
         learned = _export_set(data, "learned")
         data.notify("training finder")
         words = [
@@ -44,6 +45,8 @@ def train_finder(data: PolicyData) -> Path:
             "--validation",
             str(_export_set(data, "objects")),
             f"--steps={STEPS}",
+            "--crop",
+            *map(str, CROPS),
         ]
         if main(words):
             raise BackendError("train_finder", "failed", "see its message above")
@@ -61,8 +64,8 @@ def measure_finder(data: PolicyData) -> dict[str, Any]:
         BackendError: The plug-in is not installed here.
         AomgenError: Any error of the run, the images or the training.
     """
-    errors, read_images = _plugin("finder_errors"), _plugin("finder_images").read_images
-    finder, _ = _plugin("finder").load_finder(train_finder(data))
+    errors, read_images = import_plugin("finder_errors"), import_plugin("finder_images").read_images
+    finder, _ = import_plugin("finder").load_finder(train_finder(data))
     learned = _export_set(data, "learned")
     images = {
         "training": read_images(learned, len(TESTED) * PER_OBJECT),
@@ -76,8 +79,12 @@ def measure_finder(data: PolicyData) -> dict[str, Any]:
     }
 
 
-def _plugin(module: str) -> ModuleType:
-    """Import a module of the plug-in, which needs LeRobot."""
+def import_plugin(module: str) -> ModuleType:
+    """Import a module of the plug-in, which needs LeRobot.
+
+    Raises:
+        BackendError: The plug-in is not installed here.
+    """
     try:
         return import_module(f"lerobot_policy_aomgen.{module}")
     except ImportError as error:

@@ -4,6 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Final, Literal
 
+from aomgen.datasets.features import ActionSpace
 from aomgen.errors import UnknownNameError
 from aomgen.evaluation.policies import NEAREST, ORACLE
 from aomgen.evaluation.views import VISUALS, Visuals
@@ -16,8 +17,8 @@ MOVED_M: Final = (0.0, 0.05, 0.10, 0.20)
 QUICK: Final = "quick"
 
 
-# Kinds of policies: those of our plug-in, and LeRobot's own, which need a GPU.
-Kind = Literal["small_act", "handle_act", "act", "diffusion"]
+# Kinds of policies: those of our plug-in, of which `handle_plan` is not trained, and LeRobot's own, which need a GPU.
+Kind = Literal["small_act", "handle_act", "handle_plan", "act", "diffusion"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -43,7 +44,12 @@ class Training:
     @property
     def finds(self) -> bool:
         """Return whether the policy contains a finder."""
-        return self.kind == "handle_act"
+        return self.kind in ("handle_act", "handle_plan")
+
+    @property
+    def actions(self) -> ActionSpace:
+        """Action space of the trials: a planned motion may pass a singularity, at which poses do not determine the joints."""
+        return "ee_absolute" if self.kind == "handle_act" else "joint"
 
     @property
     def name(self) -> str:
@@ -145,7 +151,12 @@ TABLES: Final = {
                 for seed in SEEDS
             ),
             test=Trials(world=UNSEEN),
-        )
+        ),
+        Row(
+            label={"training": "mixed", "demonstrations": 0, "policy": "handle_plan"},
+            policies=(Training(world="microwaves", demonstrations=0, sees="keypoints", kind="handle_plan"),),
+            test=Trials(world=UNSEEN),
+        ),
     ],
     "renderer_table": [
         Row(

@@ -17,7 +17,7 @@ from aomgen.evaluation.lerobot_policy import IMAGES, LAST, STATE, TRAINING, WEIG
 from aomgen.io.artifact import read_json
 from aomgen.io.atomic import remove_folder
 from benchmarks.policy_data import UNSEEN, PolicyData, Trials
-from benchmarks.policy_finder import train_finder
+from benchmarks.policy_finder import import_plugin, train_finder
 from benchmarks.policy_tables import Kind, Training
 
 # Settings of every training: AdamW steps, batch size, and steps between checkpoints,
@@ -67,6 +67,8 @@ class Trainer:
 
     def train(self, training: Training) -> Path:
         """Train a policy and return its folder; LeRobot continues a killed training."""
+        if training.kind == "handle_plan":
+            return self.create_planning_policy(training)
         home, steps = self.home(training), self.steps if training.demonstrations else 1
         last = home / LAST
         if (last / WEIGHTS).is_file() and (home / "checkpoints" / "last").resolve().name == f"{steps:06d}":
@@ -101,6 +103,18 @@ class Trainer:
             raise BackendError("lerobot-train", f"ended with exit code {done.returncode}", f"see {log}")
         return home
 
+    def create_planning_policy(self, training: Training) -> Path:
+        """Create the policy `handle_plan` with the objects of a world and return its folder; an existing one is kept."""
+        home = self.home(training)
+        if not (home / WEIGHTS).is_file():
+            create = import_plugin("create_handle_plan").create_policy
+            suite, library = (
+                self.data.finder_suite(Trials(world=UNSEEN), training.actions),
+                self.data.run(training.world),
+            )
+            create(train_finder(self.data), suite, library, home)
+        return home
+
     def list_finder_options(self, training: Training) -> list[str]:
         """Return the options of a policy with a finder, after making finder and suite; none for other policies.
 
@@ -108,7 +122,7 @@ class Trainer:
         """
         if not training.finds:
             return []
-        suite = self.data.finder_suite(Trials(world=UNSEEN))
+        suite = self.data.finder_suite(Trials(world=UNSEEN), training.actions)
         return [f"--policy.finder={train_finder(self.data)}", f"--policy.suite={suite}"]
 
 

@@ -116,7 +116,7 @@ with tempfile.TemporaryDirectory() as scratch:
     rows, cells = np.arange(23)[:, None], images.points_px[1:, :1].astype(int)
     check((levels[rows, cells[..., 1], cells[..., 0], 0] > 200).all(), "labels lie on what they name")
 
-    settings = FinderSettings(pretrained=False, crop_px=64)
+    settings = FinderSettings(pretrained=False, crops_px=(64,))
     batch, targets = draw_batch(images, settings, np.random.default_rng(1))
     whole = targets[:16][((targets[:16] > 0.1) & (targets[:16] < 0.9)).all(-1).all(-1)]
     check(len(whole) > 8, "whole images contain their points")
@@ -161,7 +161,7 @@ with tempfile.TemporaryDirectory() as scratch:
     errors = measure_errors(again, images)
     check(np.isnan(lateral_mm(errors, images)[0, 4]), "a point outside has no error")
     middle = FOCAL_PX * errors.offsets[1:, 0].numpy() + images.points_px[1:, 0]
-    again.settings = FinderSettings(pretrained=False, second_look=False)
+    again.settings = FinderSettings(pretrained=False, crops_px=())
     pixels = torch.from_numpy(levels).permute(0, 3, 1, 2).float() / 255
     first, spreads = again.find(pixels)
     again.settings = settings

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import torch
 from lerobot.configs.types import FeatureType, PolicyFeature
-from lerobot_policy_aomgen import modeling_handle_act
+from lerobot_policy_aomgen import detection
 from lerobot_policy_aomgen.action_network import decode_poses, encode_poses
 from lerobot_policy_aomgen.configuration_handle_act import HandleACTConfig
 from lerobot_policy_aomgen.finder import Finder, FinderErrors, FinderSettings, save_finder
@@ -120,8 +120,10 @@ check((held[2] - resting[2]).abs().min() > 8, "an object that was not grasped is
 with tempfile.TemporaryDirectory() as scratch:
     folder = Path(scratch)
     torch.manual_seed(0)
-    save_finder(folder / "finder.safetensors", Finder(FinderSettings(pretrained=False, crop_px=32)), known)
-    modeling_handle_act.read_geometry = lambda path, cameras: json.loads(json.dumps(geometry))
+    save_finder(
+        folder / "finder.safetensors", Finder(FinderSettings(pretrained=False, crops_px=(32,))), known
+    )
+    detection.read_geometry = lambda path, cameras: json.loads(json.dumps(geometry))
     features = {
         "observation.state": PolicyFeature(FeatureType.STATE, (7,)),
         "observation.environment_state": PolicyFeature(FeatureType.ENV, (15,)),

@@ -5,6 +5,7 @@ It lives in .venv-policy; `make datasets-test` creates it, and names the EPISODE
 
 import json
 import os
+import shutil
 import subprocess
 from pathlib import Path
 from typing import Any
@@ -50,7 +51,7 @@ def train(tmp_path: Path, *policy: str) -> None:
     )
 
 
-@pytest.mark.parametrize("part", ["small_act", "finder", "handle_act"])
+@pytest.mark.parametrize("part", ["small_act", "finder", "handle_act", "handle_plan"])
 def test_a_part_of_the_plugin_keeps_its_laws(part: str) -> None:
     if not (BIN / "python").is_file():
         pytest.skip("needs .venv-policy: make policy-env")
@@ -105,3 +106,9 @@ def test_a_policy_with_a_finder_is_trained_and_evaluated(tmp_path: Path) -> None
     # One step teaches a finder nothing, which its errors show.
     assert ours["finder_error_mm"]["grasp"]["median_mm"] > 20
     assert ours["finder_error_mm"]["grasp"]["number"] >= TRIALS
+    call(tmp_path, "aomgen", "evaluate", "suite", run, "suite.json", "--trials", str(TRIALS), *size)
+    create = ("-m", "lerobot_policy_aomgen.create_handle_plan", "finder/finder.safetensors", "suite.json")
+    shutil.rmtree(tmp_path / "trained")
+    call(tmp_path, "python", *create, run, "trained")
+    planned = evaluate(tmp_path)
+    assert (planned["trials"], planned["finder_error_mm"]["grasp"]["number"]) == (TRIALS, TRIALS)

@@ -3,6 +3,7 @@
 import lerobot_env_aomgen
 
 from lerobot_policy_aomgen.configuration_handle_act import HandleACTConfig
+from lerobot_policy_aomgen.configuration_handle_plan import HandlePlanConfig
 from lerobot_policy_aomgen.configuration_small_act import SmallACTConfig
 
-__all__ = ["HandleACTConfig", "SmallACTConfig", "lerobot_env_aomgen"]
+__all__ = ["HandleACTConfig", "HandlePlanConfig", "SmallACTConfig", "lerobot_env_aomgen"]

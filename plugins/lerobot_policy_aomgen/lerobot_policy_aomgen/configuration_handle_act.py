@@ -1,12 +1,12 @@
 """Settings of the policy `handle_act`, which `lerobot-train` reads from its command line."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 from lerobot.configs.policies import PreTrainedConfig
-from lerobot.configs.types import NormalizationMode
 from lerobot.utils.constants import OBS_ENV_STATE
 
 from lerobot_policy_aomgen.chunk_configuration import ChunkConfig
+from lerobot_policy_aomgen.detector_configuration import DetectorConfig
 
 # Offset of the first frame of an episode: LeRobot clips offsets of frames to the episode, so that any large one refers to it.
 FIRST_FRAME = -100_000
@@ -17,37 +17,24 @@ REMEDY = "export the dataset with --format lerobot-v3 --media keypoints --action
 
 @PreTrainedConfig.register_subclass("handle_act")
 @dataclass
-class HandleACTConfig(ChunkConfig):
+class HandleACTConfig(ChunkConfig, DetectorConfig):
     """Settings of a policy in which a finder locates handle and joint axis, and a network predicts end effector poses.
 
     The finder locates the points in the images of all cameras; it is trained separately on labeled images. The network receives
     the points; it is trained on the true points of demonstrations, to which measured errors of the finder are added.
 
-    The settings of chunks and optimizer are those of `ChunkConfig`.
+    The demonstrations may have no images. Further settings are those of `ChunkConfig` and `DetectorConfig`.
 
     Attributes:
-        finder: File of the finder; required to start a training. Afterwards the policy contains the finder.
-        suite: File of a suite, whose cameras and arm the policy uses; required to start a training. The demonstrations may
-            have no images.
-        cameras: Names of the cameras that the policy uses, at least two; by default all cameras of the suite.
-        geometry, finder_settings: JSON of the geometry of the suite and of the settings of the finder, stored by the policy.
         hidden_dim, n_layers: Width and number of the hidden layers of the network.
         pose_noise_m, pose_noise_rad: Standard deviations of the noise of the end effector's pose in training, which teaches
             the policy to return to the path after a deviation.
     """
 
-    finder: str = ""
-    suite: str = ""
-    cameras: list[str] = field(default_factory=list)
-    geometry: str = ""
-    finder_settings: str = ""
     hidden_dim: int = 384
     n_layers: int = 3
     pose_noise_m: float = 0.005
     pose_noise_rad: float = 0.02
-    normalization_mapping: dict[str, NormalizationMode] = field(
-        default_factory=lambda: dict.fromkeys(("VISUAL", "STATE", "ACTION"), NormalizationMode.IDENTITY)
-    )
 
     def validate_features(self) -> None:
         """Check the features of the dataset.

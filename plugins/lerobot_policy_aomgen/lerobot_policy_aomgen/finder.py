@@ -1,13 +1,14 @@
 """The finder, a network that locates handle and joint axis in an image of any camera.
 
-The network is applied once or twice, called looks. The first look processes the whole image. The second look processes crops of
-the stored image around the points of the first look, at a resolution several times higher: the gripper tolerates errors of
-10 mm, but a pixel of the whole image at 96 px corresponds to 12 to 16 mm at the handle. Both looks use the same network, for
+The network is applied several times, called looks. The first look processes the whole image. Each further look processes smaller
+crops of the stored image around the points that the preceding look located, at a higher resolution: the gripper tolerates errors
+of 10 mm, but a pixel of the whole image at 96 px corresponds to 12 to 16 mm at the handle. All looks use the same network, for
 all cameras.
 """
 
 import json
 import math
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Final
@@ -23,8 +24,10 @@ from aomgen.errors import MalformedFileError, MissingFileError
 from aomgen.io.atomic import write_bytes
 from lerobot_policy_aomgen.lite0 import CHANNELS, MEAN, SPREAD, Lite0
 
-# Indices of the keypoints that share a crop of the second look; its center is the weighted mean of their first estimates.
+# Indices of the keypoints that share a crop of the second look, whose center is the weighted mean of their first estimates; in
+# further looks, each point has its own crop.
 GROUPS: Final = ((0, 1, 2), (3, 4))
+SINGLE: Final = tuple((point,) for point in range(len(KEYPOINTS)))
 # Side of the network's input, [px].
 SIDE: Final = 96
 # Channels of the feature pyramid.
@@ -39,17 +42,16 @@ METADATA: Final = "aomgen_finder"
 
 @dataclass(frozen=True, kw_only=True)
 class FinderSettings:
-    """Settings of a finder; each of the first two can be disabled for an ablation.
+    """Settings of a finder.
 
     Attributes:
-        second_look: Whether a second look processes crops.
         pretrained: Whether training starts from weights that were trained on ImageNet.
-        crop_px: Side of a crop of the second look in the stored image, [px].
+        crops_px: Side of the crops of the second look and of each further look in the stored image, [px]; empty for an ablation
+            with one look.
     """
 
-    second_look: bool = True
     pretrained: bool = True
-    crop_px: int = 96
+    crops_px: Sequence[int] = (96,)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -95,23 +97,22 @@ class Finder(nn.Module):
         """Locate the points in images (B, 3, H, W) with values 0..1.
 
         Returns:
-            Points (B, P, 2) and their spreads (B, P), see `read_heat_maps`, [px]. The estimate of the second look is used if its
+            Points (B, P, 2) and their spreads (B, P), see `read_heat_maps`, [px]. The estimate of a further look is used if its
             spread is smaller.
         """
         count, _, height, width = images.shape
         size = torch.tensor([width, height], dtype=torch.float32, device=images.device)
         levels = 255 * images
         points, spreads = self._look(levels, (size / 2).expand(count, 2), size.expand(count, 2))
-        if not self.settings.second_look:
-            return points, spreads
-        span = torch.full_like(size, self.settings.crop_px).expand(count, 2)
-        for group in map(list, GROUPS):
-            weights = spreads[:, group, None] ** -2
-            centers = (weights * points[:, group]).sum(1) / weights.sum(1)
-            found, certain = self._look(levels, centers, span)
-            better = certain[:, group] < spreads[:, group]
-            points[:, group] = torch.where(better[..., None], found[:, group], points[:, group])
-            spreads[:, group] = torch.where(better, certain[:, group], spreads[:, group])
+        for number, crop_px in enumerate(self.settings.crops_px):
+            span = torch.full_like(size, crop_px).expand(count, 2)
+            for group in map(list, GROUPS if number == 0 else SINGLE):
+                weights = spreads[:, group, None] ** -2
+                centers = (weights * points[:, group]).sum(1) / weights.sum(1)
+                found, certain = self._look(levels, centers, span)
+                better = certain[:, group] < spreads[:, group]
+                points[:, group] = torch.where(better[..., None], found[:, group], points[:, group])
+                spreads[:, group] = torch.where(better, certain[:, group], spreads[:, group])
         return points, spreads
 
     def _look(self, levels: Tensor, centers: Tensor, spans: Tensor) -> tuple[Tensor, Tensor]:

@@ -3,7 +3,7 @@
 import io
 import math
 import pickle
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, Final
 
@@ -13,7 +13,14 @@ from torch import Tensor
 
 from aomgen.errors import MalformedFileError
 from aomgen.io.atomic import write_bytes
-from lerobot_policy_aomgen.finder import GROUPS, Finder, FinderSettings, crop_images, read_heat_maps
+from lerobot_policy_aomgen.finder import (
+    GROUPS,
+    SINGLE,
+    Finder,
+    FinderSettings,
+    crop_images,
+    read_heat_maps,
+)
 from lerobot_policy_aomgen.finder_images import LabelledImages
 
 BATCH: Final = 32
@@ -25,9 +32,8 @@ RATE, TRUNK_RATE = 1e-3, 3e-4
 WEIGHT_DECAY: Final = 1e-4
 # Number of steps of the linear warmup of the learning rates, which is multiplied by a cosine decay to zero.
 WARMUP: Final = 50
-# Share of whole images in a batch, and share of the crops, which are the remainder, with a random center. The latter teach the
-# second look to recognize that a crop contains no points.
-WHOLE_SHARE, ANYWHERE_SHARE = 0.5, 0.15
+# Share of the crops with a random center, which teach a look to recognize that a crop contains no points.
+ANYWHERE_SHARE: Final = 0.15
 # Share of crops around the points of the handle, the first group of points; the others are around the axis.
 HANDLE_SHARE: Final = 0.65
 # Largest changes of the center, as a share of the side, and of the size, of crops and of whole images.
@@ -130,13 +136,12 @@ def draw_batch(
     Returns:
         Normalized images (B, 3, SIDE, SIDE), and the points (B, P, 2) in units of their side; NaN for points behind the camera.
     """
-    rows = rng.integers(len(images), size=BATCH)
-    whole = BATCH if not settings.second_look else round(WHOLE_SHARE * BATCH)
-    looks = [_draw_whole(images, rows[:whole], rng)]
-    if settings.second_look:
-        looks.append(_draw_crops(images, rows[whole:], settings.crop_px, rng))
+    rows = np.array_split(rng.integers(len(images), size=BATCH), 1 + len(settings.crops_px))
+    looks = [_draw_whole(images, rows[0], rng)]
+    for number, crop_px in enumerate(settings.crops_px):
+        looks.append(_draw_crops(images, rows[number + 1], crop_px, rng, GROUPS if number == 0 else SINGLE))
     inputs, targets = [], []
-    for part, (centers, spans) in zip((rows[:whole], rows[whole:]), looks, strict=False):
+    for part, (centers, spans) in zip(rows, looks, strict=True):
         levels = torch.from_numpy(images.decode(part)).permute(0, 3, 1, 2).float()
         inputs.append(crop_images(levels, torch.from_numpy(centers).float(), torch.from_numpy(spans).float()))
         targets.append((images.points_px[part] - centers[:, None]) / spans[:, None] + 0.5)
@@ -157,14 +162,20 @@ def _draw_whole(
 
 
 def _draw_crops(
-    images: LabelledImages, rows: np.ndarray, crop_px: int, rng: np.random.Generator
+    images: LabelledImages,
+    rows: np.ndarray,
+    crop_px: int,
+    rng: np.random.Generator,
+    groups: Sequence[Sequence[int]],
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Sample centers and sizes (B, 2) of crops, [px], around the points of one group inside the image, or at random."""
+    """Sample centers and sizes (B, 2) of crops, [px], around the points of a group inside the image, or at random."""
     size, count = np.array(images.size, float), len(rows)
-    members = np.zeros((len(GROUPS), images.points_px.shape[1]))
-    for number, group in enumerate(GROUPS):
+    members = np.zeros((len(groups), images.points_px.shape[1]))
+    for number, group in enumerate(groups):
         members[number, list(group)] = 1
-    seen = members[np.where(rng.random(count) < HANDLE_SHARE, 0, 1)] * images.inside[rows]
+    of_handle = members[:, 0 : len(GROUPS[0])].any(1)
+    chances = np.where(of_handle, HANDLE_SHARE / of_handle.sum(), (1 - HANDLE_SHARE) / (~of_handle).sum())
+    seen = members[rng.choice(len(groups), count, p=chances)] * images.inside[rows]
     known = seen.any(1)
     points = np.nan_to_num(images.points_px[rows])
     around = np.einsum("np,npi->ni", seen, points) / np.maximum(seen.sum(1), 1)[:, None]

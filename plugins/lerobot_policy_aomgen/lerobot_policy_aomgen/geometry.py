@@ -96,6 +96,14 @@ def describe_geometry(cameras: Mapping[str, Camera], robot: RobotModel) -> Geome
     )
 
 
+def place_cameras(geometry: Geometry, cameras: Mapping[str, Camera]) -> None:
+    """Set the intrinsic parameters of a geometry's cameras, and the poses of those that are not mounted on the robot."""
+    for name in geometry["K"]:
+        geometry["K"][name] = cameras[name].K.tolist()
+        if name not in geometry["mounted"]:
+            geometry["T_frame_cam"][name] = cameras[name].T_world_cam.tolist()
+
+
 def _camera_poses(robot: RobotModel, name: str, joints: Any) -> Any:
     return robot.camera_paths(joints, np.zeros(len(joints)))[name].Ts_world_cam
 

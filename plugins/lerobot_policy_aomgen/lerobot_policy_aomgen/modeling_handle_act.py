@@ -2,14 +2,11 @@
 
 import json
 from collections.abc import Mapping
-from dataclasses import asdict
-from pathlib import Path
 from typing import Any
 
 import torch
-from lerobot.configs.types import FeatureType, PolicyFeature
 from lerobot.policies.pretrained import PreTrainedPolicy
-from lerobot.utils.constants import ACTION, OBS_ENV_STATE, OBS_IMAGES, OBS_STATE
+from lerobot.utils.constants import ACTION, OBS_ENV_STATE, OBS_STATE
 from torch import Tensor
 
 from aomgen.core.camera import Camera
@@ -24,14 +21,14 @@ from lerobot_policy_aomgen.action_network import (
 )
 from lerobot_policy_aomgen.blending import ChunkBlender
 from lerobot_policy_aomgen.configuration_handle_act import HandleACTConfig
-from lerobot_policy_aomgen.finder import Finder, FinderSettings, load_finder
-from lerobot_policy_aomgen.finder_noise import TABLE_SHAPE, add_errors, tabulate_errors
+from lerobot_policy_aomgen.detection import begin_finder, continue_finder, detect_points
+from lerobot_policy_aomgen.finder_noise import add_errors
 from lerobot_policy_aomgen.geometry import (
     Geometry,
     disturb_poses,
+    place_cameras,
     pose_end_effector,
     pose_views,
-    read_geometry,
 )
 from lerobot_policy_aomgen.lifting import lift_points, project_points
 from lerobot_policy_aomgen.tracking import PointTracker, combine_looks
@@ -55,7 +52,7 @@ class HandleACTPolicy(PreTrainedPolicy):
         super().__init__(config)
         config.validate_features()
         self.config = config
-        self.finder, errors = _continue(config) if config.geometry else _begin(config)
+        self.finder, errors = continue_finder(config) if config.geometry else begin_finder(config)
         self.finder.requires_grad_(False)
         self.register_buffer("errors", errors)
         self._geometry: Geometry = json.loads(config.geometry)
@@ -72,11 +69,8 @@ class HandleACTPolicy(PreTrainedPolicy):
         return self
 
     def place_cameras(self, cameras: Mapping[str, Camera]) -> None:
-        """Set the intrinsic parameters of the policy's cameras, and the poses of those that are not mounted on the robot."""
-        for name in self._cameras:
-            self._geometry["K"][name] = cameras[name].K.tolist()
-            if name not in self._geometry["mounted"]:
-                self._geometry["T_frame_cam"][name] = cameras[name].T_world_cam.tolist()
+        """Replace the cameras of the policy."""
+        place_cameras(self._geometry, cameras)
 
     def reset(self) -> None:
         """Discard the last chunk and the estimates of the keypoints, before a new episode."""
@@ -121,12 +115,7 @@ class HandleACTPolicy(PreTrainedPolicy):
     @torch.no_grad()
     def find_points(self, batch: dict[str, Tensor]) -> tuple[Tensor, Tensor]:
         """Estimate the keypoints (B, P, 3), world frame, and their standard deviations (B, P), [m], from the images."""
-        images = torch.stack([batch[f"{OBS_IMAGES}.{name}"] for name in self._cameras], 1)
-        pixels, spreads = self.finder.find(images.flatten(0, 1))
-        T_world_ee = pose_end_effector(self._geometry, batch[OBS_STATE][:, :-1])
-        views = pose_views(self._geometry, self._cameras, T_world_ee)
-        shape = images.shape[:2]
-        return lift_points(views, pixels.unflatten(0, shape), spreads.unflatten(0, shape))
+        return lift_points(*detect_points(self.finder, self._geometry, batch))
 
     @torch.no_grad()
     def predict_action_chunk(self, batch: dict[str, Tensor], **_: Any) -> Tensor:
@@ -146,28 +135,3 @@ class HandleACTPolicy(PreTrainedPolicy):
     def select_action(self, batch: dict[str, Tensor], **_: Any) -> Tensor:
         """Return the next action (B, 8); a new chunk is predicted after `n_action_steps` actions."""
         return self._blender.next_action(lambda: self.predict_action_chunk(batch))
-
-
-def _begin(config: HandleACTConfig) -> tuple[Finder, Tensor]:
-    """Load the finder and its errors for a new training, and complete the settings from suite and finder.
-
-    The images of the cameras become inputs of the policy instead of the keypoints, which only demonstrations contain.
-    """
-    geometry = read_geometry(Path(config.suite), config.cameras)
-    finder, errors = load_finder(Path(config.finder))
-    config.geometry = json.dumps(geometry)
-    config.finder_settings = json.dumps(asdict(finder.settings))
-    width, height = geometry["size"]
-    image = PolicyFeature(FeatureType.VISUAL, (3, height, width))
-    config.input_features = {
-        OBS_STATE: config.input_features[OBS_STATE],
-        **{f"{OBS_IMAGES}.{name}": image for name in geometry["K"]},
-    }
-    return finder, tabulate_errors(errors, list(geometry["K"]))
-
-
-def _continue(config: HandleACTConfig) -> tuple[Finder, Tensor]:
-    """Create a finder and a table of errors, whose values are then loaded from a checkpoint."""
-    cameras = len(json.loads(config.geometry)["K"])
-    finder = Finder(FinderSettings(**json.loads(config.finder_settings)))
-    return finder, torch.zeros(cameras, *TABLE_SHAPE)

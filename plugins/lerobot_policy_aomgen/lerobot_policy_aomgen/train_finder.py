@@ -35,14 +35,13 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--steps", type=int, default=3000, help="number of steps of 32 images (3000)")
     parser.add_argument("--seed", type=int, default=0, help="seed of weights and samples (0)")
     parser.add_argument("--threads", type=int, default=1, help="number of threads of PyTorch (1)")
-    parser.add_argument("--crop", type=int, default=FinderSettings.crop_px, help="side of crops, [px] (96)")
-    parser.add_argument("--one-look", action="store_true", help="ablation: without the second look")
+    parser.add_argument(
+        "--crop", type=int, nargs="*", default=[96], help="sides of the crops of the further looks, [px] (96)"
+    )
     parser.add_argument("--from-scratch", action="store_true", help="ablation: without pretrained weights")
     given = parser.parse_args(arguments)
     torch.set_num_threads(given.threads)
-    settings = FinderSettings(
-        second_look=not given.one_look, pretrained=not given.from_scratch, crop_px=given.crop
-    )
+    settings = FinderSettings(pretrained=not given.from_scratch, crops_px=tuple(given.crop))
     losses, times_s = (deque[float](maxlen=REPORT_EVERY) for _ in range(2))
 
     def report(step: int, loss: float) -> None:

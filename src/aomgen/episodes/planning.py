@@ -33,8 +33,6 @@ from aomgen.simulation.collision_check import (
 )
 from aomgen.simulation.scene import Scene
 
-# Distance kept between the object and the arm without its gripper, [m]: a lid that resists lags behind.
-CLEARANCE_M = 0.003
 # Number of bisections between two grasps, to an eighth of their difference; largest difference, [rad].
 HALVINGS: Final = 3
 MAX_APART_RAD: Final = np.pi / 2
@@ -54,6 +52,8 @@ class PlanParams:
             may start near the handle.
         search: Where no motion like the demonstrated one passes, search a free motion around obstacles and
             other configurations of the arm. Demonstrations without such motions resemble each other more.
+        clearance_m: Distance kept between the object and the arm, [m], because a lid that resists lags behind;
+            in searched free motions, the gripper keeps it as well.
     """
 
     fps: float = 10.0
@@ -61,6 +61,7 @@ class PlanParams:
     kinematic: KinematicLimits = field(default_factory=KinematicLimits)
     max_slow_down: float = 5.0
     search: bool = True
+    clearance_m: float = 0.003
 
 
 def plan_episode(
@@ -71,6 +72,7 @@ def plan_episode(
     solver: IkSolver,
     params: PlanParams,
     usual: Grasp | None = None,
+    start: Array | None = None,
 ) -> EpisodePlan | Rejection:
     """Plan one episode, with the grasp most like the usual one that works, or else like the demonstrated one.
 
@@ -79,12 +81,13 @@ def plan_episode(
             axes are those of the demonstrated end effector.
         scene: Robot, table and this asset, at any pose.
         usual: See `grasp_choice`.
+        start: Joints (J,) at which the arm starts; by default as demonstrated, see `Planner`.
 
     Returns:
         The plan; or the Rejection of the candidate that came farthest, with the number of
         `grasps_tried` among its metrics.
     """
-    planner = Planner(fitted, demo, variation, scene, solver, params)
+    planner = Planner(fitted, demo, variation, scene, solver, params, start)
     motions = planner.list_motions(usual)
     found = planner.search(motions, WAYS if params.search else WAYS[:2])
     if isinstance(found, Rejection):
@@ -103,17 +106,18 @@ class Planner:
         scene: Scene,
         solver: IkSolver,
         params: PlanParams,
+        start: Array | None = None,
     ) -> None:
         self.fitted, self.variation, self.solver = fitted, variation, solver
         self.shown, self.robot = DemonstratedMotion(demo), scene.robot
         self.T_world_object = variation.place_at(fitted)
-        self.scene = scene.place_at(self.T_world_object, CLEARANCE_M)
+        self.scene = scene.place_at(self.T_world_object, params.clearance_m)
         allowed = params.kinematic.max_self_penetration_mm
         allowed += self_overlap_mm(self.scene, demo.joints[0], float(demo.gripper[0]))
         kinematic = replace(params.kinematic, max_self_penetration_mm=allowed)
         self.params = replace(params, kinematic=kinematic)
         self.is_free = make_collision_test(self.scene, float(demo.gripper[0]), fitted.start_theta, kinematic)
-        self.start = self._find_start(demo.Ts_world_ee[0], demo.joints[0])
+        self.start = self._find_start(demo.Ts_world_ee[0], demo.joints[0]) if start is None else start
         grip = float(np.median(demo.gripper[demo.contact_frames]))
         self._held_tests = [
             make_collision_test(self.scene, grip, theta, kinematic, holding=True)
@@ -285,7 +289,9 @@ class Planner:
     def _find_free_path(self, start: Array, goal: Array, held_at: float) -> Array | Rejection:
         """Find joints (N, J) from the start to the approach, around obstacles."""
         opened = float(self.shown.gripper(self.shown.knots[0], held_at).min())
-        is_free = make_collision_test(self.scene, opened, self.fitted.start_theta, self.params.kinematic)
+        is_free = make_collision_test(
+            self.scene, opened, self.fitted.start_theta, self.params.kinematic, grip_clearance=True
+        )
         path = find_free_path(start, goal, self.robot.joint_limits, is_free, self.seed)
         if path is None:
             return Rejection(

@@ -84,7 +84,7 @@ class Place:
                 metrics={"overhang_m": over_m},
                 excess=measure_excess(over_m, OVERHANG_M),
             )
-        covered = next((box for box in self.obstacles if _stands_in(fitted, T, box)), None)
+        covered = next((box for box in self.obstacles if stands_in(fitted, T, box)), None)
         if covered is not None:
             x, y = covered.T_world_box[:2, 3]
             return Rejection(
@@ -152,7 +152,7 @@ def _held(fitted: FittedAsset, T_world_object: Array) -> Array:
     return apply(T_world_object @ fitted.asset.joint.motion(thetas), fitted.contact_asset[None])
 
 
-def _stands_in(fitted: FittedAsset, T_world_object: Array, box: OrientedBox) -> bool:
+def stands_in(fitted: FittedAsset, T_world_object: Array, box: OrientedBox) -> bool:
     """Return whether the static part and an upright box overlap: no side of either separates them."""
     sides = np.concatenate([T_world_object[:2, :2], box.T_world_box[:2, :2]], axis=1)
     mine, others = _footprint(fitted, T_world_object) @ sides, box.corners()[:, :2] @ sides

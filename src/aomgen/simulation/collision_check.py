@@ -206,7 +206,13 @@ def _sweep(
 
 
 def make_collision_test(
-    scene: Scene, gripper: float, theta: float, limits: KinematicLimits, *, holding: bool = False
+    scene: Scene,
+    gripper: float,
+    theta: float,
+    limits: KinematicLimits,
+    *,
+    holding: bool = False,
+    grip_clearance: bool = False,
 ) -> Callable[[Array], bool]:
     """Make a function that returns whether an arm configuration (J,) is free of collisions.
 
@@ -215,14 +221,12 @@ def make_collision_test(
         gripper, theta: Fixed values of the gripper, 0 open .. 1 closed, and of the object's joint, [rad] or [m].
         limits: Largest accepted overlaps; they are reduced by `SEARCH_RESERVE_MM`.
         holding: Ignore overlaps of gripper and handle.
+        grip_clearance: Keep the scene's clearance to the object with the gripper as well.
     """
     data, kinds = mujoco.MjData(scene.model), _pair_kinds(scene)
     qpos = scene.qpos(np.zeros((1, len(scene.robot.joint_names))), gripper, theta)[0]
-    deepest = np.array(
-        [np.inf, limits.max_penetration_mm, limits.max_self_penetration_mm, limits.max_penetration_mm]
-    )
-    deepest -= SEARCH_RESERVE_MM
-    deepest[HANDLE] = np.inf if holding else deepest[HANDLE]
+    limit, own = limits.max_penetration_mm, limits.max_self_penetration_mm
+    deepest = np.array([np.inf, limit, own, np.inf if holding else limit]) - SEARCH_RESERVE_MM
 
     def is_free(joints: Array) -> bool:
         qpos[scene.arm.qpos] = joints
@@ -230,19 +234,21 @@ def make_collision_test(
         if not data.ncon:
             return True
         pairs = data.contact.geom
-        mm = _depths_mm(scene, pairs, data.contact.dist)
+        mm = _depths_mm(scene, pairs, data.contact.dist, grip_clearance)
         return bool((mm <= deepest[kinds[pairs[:, 0], pairs[:, 1]]]).all())
 
     return is_free
 
 
-def _depths_mm(scene: Scene, pairs: NDArray[np.int32], distances: Array) -> Array:
+def _depths_mm(
+    scene: Scene, pairs: NDArray[np.int32], distances: Array, grip_clearance: bool = False
+) -> Array:
     """Convert distances (N,), [m], of geom pairs (N, 2) to depths (N,), [mm].
 
-    Between object and arm, but not between object and gripper, the scene's clearance is added.
+    Between object and arm, and optionally between object and gripper, the scene's clearance is added.
     """
-    arm = scene.roles.robot & ~scene.roles.gripper
-    grown = scene.roles.object[pairs].any(1) & arm[pairs].any(1)
+    kept = scene.roles.robot & (grip_clearance | ~scene.roles.gripper)
+    grown = scene.roles.object[pairs].any(1) & kept[pairs].any(1)
     return -1000.0 * distances + 1000.0 * scene.clearance * grown
 
 

@@ -120,6 +120,8 @@ class Scene:
             address = model.joint(self.names.free_joint).qposadr[0]
             model.qpos0[address : address + 7] = np.append(T[:3, 3], quat_from_matrix(T[:3, :3]))
         model.geom_gap[self.roles.object] = clearance
+        # MuJoCo discards pairs of bodies whose bounding boxes are farther apart than this margin.
+        model.body_margin[model.geom_bodyid[self.roles.object]] = clearance
         return replace(self, model=model, clearance=clearance)
 
     def qpos(self, joints: ArrayLike, gripper: ArrayLike, thetas: ArrayLike) -> Array:

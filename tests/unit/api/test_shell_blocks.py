@@ -73,6 +73,8 @@ NOT_RUN = {
     "lerobot-train": TRAINED,
     "lerobot-eval": TRAINED,
     "python -m lerobot_policy_aomgen.train_finder": TRAINED,
+    "python -m lerobot_policy_aomgen.create_handle_plan": TRAINED,
+    "aomgen evaluate joint_suite.json --policy lerobot:": TRAINED,
     "aomgen evaluate suite.json --policy lerobot:": TRAINED,
     "aomgen evaluate --real": "needs trials on a real robot; tests/unit/evaluation/test_real_trials.py",
     ".venv-policy/bin/python -m benchmarks policy": "takes hours; .ci/run calls it with --quick",

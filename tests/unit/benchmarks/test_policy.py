@@ -15,11 +15,12 @@ from aomgen.core.camera import Camera
 from aomgen.core.project import Project
 from aomgen.episodes.factory import GenerationParams
 from aomgen.errors import BackendError, ConfigError, NotEnoughEpisodesError
+from aomgen.evaluation.lerobot_policy import WEIGHTS
 from aomgen.evaluation.suite import Suite
 from aomgen.io.artifact import load_artifact
 from aomgen.io.schema import override
 from aomgen.pipeline.runner import LOCK_FILE
-from benchmarks import policy_data, policy_video
+from benchmarks import policy_data, policy_training, policy_video
 from benchmarks.policy import PolicyBench, beats, folder_digest, table_figures
 from benchmarks.policy_data import MANY, UNSEEN, WORLDS, PolicyData, Trials, moved_cameras
 from benchmarks.policy_finder import LEARNED, OTHERS, TESTED, measure_finder
@@ -241,15 +242,40 @@ def test_a_policy_with_a_finder_is_trained_with_finder_and_suite(
     data: Any = SimpleNamespace(
         folder=tmp_path,
         dataset=lambda world, sees: tmp_path / sees,
-        finder_suite=lambda test: tmp_path / f"{test.name}.json",
+        finder_suite=lambda test, actions: tmp_path / f"{test.name}-{actions}.json",
         notify=lambda text: None,
     )
     write_episodes(tmp_path / "keypoints", *"abc")
     policy = Training(world="microwaves", demonstrations=3, sees="keypoints", kind="handle_act")
     Trainer(data=data, steps=20, command=command).train(policy)
-    suite = tmp_path / "unseen_microwaves-1-0mm.json"
+    suite = tmp_path / "unseen_microwaves-1-0mm-ee_absolute.json"
     expected = {f"--policy.finder={finder}", f"--policy.suite={suite}", "--policy.type=handle_act"}
     assert expected <= set(words.read_text().splitlines())
+
+
+def test_a_policy_with_a_planner_is_created_once_from_the_run_of_its_objects(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made = list[tuple[Path, ...]]()
+
+    def create(finder: Path, suite: Path, library: Path, out: Path) -> None:
+        made.append((finder, suite, library, out))
+        out.mkdir(parents=True)
+        (out / WEIGHTS).touch()
+
+    monkeypatch.setattr(
+        policy_training, "import_plugin", lambda module: SimpleNamespace(create_policy=create)
+    )
+    monkeypatch.setattr(policy_training, "train_finder", lambda data: tmp_path / "finder")
+    data: Any = SimpleNamespace(
+        folder=tmp_path,
+        finder_suite=lambda test, actions: tmp_path / f"{test.world}-{actions}",
+        run=lambda world: tmp_path / world,
+    )
+    trainer = Trainer(data=data, steps=20, command=tmp_path / "absent")
+    policy = Training(world="microwaves", demonstrations=0, sees="keypoints", kind="handle_plan")
+    homes = {trainer.train(policy) for _ in range(2)}
+    assert made == [(tmp_path / "finder", tmp_path / f"{UNSEEN}-joint", tmp_path / "microwaves", homes.pop())]
 
 
 def test_the_finder_gets_larger_images_of_the_same_trials(
@@ -279,7 +305,8 @@ def test_the_finder_gets_larger_images_of_the_same_trials(
     (tmp_path / "suites").mkdir()
     (tmp_path / "suites" / f"{test.name}.json").touch()
     monkeypatch.setattr(policy_data, "open_suite", lambda path: (suite, None))
-    written = load_artifact(data.finder_suite(test).parent, data.finder_suite(test).stem, Suite)
+    path = data.finder_suite(test, "ee_absolute")
+    written = load_artifact(path.parent, path.stem, Suite)
     resized = written.cameras["front"]
     assert (resized.width, resized.height) == (240, 240)
     assert (resized.fx, resized.cy) == pytest.approx((200, 125))
@@ -372,7 +399,8 @@ def test_the_mean_trajectory_is_of_demonstrations_that_stay_where_they_end(
 
 def test_kept_rollouts_need_neither_lerobot_nor_data(tmp_path: Path) -> None:
     small = [f"{name}-0" for name in ("microwave-150", "microwaves-150", f"microwaves-{MANY}")]
-    for name in (*small, *(f"microwaves-{MANY}-{seed}-keypoints-handle_act" for seed in range(3))):
+    located = [f"microwaves-{MANY}-{seed}-keypoints-handle_act" for seed in range(3)]
+    for name in (*small, *located, "microwaves-0-0-keypoints-handle_plan"):
         figures = json.dumps(tried([True] * 5 + [False] * 5))
         kept = tmp_path / "rollouts" / f"{name}-on-unseen_microwaves-1-0mm-splat.json"
         kept.parent.mkdir(exist_ok=True)
@@ -380,7 +408,7 @@ def test_kept_rollouts_need_neither_lerobot_nor_data(tmp_path: Path) -> None:
     data: Any = SimpleNamespace(folder=tmp_path, workers=1)
     bench = PolicyBench(data=data, trainer=Trainer(data=data, command=tmp_path / "absent"))
     table = bench.figures(["unseen_table"])["unseen_table"]
-    assert [row["success_rate"] for row in table] == [0.5] * 4
+    assert [row["success_rate"] for row in table] == [0.5] * 5
 
 
 def test_a_dataset_is_known_by_names_and_contents(tmp_path: Path) -> None:

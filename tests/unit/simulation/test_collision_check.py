@@ -10,11 +10,18 @@ from aomgen.assets.choice import make_asset
 from aomgen.core.boxes import OrientedBox
 from aomgen.core.plan import Rejection
 from aomgen.core.transforms import apply, transform
+from aomgen.episodes.ik import ik_solver
 from aomgen.robots.robot import RobotModel
 from aomgen.simulation import collision_check
-from aomgen.simulation.collision_check import SWEEP_M, KinematicLimits, check_kinematics, self_overlap_mm
+from aomgen.simulation.collision_check import (
+    SWEEP_M,
+    KinematicLimits,
+    check_kinematics,
+    make_collision_test,
+    self_overlap_mm,
+)
 from aomgen.simulation.scene import Scene, build_scene
-from toy_drawer import NEAR, SUPPORT
+from toy_drawer import NEAR, SUPPORT, fitted_drawer, opening
 
 # Behind the robot, so that the arm moves freely.
 FAR = transform(np.eye(3), [-1.5, -1.5, SUPPORT.height])
@@ -120,6 +127,23 @@ def test_an_arm_that_begins_in_itself_collides_unless_a_real_one_stood_there(rob
     assert result.reason == "self_collision"
     real = KinematicLimits(max_self_penetration_mm=1 + overlap)
     assert isinstance(check_kinematics(scene, joints, still, still, still > 0, real), dict)
+
+
+def test_the_gripper_keeps_the_clearance_only_on_request(robot: RobotModel) -> None:
+    """The gripper of a demonstrated approach comes closer to the object than the clearance, the arm does not."""
+    fitted, clearance = fitted_drawer(), 0.05
+    demo = opening(ik_solver(robot), fitted)
+    scene = build_scene(robot, fitted.asset, fitted.T_world_asset, SUPPORT)
+    wide = scene.place_at(fitted.T_world_asset, clearance)
+    usual, whole = (
+        make_collision_test(wide, 0.0, 0.0, LIMITS, grip_clearance=kept) for kept in (False, True)
+    )
+    approach = demo.joints[: demo.contact_frames[0]]
+    free, clear = (np.array([test(joints) for joints in approach]) for test in (usual, whole))
+    assert free.all()
+    assert clear[0]
+    assert not clear[-1]
+    assert np.all(np.diff(clear.astype(int)) <= 0)
 
 
 def test_an_object_in_an_obstacle_collides(robot: RobotModel) -> None:
