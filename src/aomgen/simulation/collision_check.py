@@ -240,14 +240,12 @@ def make_collision_test(
     return is_free
 
 
-def _depths_mm(
-    scene: Scene, pairs: NDArray[np.int32], distances: Array, grip_clearance: bool = False
-) -> Array:
+def _depths_mm(scene: Scene, pairs: NDArray[np.int32], distances: Array, gripper: bool = False) -> Array:
     """Convert distances (N,), [m], of geom pairs (N, 2) to depths (N,), [mm].
 
     Between object and arm, and optionally between object and gripper, the scene's clearance is added.
     """
-    kept = scene.roles.robot & (grip_clearance | ~scene.roles.gripper)
+    kept = scene.roles.robot & (gripper | ~scene.roles.gripper)
     grown = scene.roles.object[pairs].any(1) & kept[pairs].any(1)
     return -1000.0 * distances + 1000.0 * scene.clearance * grown
 
