@@ -26,8 +26,8 @@ def call(tmp_path: Path, program: str, *words: str) -> None:
     assert done.returncode == 0, done.stdout[-2000:] + done.stderr[-4000:]
 
 
-def evaluate(tmp_path: Path) -> dict[str, Any]:
-    words = ("evaluate", "suite.json", "--policy", "lerobot:trained", "--workers", "1", "--json", "ours.json")
+def evaluate(tmp_path: Path, suite: str = "suite.json") -> dict[str, Any]:
+    words = ("evaluate", suite, "--policy", "lerobot:trained", "--workers", "1", "--json", "ours.json")
     call(tmp_path, "aomgen", *words)
     return json.loads((tmp_path / "ours.json").read_text())
 
@@ -106,9 +106,9 @@ def test_a_policy_with_a_finder_is_trained_and_evaluated(tmp_path: Path) -> None
     # One step teaches a finder nothing, which its errors show.
     assert ours["finder_error_mm"]["grasp"]["median_mm"] > 20
     assert ours["finder_error_mm"]["grasp"]["number"] >= TRIALS
-    call(tmp_path, "aomgen", "evaluate", "suite", run, "suite.json", "--trials", str(TRIALS), *size)
-    create = ("-m", "lerobot_policy_aomgen.create_handle_plan", "finder/finder.safetensors", "suite.json")
+    call(tmp_path, "aomgen", "evaluate", "suite", run, "joint.json", "--trials", str(TRIALS), *size)
+    create = ("-m", "lerobot_policy_aomgen.create_handle_plan", "finder/finder.safetensors", "joint.json")
     shutil.rmtree(tmp_path / "trained")
     call(tmp_path, "python", *create, run, "trained")
-    planned = evaluate(tmp_path)
+    planned = evaluate(tmp_path, "joint.json")
     assert (planned["trials"], planned["finder_error_mm"]["grasp"]["number"]) == (TRIALS, TRIALS)
