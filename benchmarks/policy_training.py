@@ -108,11 +108,8 @@ class Trainer:
         home = self.home(training)
         if not (home / WEIGHTS).is_file():
             create = import_plugin("create_handle_plan").create_policy
-            suite, library = (
-                self.data.finder_suite(Trials(world=UNSEEN), training.actions),
-                self.data.run(training.world),
-            )
-            create(train_finder(self.data), suite, library, home)
+            suite = self.data.finder_suite(Trials(world=UNSEEN), training.actions)
+            create(train_finder(self.data), suite, self.data.run(training.world), home)
         return home
 
     def list_finder_options(self, training: Training) -> list[str]:

@@ -23,7 +23,7 @@ from lerobot_policy_aomgen.configuration_handle_plan import HandlePlanConfig
 from lerobot_policy_aomgen.detection import begin_finder, continue_finder, detect_points
 from lerobot_policy_aomgen.finder import Finder
 from lerobot_policy_aomgen.geometry import Geometry, place_cameras
-from lerobot_policy_aomgen.lifting import lift_points
+from lerobot_policy_aomgen.lifting import Views, lift_points
 
 LOG = logging.getLogger(__name__)
 
@@ -76,24 +76,17 @@ class HandlePlanPolicy(PreTrainedPolicy):
         self.eval()
         views, pixels, sds_px = detect_points(self.finder, self._geometry, batch)
         points, _ = lift_points(views, pixels, sds_px)
-        width, height = views.size
         motions = list[np.ndarray]()
-        for number, state in enumerate(batch[OBS_STATE].double().cpu().numpy()):
-            cameras = [
-                Camera(
-                    fx=K[0, 0], fy=K[1, 1], cx=K[0, 2], cy=K[1, 2], width=width, height=height, T_world_cam=T
-                )
-                for K, T in zip(_array(views.K), _array(views.T_world_cam[number]), strict=True)
-            ]
-            seen = (_array(values[number]) for values in (pixels, sds_px, points))
-            plan = self._planner.plan(cameras, *seen, state[:-1])
+        for number, state in enumerate(_array(batch[OBS_STATE])):
+            located = (_array(values[number]) for values in (pixels, sds_px, points))
+            plan = self._planner.plan(_list_cameras(views, number), *located, state[:-1])
             if isinstance(plan, Rejection):
                 LOG.warning("no plan for the located object: %s", plan.detail)
                 self.points_world = points[number]
                 motions.append(state[None])
             else:
-                located = apply(plan.T_world_object, find_keypoints(plan.fitted.asset))
-                self.points_world = torch.from_numpy(located)
+                placed = apply(plan.T_world_object, find_keypoints(plan.fitted.asset))
+                self.points_world = torch.from_numpy(placed)
                 motions.append(_list_actions(plan))
         length = max(map(len, motions))
         motions = [np.concatenate([rows, np.repeat(rows[-1:], length - len(rows), 0)]) for rows in motions]
@@ -107,6 +100,15 @@ class HandlePlanPolicy(PreTrainedPolicy):
         action = self._chunk[:, min(self._step, self._chunk.shape[1] - 1)]
         self._step += 1
         return action
+
+
+def _list_cameras(views: Views, number: int) -> list[Camera]:
+    """List the cameras of one element of a batch."""
+    width, height = views.size
+    return [
+        Camera(fx=K[0, 0], fy=K[1, 1], cx=K[0, 2], cy=K[1, 2], width=width, height=height, T_world_cam=T)
+        for K, T in zip(_array(views.K), _array(views.T_world_cam[number]), strict=True)
+    ]
 
 
 def _list_actions(plan: EpisodePlan) -> np.ndarray:

@@ -35,8 +35,13 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--steps", type=int, default=3000, help="number of steps of 32 images (3000)")
     parser.add_argument("--seed", type=int, default=0, help="seed of weights and samples (0)")
     parser.add_argument("--threads", type=int, default=1, help="number of threads of PyTorch (1)")
+    crops = FinderSettings.crops_px
     parser.add_argument(
-        "--crop", type=int, nargs="*", default=[96], help="sides of the crops of the further looks, [px] (96)"
+        "--crop",
+        type=int,
+        nargs="*",
+        default=crops,
+        help="sides of the crops of the further looks, [px] (96)",
     )
     parser.add_argument("--from-scratch", action="store_true", help="ablation: without pretrained weights")
     given = parser.parse_args(arguments)

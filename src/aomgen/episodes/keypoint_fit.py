@@ -58,11 +58,17 @@ def fit_known_objects(
         if abs(start[3]) > np.pi / 2:
             continue
         terms = _list_terms(fitted, keypoints, cameras, pixels, sds_px)
-        options = {"dimension": UNKNOWNS, "max_iterations": MAX_ITERATIONS, "tolerance": TOLERANCE}
-        state = solve(terms, start, retract=add, **options).state
+        state = solve(
+            terms,
+            start,
+            retract=add,
+            dimension=UNKNOWNS,
+            max_iterations=MAX_ITERATIONS,
+            tolerance=TOLERANCE,
+        ).state
         stretched = stretch(fitted, np.exp(state[:3]))
         cost = sum(term.cost(term.residual(state)) for term in terms)
-        fits.append((cost, stretched, _find_variation(stretched, _pose(fitted, state))))
+        fits.append((cost, stretched, _find_variation(stretched, state)))
     return [(fitted, variation) for _, fitted, variation in sorted(fits, key=lambda fit: fit[0])]
 
 
@@ -146,9 +152,8 @@ def _compare_detections(cameras: Sequence[Camera], points: Array, pixels: Array,
     return np.concatenate(residuals)
 
 
-def _find_variation(fitted: FittedAsset, T_world_object: Array) -> Variation:
-    """Find the variation that places an object at a pose (4, 4) which differs from its own by a planar motion."""
-    R = T_world_object[:3, :3] @ fitted.T_world_asset[:3, :3].T
-    turned = Variation(seed=0, index=0, x=0.0, y=0.0, yaw=float(np.arctan2(R[1, 0], R[0, 0])))
-    x, y = (T_world_object - turned.place_at(fitted))[:2, 3].tolist()
+def _find_variation(fitted: FittedAsset, state: Array) -> Variation:
+    """Find the variation that places a stretched object at the pose of a state (6,)."""
+    turned = Variation(seed=0, index=0, x=0.0, y=0.0, yaw=float(state[3]))
+    x, y = (state[4:] - turned.place_at(fitted)[:2, 3]).tolist()
     return replace(turned, x=x, y=y)

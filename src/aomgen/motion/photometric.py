@@ -163,7 +163,7 @@ def compute_motion_margin(seen: PhotometricFrames | None, answer: JointMotion) -
 
     Args:
         seen: The video as read for the estimate's type.
-        answer: The estimate.
+        answer: Estimated joint and joint values.
 
     Not checked: that the residuals of different frames are independent of each other.
     """
