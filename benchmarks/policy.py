@@ -22,7 +22,7 @@ from aomgen.io.atomic import write_json
 from aomgen.pipeline.manifest import text_digest
 from benchmarks.policy_data import PolicyData, Trials
 from benchmarks.policy_finder import measure_finder
-from benchmarks.policy_tables import FILMED, FINDER, TABLES, VIDEO, Row, Training
+from benchmarks.policy_tables import FILMED, FINDERS, TABLES, VIDEO, Row, Training
 from benchmarks.policy_training import Trainer
 from benchmarks.policy_video import mean_trajectory_error, video_error
 
@@ -58,7 +58,8 @@ class PolicyBench:
         self._train([*wanted, *(FILMED.values() if VIDEO in tables else [])])
         figures: dict[str, Any] = {name: table_figures(self.counted(table)) for name, table in rows.items()}
         figures |= {VIDEO: self.video_errors()} if VIDEO in tables else {}
-        return figures | ({FINDER: measure_finder(self.data)} if FINDER in tables else {})
+        found = {name: measure_finder(self.data, FINDERS[name]) for name in tables if name in FINDERS}
+        return figures | found
 
     def _train(self, policies: Sequence[Training]) -> None:
         """Train all policies, as many at a time as there are workers."""
@@ -66,7 +67,8 @@ class PolicyBench:
             self.trainer.require_lerobot()
         trainings = dict.fromkeys(policies)
         for training in trainings:
-            self.data.dataset(training.world, training.sees)
+            if training.learns:
+                self.data.dataset(training.world, training.sees)
             self.trainer.list_finder_options(training)
         with ThreadPoolExecutor(self.data.workers) as pool:
             list(pool.map(self.trainer.train, trainings))
@@ -88,15 +90,16 @@ class PolicyBench:
         """Test a policy in a row's trials; returns the metrics of `aomgen evaluate` and their inputs."""
         kept = self._kept(policy, row)
         if not kept.is_file():
-            learned = isinstance(policy, Training)
-            finds = learned and policy.finds
+            ours = isinstance(policy, Training)
+            finds = ours and policy.finds
             path = self.data.finder_suite(row.test, policy.actions) if finds else self.data.suite(row.test)
             suite, results = open_suite(path)
-            address = policy if isinstance(policy, str) else f"{LEROBOT}{self.trainer.home(policy)}"
+            address = f"{LEROBOT}{self.trainer.home(policy)}" if ours else policy
             request = EvaluationRequest(policy=address, visuals=row.visuals)
             self.data.notify(f"rollouts {kept.stem}")
             found = evaluate(suite, results, kept.with_suffix(""), request, self.data.workers, silent)
-            dataset = folder_digest(self.data.dataset(policy.world, policy.sees)) if learned else None
+            learned = self.data.dataset(policy.world, policy.sees) if ours and policy.learns else None
+            dataset = folder_digest(learned) if learned else None
             write_json(kept, {**found, "dataset": dataset, "versions": versions()})
         return read_json(kept)
 

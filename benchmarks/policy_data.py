@@ -8,6 +8,7 @@ from typing import Any, Final, Literal
 
 import numpy as np
 
+from aomgen.assets.choice import open_asset
 from aomgen.core.camera import Camera
 from aomgen.core.project import Project
 from aomgen.datasets.features import ActionSpace
@@ -46,7 +47,7 @@ class World:
     """A run of the pipeline: a recording, objects, and the variation of their demonstrations.
 
     Attributes:
-        recording: "microwave": the bundled one; "drawer": a synthetic one.
+        recording: Category of the recorded object: "microwave" of the bundled recording, or "drawer" of a synthetic one.
         assets: As in a project.
         demonstrations: Number over all objects; 0 where policies are only tested.
         episodes: Parameters of the stage that are not at their defaults.
@@ -60,10 +61,11 @@ class World:
     like: str = ""
 
 
-# Seeds of microwaves for training, and approximate share of them that fits on the recorded table.
+# Seeds of objects for training, and approximate share of them that fits on the recorded table.
 LEARNED: Final = range(101, 161)
 WITH_ROOM: Final = 0.65
-UNSEEN: Final = "unseen_microwaves"
+# Names of the worlds whose objects are in no training, by category.
+UNSEEN: Final = {"microwave": "unseen_microwaves", "drawer": "unseen_drawers"}
 # Drawers of scale 0.6 are opened too rarely if that is the smallest size in training.
 SIZES: Final = {"microwave": {"ranges": {"scale": [0.6, 1.0]}}, "drawer": {"ranges": {"scale": [0.5, 1.0]}}}
 VIEWS: Final = {
@@ -90,7 +92,7 @@ WORLDS: Final = {
         episodes=PUSHES | HAND,
         like="microwave",
     ),
-    UNSEEN: World(
+    UNSEEN["microwave"]: World(
         recording="microwave",
         assets=tuple(f"microwave:{seed}" for seed in range(22, 26)),
         demonstrations=0,
@@ -99,6 +101,20 @@ WORLDS: Final = {
     ),
     "drawer": World(recording="drawer", assets=("drawer:1",)),
     "drawer_sizes": World(recording="drawer", assets=("drawer:1",), episodes=SIZES["drawer"], like="drawer"),
+    "drawers": World(
+        recording="drawer",
+        assets=tuple(f"drawer:{seed}" for seed in LEARNED),
+        demonstrations=MANY,
+        episodes=PUSHES | HAND,
+        like="drawer",
+    ),
+    UNSEEN["drawer"]: World(
+        recording="drawer",
+        assets=tuple(f"drawer:{seed}" for seed in range(22, 27)),
+        demonstrations=0,
+        episodes=HAND,
+        like="drawer",
+    ),
 }
 
 
@@ -132,7 +148,7 @@ class PolicyData:
         run_project: Runs a project until a stage.
         trials: Number of trials of a suite.
         demonstrations: Largest number of a world, over all its objects.
-        assets: The user's assets, tested in addition to the generated objects unseen in training.
+        assets: The user's assets, tested in addition to the unseen generated objects of the same category.
         workers: Number of processes.
         notify: Receives the progress.
     """
@@ -146,13 +162,14 @@ class PolicyData:
     demonstrations: int = MANY
     assets: tuple[str, ...] = ()
 
-    def run(self, name: str) -> Path:
-        """Return the folder of a world's run, finished up to its episodes, or else its fitted objects."""
+    def run(self, name: str, until: Literal["episodes", "replacement"] = "episodes") -> Path:
+        """Return the folder of a world's run, finished up to a stage; a world without demonstrations ends with the replacement."""
         world, home = WORLDS[name], self.folder / "runs" / name
         wanted = min(world.demonstrations, self.demonstrations)
-        assets = (*world.assets, *(self.assets if name == UNSEEN else ()))
+        own = self.user_assets(world.recording) if name in UNSEEN.values() else []
+        assets = (*world.assets, *own)
         if world.like and not home.exists():
-            like = self.run(world.like)
+            like = self.run(world.like, until="replacement")
             share_stages((like / stage.folder for stage in STAGES if stage.name not in OWN_STAGES), home)
         project = Project(
             capture=self._capture(world.recording),
@@ -164,8 +181,12 @@ class PolicyData:
             params={"episodes": dict(world.episodes)} if world.episodes else {},
         )
         self.notify(f"run {name}")
-        self.run_project(project, until="episodes" if wanted else "replacement", workers=self.workers)
+        self.run_project(project, until=until if wanted else "replacement", workers=self.workers)
         return home
+
+    def user_assets(self, category: str) -> list[str]:
+        """List the user's assets of a category."""
+        return [spec for spec in self.assets if open_asset(spec).category == category]
 
     def dataset(self, name: str, sees: Sight = "splat") -> Path:
         """Return the folder of a world's demonstrations for LeRobot."""

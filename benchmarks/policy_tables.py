@@ -8,7 +8,7 @@ from aomgen.datasets.features import ActionSpace
 from aomgen.errors import UnknownNameError
 from aomgen.evaluation.policies import NEAREST, ORACLE
 from aomgen.evaluation.views import VISUALS, Visuals
-from benchmarks.policy_data import FULL, MANY, UNSEEN, Sight, Trials
+from benchmarks.policy_data import FULL, MANY, UNSEEN, WORLDS, Sight, Trials
 
 SEEDS: Final = (0, 1, 2)
 SCALES: Final = (0.6, 0.7, 0.8, 0.9)
@@ -40,6 +40,16 @@ class Training:
     sees: Sight = "splat"
     kind: Kind = "small_act"
     fixed_camera: bool = False
+
+    @property
+    def category(self) -> str:
+        """Category of the objects of the demonstrations."""
+        return WORLDS[self.world].recording
+
+    @property
+    def learns(self) -> bool:
+        """Return whether the policy is trained with demonstrations."""
+        return self.kind != "handle_plan"
 
     @property
     def finds(self) -> bool:
@@ -104,6 +114,14 @@ def _scales(world: str) -> list[Row]:
     ]
 
 
+def _planned(category: str) -> Row:
+    return Row(
+        label={"training": "mixed", "demonstrations": 0, "policy": "handle_plan"},
+        policies=(Training(world=f"{category}s", demonstrations=0, sees="keypoints", kind="handle_plan"),),
+        test=Trials(world=UNSEEN[category]),
+    )
+
+
 def _on_gpu(kind: Kind) -> list[Row]:
     return [
         Row(
@@ -129,11 +147,11 @@ TABLES: Final = {
     ],
     "gpu.act": _on_gpu("act"),
     "gpu.diffusion": _on_gpu("diffusion"),
-    "unseen_table": [
+    "unseen_table.microwave": [
         Row(
             label={"training": label, "demonstrations": count},
             policies=(Training(world=world, demonstrations=count),),
-            test=Trials(world=UNSEEN),
+            test=Trials(world=UNSEEN["microwave"]),
         )
         for label, world, count in (
             ("single", "microwave", FULL),
@@ -150,14 +168,11 @@ TABLES: Final = {
                 )
                 for seed in SEEDS
             ),
-            test=Trials(world=UNSEEN),
+            test=Trials(world=UNSEEN["microwave"]),
         ),
-        Row(
-            label={"training": "mixed", "demonstrations": 0, "policy": "handle_plan"},
-            policies=(Training(world="microwaves", demonstrations=0, sees="keypoints", kind="handle_plan"),),
-            test=Trials(world=UNSEEN),
-        ),
+        _planned("microwave"),
     ],
+    **{f"planner_table.{category}": [_planned(category)] for category in UNSEEN},
     "renderer_table": [
         Row(
             label={"trained_on": learned, "tested_on": seen},
@@ -191,8 +206,8 @@ TABLES: Final = {
 # Policies that are tested on the recorded video, by their training data.
 FILMED: Final = {name: Training(world="microwave", sees=name, fixed_camera=True) for name in VISUALS}
 VIDEO: Final = "video_error_mm"
-# Errors of the finder in labelled images.
-FINDER: Final = "finder_error_mm"
+# Categories of the finders whose errors in labelled images are measured, by table.
+FINDERS: Final = {f"finder_error_mm.{category}": category for category in UNSEEN}
 NOT_BY_DEFAULT: Final = (QUICK, "gpu.")
 
 
@@ -202,7 +217,7 @@ def chosen_tables(names: list[str]) -> list[str]:
     Raises:
         ConfigError: There is no such table.
     """
-    tables = [*TABLES, VIDEO, FINDER]
+    tables = [*TABLES, VIDEO, *FINDERS]
     for name in names:
         if not any(table.startswith(name) for table in tables):
             raise UnknownNameError("--cells", name, tables)

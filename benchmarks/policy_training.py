@@ -67,7 +67,7 @@ class Trainer:
 
     def train(self, training: Training) -> Path:
         """Train a policy and return its folder; LeRobot continues a killed training."""
-        if training.kind == "handle_plan":
+        if not training.learns:
             return self.create_planning_policy(training)
         home, steps = self.home(training), self.steps if training.demonstrations else 1
         last = home / LAST
@@ -108,19 +108,23 @@ class Trainer:
         home = self.home(training)
         if not (home / WEIGHTS).is_file():
             create = import_plugin("create_handle_plan").create_policy
-            suite = self.data.finder_suite(Trials(world=UNSEEN), training.actions)
-            create(train_finder(self.data), suite, self.data.run(training.world), home)
+            create(*self._find_inputs(training), self.data.run(training.world, until="replacement"), home)
         return home
 
     def list_finder_options(self, training: Training) -> list[str]:
-        """Return the options of a policy with a finder, after making finder and suite; none for other policies.
+        """Return the options of a policy with a finder, after making finder and suite; none for other policies."""
+        if not training.finds:
+            return []
+        finder, suite = self._find_inputs(training)
+        return [f"--policy.finder={finder}", f"--policy.suite={suite}"]
+
+    def _find_inputs(self, training: Training) -> tuple[Path, Path]:
+        """Return the files of finder and suite of a policy, after making them.
 
         The suite only gives cameras and arm, which are those of all worlds with this recording.
         """
-        if not training.finds:
-            return []
-        suite = self.data.finder_suite(Trials(world=UNSEEN), training.actions)
-        return [f"--policy.finder={train_finder(self.data)}", f"--policy.suite={suite}"]
+        suite = self.data.finder_suite(Trials(world=UNSEEN[training.category]), training.actions)
+        return train_finder(self.data, training.category), suite
 
 
 def first_draws(dataset: Path, count: int) -> list[int]:

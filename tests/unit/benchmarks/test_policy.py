@@ -24,7 +24,7 @@ from benchmarks import policy_data, policy_training, policy_video
 from benchmarks.policy import PolicyBench, beats, folder_digest, table_figures
 from benchmarks.policy_data import MANY, UNSEEN, WORLDS, PolicyData, Trials, moved_cameras
 from benchmarks.policy_finder import LEARNED, OTHERS, TESTED, measure_finder
-from benchmarks.policy_tables import FILMED, FINDER, QUICK, TABLES, VIDEO, Row, Training, chosen_tables
+from benchmarks.policy_tables import FILMED, FINDERS, QUICK, TABLES, VIDEO, Row, Training, chosen_tables
 from benchmarks.policy_training import ASSET, Trainer, first_draws, front_features
 from benchmarks.policy_video import mean_trajectory_error, video_error
 
@@ -75,7 +75,10 @@ def test_seeds_are_counted_together_and_others_only_in_the_same_trials() -> None
 
 def test_tables_are_chosen_by_the_beginning_of_their_names() -> None:
     assert chosen_tables(["curve"]) == ["curve.microwave", "curve.drawer"]
-    assert set(chosen_tables([])) == TABLES.keys() - {QUICK, "gpu.act", "gpu.diffusion"} | {VIDEO, FINDER}
+    assert (
+        set(chosen_tables([]))
+        == TABLES.keys() - {QUICK, "gpu.act", "gpu.diffusion"} | {VIDEO} | FINDERS.keys()
+    )
     assert chosen_tables(["gpu"]) == ["gpu.act", "gpu.diffusion"]
     with pytest.raises(ConfigError, match=r"'curv\.x' is unknown"):
         chosen_tables(["curv.x"])
@@ -88,7 +91,7 @@ def test_worlds_ask_for_what_a_project_understands() -> None:
 
 
 def test_who_learned_with_a_hand_camera_is_tried_with_one() -> None:
-    for world in (WORLDS["microwaves"], WORLDS[UNSEEN]):
+    for world in (WORLDS[name] for category in UNSEEN for name in (f"{category}s", UNSEEN[category])):
         assert override(GenerationParams(), dict(world.episodes), "episodes").images.robot_cameras
 
 
@@ -99,14 +102,21 @@ def test_every_cell_has_its_worlds() -> None:
             for policy in row.policies:
                 assert isinstance(policy, str) or WORLDS[policy.world].demonstrations > 0
                 assert isinstance(policy, str) or policy.demonstrations <= WORLDS[policy.world].demonstrations
-    assert not {"microwave:1"} & set(WORLDS[UNSEEN].assets)
-    assert not set(WORLDS["microwaves"].assets) & set(WORLDS[UNSEEN].assets)
+    for category, unseen in UNSEEN.items():
+        learned = {*WORLDS[category].assets, *WORLDS[f"{category}s"].assets}
+        assert not learned & set(WORLDS[unseen].assets)
+        assert {name.partition(":")[0] for name in (*learned, *WORLDS[unseen].assets)} == {category}
 
 
-def test_objects_of_the_user_are_opened_but_not_learned_from(tmp_path: Path) -> None:
+def test_objects_of_the_user_are_opened_but_not_learned_from(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    categories = {"mine.usda": "microwave", "chest.usda": "drawer"}
+    monkeypatch.setattr(policy_data, "open_asset", lambda spec: SimpleNamespace(category=categories[spec]))
     made: dict[str, tuple[str, ...]] = {}
 
-    def run_project(project: Project, **_: Any) -> None:
+    def run_project(project: Project, until: str, **_: Any) -> None:
+        assert until == "replacement", "policies are tested on these objects, without demonstrations"
         project.out.mkdir(parents=True, exist_ok=True)
         (project.out / LOCK_FILE).touch()
         made[project.out.name] = project.assets
@@ -117,10 +127,11 @@ def test_objects_of_the_user_are_opened_but_not_learned_from(tmp_path: Path) -> 
         run_project=run_project,
         workers=1,
         notify=lambda _: None,
-        assets=("mine.usda",),
+        assets=tuple(categories),
     )
-    data.run(UNSEEN)
-    assert made == {"microwave": ("microwave:1",), UNSEEN: (*WORLDS[UNSEEN].assets, "mine.usda")}
+    unseen = UNSEEN["microwave"]
+    data.run(unseen)
+    assert made == {"microwave": ("microwave:1",), unseen: (*WORLDS[unseen].assets, "mine.usda")}
     # Both may be worked on at the same time.
     locks = [tmp_path / "runs" / name / LOCK_FILE for name in made]
     assert len({lock.stat().st_ino for lock in locks}) == 2
@@ -153,7 +164,7 @@ def test_without_the_plugin_no_finder_is_begun(tmp_path: Path) -> None:
         pytest.skip("the plug-in is installed")
     data: Any = SimpleNamespace(folder=tmp_path)
     with pytest.raises(BackendError, match="make policy-env"):
-        measure_finder(data)
+        measure_finder(data, "drawer")
     assert list(tmp_path.iterdir()) == []
 
 
@@ -162,7 +173,7 @@ def test_a_finder_is_tested_on_objects_that_no_policy_is_trained_or_tested_on() 
     policies = {name for world in WORLDS.values() for name in world.assets}
     assert not seeds[0] & seeds[1]
     assert not seeds[2]
-    assert not policies & {f"microwave:{seed}" for seed in (*LEARNED, *OTHERS)}
+    assert not policies & {f"{category}:{seed}" for category in UNSEEN for seed in (*LEARNED, *OTHERS)}
 
 
 def test_policies_do_not_share_a_folder() -> None:
@@ -236,8 +247,8 @@ def test_a_policy_with_a_finder_is_trained_with_finder_and_suite(
     tmp_path: Path, lerobot: tuple[Path, Path]
 ) -> None:
     command, words = lerobot
-    finder = tmp_path / "finder" / "finder.safetensors"
-    finder.parent.mkdir()
+    finder = tmp_path / "finders" / "microwave" / "finder.safetensors"
+    finder.parent.mkdir(parents=True)
     finder.touch()
     data: Any = SimpleNamespace(
         folder=tmp_path,
@@ -253,8 +264,9 @@ def test_a_policy_with_a_finder_is_trained_with_finder_and_suite(
     assert expected <= set(words.read_text().splitlines())
 
 
+@pytest.mark.parametrize("category", UNSEEN)
 def test_a_policy_with_a_planner_is_created_once_from_the_run_of_its_objects(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, category: str
 ) -> None:
     made = list[tuple[Path, ...]]()
 
@@ -266,16 +278,17 @@ def test_a_policy_with_a_planner_is_created_once_from_the_run_of_its_objects(
     monkeypatch.setattr(
         policy_training, "import_plugin", lambda module: SimpleNamespace(create_policy=create)
     )
-    monkeypatch.setattr(policy_training, "train_finder", lambda data: tmp_path / "finder")
+    monkeypatch.setattr(policy_training, "train_finder", lambda data, category: tmp_path / category)
     data: Any = SimpleNamespace(
         folder=tmp_path,
         finder_suite=lambda test, actions: tmp_path / f"{test.world}-{actions}",
-        run=lambda world: tmp_path / world,
+        run=lambda world, until: tmp_path / world / until,
     )
     trainer = Trainer(data=data, steps=20, command=tmp_path / "absent")
-    policy = Training(world="microwaves", demonstrations=0, sees="keypoints", kind="handle_plan")
+    (policy,) = (policy for row in TABLES[f"planner_table.{category}"] for policy in row.policies)
     homes = {trainer.train(policy) for _ in range(2)}
-    assert made == [(tmp_path / "finder", tmp_path / f"{UNSEEN}-joint", tmp_path / "microwaves", homes.pop())]
+    suite, library = tmp_path / f"{UNSEEN[category]}-joint", tmp_path / f"{category}s" / "replacement"
+    assert made == [(tmp_path / category, suite, library, homes.pop())]
 
 
 def test_the_finder_gets_larger_images_of_the_same_trials(
@@ -407,7 +420,7 @@ def test_kept_rollouts_need_neither_lerobot_nor_data(tmp_path: Path) -> None:
         kept.write_text(figures)
     data: Any = SimpleNamespace(folder=tmp_path, workers=1)
     bench = PolicyBench(data=data, trainer=Trainer(data=data, command=tmp_path / "absent"))
-    table = bench.figures(["unseen_table"])["unseen_table"]
+    table = bench.figures(["unseen_table.microwave"])["unseen_table.microwave"]
     assert [row["success_rate"] for row in table] == [0.5] * 5
 
 
