@@ -39,6 +39,9 @@ from aomgen.simulation.settings import draw_settings
 
 # Largest number of samples for a trial; if 1 % of them are feasible, one is found almost certainly.
 MAX_TRIAL_DRAWS: Final = 500
+# Number of samples that the planner or the simulation refuses until other physical parameters are sampled: with some, an object
+# cannot be opened, for example if it is heavy, latched and slippery.
+REFUSED_DRAWS: Final = 20
 # Time limit of a trial as a multiple of the longest plan, because policies are slower than plans.
 PATIENCE: Final = 1.5
 
@@ -151,12 +154,15 @@ def draw_trial(factory: EpisodeFactory, request: SuiteRequest, number: int) -> D
     asset = number * len(factory.results.fitted_assets) // request.trials
     rng = np.random.default_rng([request.seed, number])
     training = training_poses(factory.results)
-    redrawn = Counter[str]()
+    redrawn, refused = Counter[str](), 0
     while redrawn.total() < MAX_TRIAL_DRAWS:
-        variation = draw_independently(rng, request.seed, number, factory.params.ranges)
-        made = _verify_variation(factory, asset, variation, training)
+        # The index determines the physical parameters.
+        index = number + request.trials * (refused // REFUSED_DRAWS)
+        variation = draw_independently(rng, request.seed, index, factory.params.ranges)
+        unusable = _screen_variation(factory, asset, variation, training)
+        made = unusable or factory.certify(factory.asset(asset), variation)
         if isinstance(made, VerifiedEpisode):
-            plan, settings = made.plan, draw_settings(made.plan.fitted.asset, request.seed, number)
+            plan, settings = made.plan, draw_settings(made.plan.fitted.asset, request.seed, index)
             trial = Trial(
                 asset=asset,
                 variation=variation,
@@ -166,6 +172,7 @@ def draw_trial(factory: EpisodeFactory, request: SuiteRequest, number: int) -> D
             )
             return DrawnTrial(trial=trial, frames=len(plan), redrawn=dict(redrawn))
         redrawn[made.reason] += 1
+        refused += unusable is None
     raise NotEnoughEpisodesError(
         "suite",
         f"none of {MAX_TRIAL_DRAWS} draws for trial {number} passes ({redrawn.most_common()})",
@@ -173,13 +180,12 @@ def draw_trial(factory: EpisodeFactory, request: SuiteRequest, number: int) -> D
     )
 
 
-def _verify_variation(
+def _screen_variation(
     factory: EpisodeFactory, asset: int, variation: Variation, training: dict
-) -> VerifiedEpisode | Rejection:
-    """Return the certificate of a sample, or the reason why it is skipped."""
-    opened = factory.asset(asset)
-    fitted, _ = opened.sized(variation.scale)
+) -> Rejection | None:
+    """Return the reason why a sample is skipped without planning, if any."""
+    fitted, _ = factory.asset(asset).sized(variation.scale)
     found = nearest_pose(variation.place_at(fitted), training)
     if found is not None and not found[0].apart >= 1:
         return Rejection(reason="in_training", detail=f"has the same pose as in episode {found[1]}")
-    return factory.place.screen(variation, fitted) or factory.certify(opened, variation)
+    return factory.place.screen(variation, fitted)

@@ -7,10 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from aomgen.core.plan import Rejection, Variation
 from aomgen.core.progress import silent
 from aomgen.core.transforms import matrix_from_rotvec, transform
 from aomgen.errors import ConfigError, MalformedFileError, MissingFileError
-from aomgen.evaluation.draws import SuiteRequest, draw_trial, make_suite
+from aomgen.evaluation.draws import REFUSED_DRAWS, SuiteRequest, draw_trial, make_suite
 from aomgen.evaluation.rollout import World
 from aomgen.evaluation.suite import (
     Suite,
@@ -22,6 +23,7 @@ from aomgen.evaluation.suite import (
     twin_digest,
     write_suite,
 )
+from aomgen.simulation.settings import draw_settings
 from toy_run import ToyResults
 
 
@@ -42,6 +44,26 @@ def test_trials_depend_on_seed_and_number_alone(suite: Suite, world: World) -> N
     assert len(places) == 3
     other = draw_trial(world.factory, replace(request, seed=10), 1).trial
     assert other.variation != again.variation
+
+
+def test_physical_parameters_with_which_nothing_opens_are_sampled_again(
+    world: World, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    factory, request, tried = world.factory, SuiteRequest(trials=3, seed=9), list[int]()
+    certify = factory.certify
+
+    def refuse_first(opened: object, variation: Variation) -> object:
+        tried.append(variation.index)
+        first = Rejection(reason="target", detail="the gripper slips")
+        return first if variation.index == 1 else certify(opened, variation)
+
+    monkeypatch.setattr(factory, "certify", refuse_first)
+    drawn = draw_trial(factory, request, 1)
+    assert tried[:REFUSED_DRAWS] == [1] * REFUSED_DRAWS
+    assert drawn.redrawn["target"] >= REFUSED_DRAWS
+    assert drawn.trial.variation.index == tried[-1] > 1
+    fitted = factory.asset(drawn.trial.asset).fitted
+    assert drawn.trial.setting in draw_settings(fitted.asset, request.seed, tried[-1])
 
 
 def test_no_trial_stands_where_an_episode_does(suite: Suite, toy: ToyResults) -> None:
