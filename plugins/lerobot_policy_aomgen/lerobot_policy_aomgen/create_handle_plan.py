@@ -2,6 +2,7 @@
 
 import argparse
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 
 from lerobot.configs.types import FeatureType, PolicyFeature
@@ -14,7 +15,7 @@ from lerobot_policy_aomgen.modeling_handle_plan import HandlePlanPolicy
 from lerobot_policy_aomgen.processor_handle_plan import make_handle_plan_pre_post_processors
 
 
-def create_policy(finder: Path, suite: Path, library: Path, out: Path) -> None:
+def create_policy(finder: Path, suite: Path, library: Path, out: Path, cameras: Sequence[str] = ()) -> None:
     """Write a policy that `aomgen evaluate` runs as `lerobot:OUT`.
 
     Args:
@@ -22,9 +23,11 @@ def create_policy(finder: Path, suite: Path, library: Path, out: Path) -> None:
         suite: File of a suite, whose cameras and arm the policy uses.
         library: Folder of a run, see `HandlePlanConfig`.
         out: Folder of the policy.
+        cameras: Names of the cameras that the policy uses, at least two; empty for all cameras of the suite.
 
     Raises:
         ConfigError: Suite and library have different arms or rates, or the actions of the suite are no joint targets.
+        ValueError: A camera is unknown, or there are fewer than two.
         AomgenError: A file is missing or damaged.
     """
     trials, results = open_suite(suite)[0], open_results(library)
@@ -38,6 +41,7 @@ def create_policy(finder: Path, suite: Path, library: Path, out: Path) -> None:
         finder=str(finder),
         suite=str(suite),
         library=str(library.resolve()),
+        cameras=list(cameras),
         device="cpu",
         output_features={ACTION: PolicyFeature(FeatureType.ACTION, (trials.action_size,))},
     )
@@ -56,12 +60,21 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("suite", type=Path, help="suite with the cameras and the arm of the policy")
     parser.add_argument("library", type=Path, help="run whose assets are the known objects")
     parser.add_argument("out", type=Path, help="folder of the policy")
+    parser.add_argument(
+        "--cameras",
+        nargs="+",
+        default=[],
+        metavar="NAME",
+        help="at least two cameras of the suite [default: all]",
+    )
     given = parser.parse_args(arguments)
     try:
-        create_policy(given.finder, given.suite, given.library, given.out)
+        create_policy(given.finder, given.suite, given.library, given.out, given.cameras)
     except AomgenError as error:
         sys.stderr.write(f"error: {error}\n")
         return error.exit_code
+    except ValueError as error:
+        parser.error(str(error))
     sys.stdout.write(f"wrote {given.out}: evaluate it with --policy lerobot:{given.out}\n")
     return 0
 
