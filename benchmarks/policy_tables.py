@@ -32,6 +32,7 @@ class Training:
         sees: Observations of the demonstrations.
         kind: Network of the policy.
         fixed_camera: Whether it uses only the camera of the recorded video.
+        wrist_camera: Whether a policy with a finder uses the cameras on the robot.
     """
 
     world: str
@@ -40,6 +41,7 @@ class Training:
     sees: Sight = "splat"
     kind: Kind = "small_act"
     fixed_camera: bool = False
+    wrist_camera: bool = True
 
     @property
     def category(self) -> str:
@@ -65,8 +67,8 @@ class Training:
     def name(self) -> str:
         """Name in files."""
         own = [self.sees] * (self.sees != "splat") + [self.kind] * (self.kind != "small_act")
-        words = [self.world, str(self.demonstrations), str(self.seed), *own, *["front"] * self.fixed_camera]
-        return "-".join(words)
+        seen = ["front"] * self.fixed_camera + ["no_wrist"] * (not self.wrist_camera)
+        return "-".join([self.world, str(self.demonstrations), str(self.seed), *own, *seen])
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -114,12 +116,30 @@ def _scales(world: str) -> list[Row]:
     ]
 
 
-def _planned(category: str) -> Row:
-    return Row(
-        label={"training": "mixed", "demonstrations": 0, "policy": "handle_plan"},
-        policies=(Training(world=f"{category}s", demonstrations=0, sees="keypoints", kind="handle_plan"),),
-        test=Trials(world=UNSEEN[category]),
+def _planned(world: str, wrist_camera: bool = True, moved_m: float = 0.0) -> Row:
+    """Describe `handle_plan` with the objects of a world as known objects."""
+    policy = Training(
+        world=world, demonstrations=0, sees="keypoints", kind="handle_plan", wrist_camera=wrist_camera
     )
+    return Row(
+        label={
+            "policy": "handle_plan",
+            "known_objects": len(WORLDS[world].assets),
+            "wrist_camera": wrist_camera,
+            "moved_m": moved_m,
+        },
+        policies=(policy,),
+        test=Trials(world=UNSEEN[policy.category], moved_m=moved_m),
+    )
+
+
+def _planner_table(category: str) -> list[Row]:
+    many = f"{category}s"
+    return [
+        *(_planned(many, moved_m=moved_m) for moved_m in MOVED_M),
+        _planned(many, wrist_camera=False),
+        _planned(category),
+    ]
 
 
 def _on_gpu(kind: Kind) -> list[Row]:
@@ -170,9 +190,9 @@ TABLES: Final = {
             ),
             test=Trials(world=UNSEEN["microwave"]),
         ),
-        _planned("microwave"),
+        _planned("microwaves"),
     ],
-    **{f"planner_table.{category}": [_planned(category)] for category in UNSEEN},
+    **{f"planner_table.{category}": _planner_table(category) for category in UNSEEN},
     "renderer_table": [
         Row(
             label={"trained_on": learned, "tested_on": seen},

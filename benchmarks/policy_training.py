@@ -14,6 +14,7 @@ from pyarrow.parquet import read_table
 from aomgen.datasets.lerobot_tables import ASSET
 from aomgen.errors import BackendError, NotEnoughEpisodesError
 from aomgen.evaluation.lerobot_policy import IMAGES, LAST, STATE, TRAINING, WEIGHTS
+from aomgen.evaluation.suite import fixed_cameras, open_suite
 from aomgen.io.artifact import read_json
 from aomgen.io.atomic import remove_folder
 from benchmarks.policy_data import UNSEEN, PolicyData, Trials
@@ -108,7 +109,9 @@ class Trainer:
         home = self.home(training)
         if not (home / WEIGHTS).is_file():
             create = import_plugin("create_handle_plan").create_policy
-            create(*self._find_inputs(training), self.data.run(training.world, until="replacement"), home)
+            finder, suite = self._find_inputs(training)
+            library = self.data.run(training.world, until="replacement")
+            create(finder, suite, library, home, list_cameras(training, suite))
         return home
 
     def list_finder_options(self, training: Training) -> list[str]:
@@ -116,7 +119,8 @@ class Trainer:
         if not training.finds:
             return []
         finder, suite = self._find_inputs(training)
-        return [f"--policy.finder={finder}", f"--policy.suite={suite}"]
+        cameras = json.dumps(list_cameras(training, suite))
+        return [f"--policy.finder={finder}", f"--policy.suite={suite}", f"--policy.cameras={cameras}"]
 
     def _find_inputs(self, training: Training) -> tuple[Path, Path]:
         """Return the files of finder and suite of a policy, after making them.
@@ -125,6 +129,14 @@ class Trainer:
         """
         suite = self.data.finder_suite(Trials(world=UNSEEN[training.category]), training.actions)
         return train_finder(self.data, training.category), suite
+
+
+def list_cameras(training: Training, suite: Path) -> list[str]:
+    """List the cameras that a policy with a finder uses, as its setting names them: empty for all cameras of the suite."""
+    if training.wrist_camera:
+        return []
+    trials, results = open_suite(suite)
+    return list(fixed_cameras(trials.cameras, results.robot))
 
 
 def first_draws(dataset: Path, count: int) -> list[int]:

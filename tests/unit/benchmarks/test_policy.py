@@ -1,6 +1,7 @@
 """The bench of trained policies counts rightly, and makes what is missing once."""
 
 import json
+from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
 from types import SimpleNamespace
@@ -25,7 +26,7 @@ from benchmarks.policy import PolicyBench, beats, folder_digest, table_figures
 from benchmarks.policy_data import MANY, UNSEEN, WORLDS, PolicyData, Trials, moved_cameras
 from benchmarks.policy_finder import LEARNED, OTHERS, TESTED, measure_finder
 from benchmarks.policy_tables import FILMED, FINDERS, QUICK, TABLES, VIDEO, Row, Training, chosen_tables
-from benchmarks.policy_training import ASSET, Trainer, first_draws, front_features
+from benchmarks.policy_training import ASSET, Trainer, first_draws, front_features, list_cameras
 from benchmarks.policy_video import mean_trajectory_error, video_error
 
 FROM_EVALUATION = ("suite", "dataset", "versions", "redrawn", "nearest_mm", "nearest_deg", "failures")
@@ -268,10 +269,10 @@ def test_a_policy_with_a_finder_is_trained_with_finder_and_suite(
 def test_a_policy_with_a_planner_is_created_once_from_the_run_of_its_objects(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, category: str
 ) -> None:
-    made = list[tuple[Path, ...]]()
+    made = list[tuple[Any, ...]]()
 
-    def create(finder: Path, suite: Path, library: Path, out: Path) -> None:
-        made.append((finder, suite, library, out))
+    def create(finder: Path, suite: Path, library: Path, out: Path, cameras: list[str]) -> None:
+        made.append((finder, suite, library, out, cameras))
         out.mkdir(parents=True)
         (out / WEIGHTS).touch()
 
@@ -285,10 +286,20 @@ def test_a_policy_with_a_planner_is_created_once_from_the_run_of_its_objects(
         run=lambda world, until: tmp_path / world / until,
     )
     trainer = Trainer(data=data, steps=20, command=tmp_path / "absent")
-    (policy,) = (policy for row in TABLES[f"planner_table.{category}"] for policy in row.policies)
+    policy = Training(world=f"{category}s", demonstrations=0, sees="keypoints", kind="handle_plan")
     homes = {trainer.train(policy) for _ in range(2)}
     suite, library = tmp_path / f"{UNSEEN[category]}-joint", tmp_path / f"{category}s" / "replacement"
-    assert made == [(tmp_path / category, suite, library, homes.pop())]
+    assert made == [(tmp_path / category, suite, library, homes.pop(), [])]
+
+
+def test_a_policy_without_wrist_camera_uses_the_fixed_cameras(monkeypatch: pytest.MonkeyPatch) -> None:
+    suite = SimpleNamespace(cameras=dict.fromkeys(("front", "side", "wrist")))
+    robot = SimpleNamespace(cameras={"wrist": None})
+    monkeypatch.setattr(policy_training, "open_suite", lambda path: (suite, SimpleNamespace(robot=robot)))
+    rows = [row for row in TABLES["planner_table.drawer"] if not row.label["wrist_camera"]]
+    (policy,) = (policy for row in rows for policy in row.policies if isinstance(policy, Training))
+    assert list_cameras(policy, Path("suite.json")) == ["front", "side"]
+    assert list_cameras(replace(policy, wrist_camera=True), Path("suite.json")) == []
 
 
 def test_the_finder_gets_larger_images_of_the_same_trials(
