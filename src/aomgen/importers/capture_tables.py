@@ -18,10 +18,7 @@ JOINTS_FILE: Final = "demo/joints.csv"
 _VIDEO: Final = re.compile(r"^(\s*video\s*=\s*)(\"[^\"\n]*\"|'[^'\n]*')", re.MULTILINE)
 SKELETON: Final = """\
 format = 1
-name = {name}
-category = "{placeholder}"                     # TODO: category of the object, for example "microwave"; it chooses assets
-instruction = {instruction}           # {instruction_note}
-
+{facts}
 {robot}
 [scan]
 images = {scan}                       # TODO: folder of 40 to 100 stills from a walk around the scene, or a video
@@ -87,12 +84,8 @@ def read_robot_table(path: Path) -> RobotSection | None:
 
 def write_new_capture(name: str, tables: DemoTables) -> str:
     """Return the text of a capture.toml with the known values, and with TODO comments for the others."""
-    known = "language instruction of the demonstration"
     return SKELETON.format(
-        name=format_toml_value(name),
-        placeholder=PLACEHOLDER,
-        instruction=format_toml_value(tables.instruction or PLACEHOLDER),
-        instruction_note=known if tables.instruction else f"TODO: {known}",
+        facts="".join(_write_facts(name, tables).values()),
         robot=_write_robot(tables),
         scan=format_toml_value(tables.scan),
         demo=_write_demo(tables, {}),
@@ -102,6 +95,7 @@ def write_new_capture(name: str, tables: DemoTables) -> str:
 def replace_demo_tables(path: Path, tables: DemoTables) -> str:
     """Return the text of an existing capture.toml with other demo tables; all other bytes are kept.
 
+    Name, category, instruction and robot are added if they are missing, as after the import of a scan into an empty folder.
     Cameras that keep their names keep their intrinsics and comments.
 
     Raises:
@@ -131,8 +125,30 @@ def replace_demo_tables(path: Path, tables: DemoTables) -> str:
         else "\n" * (2 - head.endswith("\n"))
     )
     result = f"{head}{gap}{new}{tail}" if tail else f"{head}{gap}{new}".rstrip("\n") + "\n"
+    facts = _write_facts(path.resolve().parent.name, tables)
+    result = _add_keys(result, {key: line for key, line in facts.items() if key not in before})
     _check_others(path, text, result)
     return result
+
+
+def _write_facts(name: str, tables: DemoTables) -> dict[str, str]:
+    """Return the lines of the facts about a capture, by key."""
+    known = "language instruction of the demonstration"
+    instruction = format_toml_value(tables.instruction or PLACEHOLDER)
+    return {
+        "name": f"name = {format_toml_value(name)}\n",
+        "category": f'category = "{PLACEHOLDER}"                     # TODO: category of the object, for example '
+        '"microwave"; it chooses assets\n',
+        "instruction": f"instruction = {instruction}           # {'' if tables.instruction else 'TODO: '}{known}\n",
+    }
+
+
+def _add_keys(text: str, lines: dict[str, str]) -> str:
+    """Add top-level keys below the existing ones."""
+    if not lines:
+        return text
+    (_, head), *others = split_tables(text)
+    return "".join([head.rstrip(), "\n", *lines.values(), "\n", *(block for _, block in others)])
 
 
 def _read_camera(path: Path, block: str) -> dict[str, str]:
@@ -177,7 +193,8 @@ def _write_camera(name: str, kept: str) -> str:
 
 def _check_others(path: Path, before: str, after: str) -> None:
     """Refuse a replacement that changed another table."""
-    changed = {"demo", "robot"} - ({"robot"} & parse_manifest_text(before, path).keys())
+    added = {"robot", "name", "category", "instruction"} - parse_manifest_text(before, path).keys()
+    changed = {"demo"} | added
     try:
         kept = parse_manifest_text(after, path, without=changed)
     except MalformedFileError as error:

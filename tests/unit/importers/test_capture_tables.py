@@ -1,6 +1,7 @@
 """The demo tables of a capture.toml are written, and nothing else of it changes."""
 
 import tomllib
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -67,12 +68,20 @@ def test_comments_line_ends_and_order_stay(tmp_path: Path, end: str):
     assert "# measured" in after
 
 
-def test_a_file_without_robot_and_demo_gets_both(tmp_path: Path):
-    path = tmp_path / "capture.toml"
-    path.write_text('format = 1\n\n[scan]\nimages = "scan"')
+def test_a_file_of_a_scan_alone_gets_everything_else(tmp_path: Path):
+    path = tmp_path / "kitchen" / "capture.toml"
+    path.parent.mkdir()
+    path.write_text('format = 1\n\n# my photos\n[scan]\nimages = "scan"')
     assert read_robot_table(path) is None
-    data = tomllib.loads(replace_demo_tables(path, TABLES))
-    assert list(data) == ["format", "scan", "robot", "demo"]
+    tables = replace(TABLES, instruction="open it")
+    text = replace_demo_tables(path, tables)
+    path.write_text(text)
+    manifest = read_manifest(path)
+    assert (manifest.name, manifest.instruction, manifest.scan.images) == ("kitchen", "open it", "scan")
+    assert "# my photos\n[scan]" in text
+    new = tomllib.loads(write_new_capture("kitchen", tables))
+    assert tomllib.loads(text) == new
+    assert replace_demo_tables(path, tables) == text
 
 
 @pytest.mark.parametrize(
