@@ -66,12 +66,15 @@ class PolicyBench:
         if policies:
             self.trainer.require_lerobot()
         trainings = dict.fromkeys(policies)
+        # One after the other, because two processes cannot work on the same run.
         for training in trainings:
             if training.learns:
                 self.data.dataset(training.world, training.sees)
-            self.trainer.list_finder_options(training)
+                self.trainer.list_finder_options(training)
+            else:
+                self.trainer.train(training)
         with ThreadPoolExecutor(self.data.workers) as pool:
-            list(pool.map(self.trainer.train, trainings))
+            list(pool.map(self.trainer.train, [training for training in trainings if training.learns]))
 
     def video_errors(self) -> dict[str, float]:
         """Compute mean errors of the predicted end effector on the recorded video, [mm]."""
