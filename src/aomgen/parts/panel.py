@@ -214,10 +214,12 @@ def _find_plane(points: Array, tolerance: float, rng: np.random.Generator) -> tu
     """Find the plane near most of the points (N, 3): unit normal, a point, and the points near it."""
     corners = points[rng.integers(len(points), size=(TRIALS, 3))]
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
+    lengths = np.linalg.norm(normals, axis=1)
+    normals /= np.maximum(lengths, 1e-12)[:, None]
     offsets = np.sum(normals * corners[:, 0], axis=1)
     counts = (np.abs(points @ normals.T - offsets) < tolerance).sum(0)
-    best = int(np.argmax(counts))
+    # Three corners of which two are the same point determine no plane.
+    best = int(np.argmax(np.where(lengths > 0, counts, 0)))
     normal, origin = normals[best], corners[best, 0]
     near = points
     for _ in range(3):

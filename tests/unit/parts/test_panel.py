@@ -12,7 +12,7 @@ from aomgen.core.gaussians import Gaussians, gaussians_of
 from aomgen.core.parts import no_cut
 from aomgen.core.transforms import apply, invert, matrix_from_quat, matrix_from_rotvec, transform
 from aomgen.errors import ReconstructionError
-from aomgen.parts.panel import MIN_SHARE, UNKNOWNS, YAW, Panel, cut_at_faces, find_panel_frame
+from aomgen.parts.panel import MIN_SHARE, UNKNOWNS, YAW, Panel, _find_plane, cut_at_faces, find_panel_frame
 from aomgen.parts.panel_fit import fit_panel
 from aomgen.parts.panel_terms import PromptedView, TrackedPoints, box_misfit, iou
 from aomgen.splatting.rasterizer import render
@@ -323,6 +323,16 @@ def test_fronts_face_the_camera_and_are_upright_or_level_when_they_nearly_are(no
     assert abs((T[:3, 3] - [1, 0, 1]) @ T[:3, 2]) < 0.005
     turned_away, _ = find_panel_frame(points, np.array([[1.0, 0, 1]]) - 2 * np.array([normal]), rng)
     assert turned_away[:3, 2] @ T[:3, 2] < -0.99
+
+
+def test_a_plane_is_found_among_few_points_of_which_samples_contain_one_twice() -> None:
+    rng = np.random.default_rng(3)
+    plane = np.column_stack([rng.uniform(-1, 1, (40, 2)), np.zeros(40)])
+    others = rng.uniform([-1, -1, 0.2], [1, 1, 2.0], (20, 3))
+    normal, origin, near = _find_plane(np.concatenate([plane, others]), 0.01, rng)
+    assert abs(normal[2]) == pytest.approx(1.0)
+    assert origin[2] == pytest.approx(0.0)
+    assert len(near) == 40
 
 
 # A drawer's front in the left half of a body, both facing +z.
