@@ -61,14 +61,14 @@ class JointEstimate:
     Attributes:
         joint: Value 0 at the beginning of the path; `upper` is the observed travel.
         grasp_ee: The held point, end-effector frame, refined, [m].
-        axis_sd_rad: Standard deviation of the direction (root of the sum of both variances), [rad].
-        origin_sd_m: The same of the axis line near the contact, [m]; 0 for a prismatic joint.
-        axis_ci95_rad, origin_ci95_m: Radii around direction and line that hold the true ones with 95 %.
-        residual_m: Unsteadiness of the gripper along the path, [m].
-        give_rate: Standard deviation of the slip along the part's path per travel, [m/m].
-        turn_ratio: Rotation of the gripper over rotation of the part; 0 for a prismatic joint.
-        margin: Twice the log evidence of this type over the other one.
-        axes, origins, grasps: Equally likely axes, points on them [m] and held points [m].
+        axis_sd_rad: Standard deviation of the direction of the axis, the root of the sum of the variances across it, [rad].
+        origin_sd_m: Standard deviation of the position of the axis near the contact, likewise, [m]; 0 for a prismatic joint.
+        axis_ci95_rad, origin_ci95_m: Half widths of the 95 % credible intervals of the direction and of the position.
+        residual_m: Standard deviation of the gripper about the path of the part, [m].
+        give_rate: Standard deviation of the slip of the gripper along the path per travel of the part, [m/m].
+        turn_ratio: Rotation of the gripper divided by that of the part; 0 for a prismatic joint.
+        margin: Twice the logarithm of the evidence for this type divided by that for the other one.
+        axes, origins, grasps: S samples of the posterior distribution: axes, points on them [m], and held points [m].
     """
 
     joint: Joint
@@ -143,7 +143,7 @@ def fit_candidates(
     margin = 2 * (revolute.log_evidence - prismatic.log_evidence)
     # The bulge is the middle half of the nodes against the outer half. Bars are parallel to hinges, so that
     # arcs bend in the direction in which the fingers hold best.
-    unsteady = prismatic.scales[0] * np.sqrt(4 / params.nodes)
+    unsteady = prismatic.scales[0] * np.sqrt(4 / len(points))
     slip = compute_held_rate(prismatic.scales, prismatic.model.closing_alignment) * extent
     return JointCandidates(
         revolute=_estimate(path, revolute, "revolute", margin),

@@ -116,7 +116,7 @@ STAGES: tuple[Stage, ...] = (
         title="parts of robot and object",
         needs=("capture", "structure", "gaussians", "alignment"),
         settings=("parts_method", "segmenter", "alignment_method"),
-        version=15,
+        version=16,
         weight=22,
         function=_parts,
         incremental=True,
@@ -127,7 +127,7 @@ STAGES: tuple[Stage, ...] = (
         title="keyframes, contact, joint",
         needs=("capture", "structure", "gaussians", "alignment", "parts"),
         settings=("motion_method",),
-        version=27,
+        version=28,
         weight=9,
         function=_by_method(
             "motion_method",
