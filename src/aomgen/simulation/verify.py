@@ -120,9 +120,15 @@ def find_drive(scene: Scene) -> str:
     if np.any((model.wrap_type == mujoco.mjtWrap.mjWRAP_JOINT) & (model.wrap_objid == joint)):
         return "a tendon"
     ends = np.stack([model.eq_obj1id, model.eq_obj2id], -1)
-    tied = np.where(
-        model.eq_type == mujoco.mjtEq.mjEQ_JOINT, (ends == joint).any(-1), np.isin(ends, bodies).any(-1)
-    )
+    tied = np.zeros(model.neq, bool)
+    sites = np.flatnonzero(np.isin(model.site_bodyid, bodies))
+    kinds = {
+        mujoco.mjtObj.mjOBJ_JOINT: [joint],
+        mujoco.mjtObj.mjOBJ_BODY: bodies,
+        mujoco.mjtObj.mjOBJ_SITE: sites,
+    }
+    for kind, ids in kinds.items():
+        tied |= (model.eq_objtype == kind) & np.isin(ends, ids).any(-1)
     return f"constraint {model.equality(int(np.argmax(tied))).name}" if tied.any() else ""
 
 

@@ -251,11 +251,23 @@ def add_weld(spec: mujoco.MjSpec) -> None:
     )
 
 
+def add_weld_of_sites(spec: mujoco.MjSpec) -> None:
+    for body in ("object_moving", "gripper_base"):
+        spec.body(body).add_site(name=f"{body}_site")
+    spec.add_equality(
+        name="glue",
+        type=mujoco.mjtEq.mjEQ_WELD,
+        name1="object_moving_site",
+        name2="gripper_base_site",
+        objtype=mujoco.mjtObj.mjOBJ_SITE,
+    )
+
+
 def add_spring(spec: mujoco.MjSpec) -> None:
     spec.joint("object_joint").stiffness = np.array([5.0, 0.0, 0.0])
 
 
-@pytest.mark.parametrize("add", [add_motor, add_follower, add_weld, add_spring])
+@pytest.mark.parametrize("add", [add_motor, add_follower, add_weld, add_weld_of_sites, add_spring])
 def test_an_object_that_something_else_moves_is_noticed(
     robot: RobotModel, drawer: Episode, monkeypatch: pytest.MonkeyPatch, add: Callable[[mujoco.MjSpec], None]
 ) -> None:
