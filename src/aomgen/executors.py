@@ -71,7 +71,7 @@ def run_units(units: Iterable[Any], executor: Executor) -> Iterator[Done]:
     """
     for done in try_units(units, executor):
         if done.lost:
-            raise WorkerError(f"unit {done.unit}", f"was lost ({done.lost})", "try fewer --workers")
+            raise WorkerError(f"unit {done.unit}", f"has no result: {LOST[done.lost]}", "try fewer --workers")
         yield done
 
 
@@ -158,7 +158,7 @@ class Processes:
                 done = self._answer(busy[connection])  # type: ignore[index]
                 if done is not None:
                     return done
-            for worker in busy.values():
+            for worker in list(self._workers):  # Workers that died are no longer in the list.
                 if worker.unit is not None and time.monotonic() - worker.began > self._timeout_s:
                     self._remove(worker)
                     return Done(unit=worker.unit, lost="timeout")

@@ -75,6 +75,14 @@ def test_a_unit_that_hangs_is_given_up(tmp_path):
     assert time.monotonic() - start < 8
 
 
+def test_a_worker_that_died_beyond_the_time_limit_is_removed_once(tmp_path):
+    with Processes(partial(open_work, tmp_path), 1, 0.01) as executor:
+        executor.submit("die9")
+        executor._workers[0].process.join()
+        # The unit is started again, and this time the limit is noticed.
+        assert executor.next_done().lost == "timeout"
+
+
 def test_what_the_work_raises_arrives(tmp_path):
     with Processes(partial(open_work, tmp_path), 1, 60) as executor:
         with pytest.raises(StorageError, match="disk: is full; free space") as raised:
