@@ -12,6 +12,7 @@ from aomgen.episodes.factory import EpisodeFactory
 from aomgen.episodes.keypoint_fit import fit_known_objects
 from aomgen.episodes.planning import plan_episode
 from aomgen.episodes.screening import stands_in
+from aomgen.errors import ConfigError
 from aomgen.results import Results
 from aomgen.simulation.episode_scene import episode_scene
 from aomgen.simulation.scene import Scene
@@ -27,9 +28,14 @@ class KeypointPlanner:
 
     Args:
         results: Results of a run up to the stage "replacement"; its assets are the known objects.
+
+    Raises:
+        ConfigError: The run demonstrates a closing; keypoints are known of closed objects only.
     """
 
     def __init__(self, results: Results) -> None:
+        if any(fitted.target_theta < fitted.start_theta for fitted in results.fitted_assets):
+            raise ConfigError(results.out, "demonstrates a closing", "name a run of an opening")
         self._factory = EpisodeFactory(results, results.folders["episodes"])
         self._known = results.fitted_assets
         plan = replace(self._factory.plan_params, search=True)
@@ -50,8 +56,8 @@ class KeypointPlanner:
         plan = Rejection(
             reason="no_object", detail="no known object can face in the direction of the keypoints"
         )
-        for params, (fitted, variation) in product(self._params, shapes[:SHAPES]):
-            scene = self._build_scene(fitted, variation)
+        placed = [(*shape, self._build_scene(*shape)) for shape in shapes[:SHAPES]]
+        for params, (fitted, variation, scene) in product(self._params, placed):
             usual = factory.usual_grasp(fitted.asset.category).usual
             plan = plan_episode(fitted, demo, variation, scene, factory.solver, params, usual, joints)
             if isinstance(plan, EpisodePlan):
@@ -60,7 +66,9 @@ class KeypointPlanner:
 
     def _build_scene(self, fitted: FittedAsset, variation: Variation) -> Scene:
         """Build the scene of an estimated object, without obstacles that the estimate overlaps: it is not that exact."""
-        results, T = self._factory.results, variation.place_at(fitted)
+        factory, T = self._factory, variation.place_at(fitted)
+        results = factory.results
         surroundings = results.episode_scene
         obstacles = [box for box in surroundings.obstacles if not stands_in(fitted, T, box)]
-        return episode_scene(results.robot, fitted, results.demonstration, surroundings.support, obstacles)
+        support, bolted = surroundings.support, factory.params.bolted
+        return episode_scene(results.robot, fitted, results.demonstration, support, obstacles, bolted=bolted)

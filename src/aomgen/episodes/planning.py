@@ -38,6 +38,7 @@ HALVINGS: Final = 3
 MAX_APART_RAD: Final = np.pi / 2
 # A motion that is too fast is slowed down by this factor more than needed: sampling shifts its peaks.
 SLOWER = 1.05
+NO_START: Final = Rejection(reason="no_path", detail="the arm collides at every possible start")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -150,11 +151,13 @@ class Planner:
         self, motions: Sequence[RetargetedMotion], ways: Sequence[Way] = WAYS
     ) -> tuple[Candidate, EpisodePlan] | Rejection:
         """Find the first candidate that passes, and its plan; or return the rejection that came farthest."""
-        best = Rejection(reason="no_grasp", detail="the asset offers no grasp")
+        best: Rejection | None = None
         for found in self.evaluate_all(motions, ways):
             if not isinstance(found, Rejection):
                 return found
-            best = max(best, found, key=rank)
+            best = found if best is None else max(best, found, key=rank)
+        # Without a start, no candidate of an object that the arm can hold is evaluated.
+        best = best or NO_START
         return replace(best, metrics={**best.metrics, "grasps_tried": float(len(motions))})
 
     def evaluate_all(
@@ -198,7 +201,7 @@ class Planner:
         if start is None:
             start = self._find_start(motion.knots[0, 0], goal)
         if start is None:
-            return Rejection(reason="no_path", detail="the arm collides at every possible start")
+            return NO_START
         path = self._find_free_path(start, goal, held_at) if free == "searched" else None
         if isinstance(path, Rejection):
             return path

@@ -175,7 +175,6 @@ def reasons() -> dict[str, str]:
         "no_path": "the search finds no motion of the arm to the handle without a collision",
         "grip_collision": f"fingers and handle overlap by more than {contact.max_handle_penetration_mm:g} mm",
         "no_grip": f"a finger pad stays more than {contact.max_gap_mm:g} mm away from the handle",
-        "no_grasp": "the asset offers no grasp",
         "target_too_small": "the planned travel is too short to be evaluated",
         "not_finite": "an action is not a number",
         "diverged": "the simulation became unstable",

@@ -1,5 +1,8 @@
 """The demonstration is transferred to a drawer of which only the keypoints in images are known."""
 
+from dataclasses import replace
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -10,6 +13,7 @@ from aomgen.core.transforms import apply
 from aomgen.episodes.keypoint_fit import stretch
 from aomgen.episodes.keypoint_planner import KeypointPlanner
 from aomgen.episodes.retarget import CONTACT
+from aomgen.errors import ConfigError
 from toy_run import ToyResults, toy_run
 
 
@@ -58,6 +62,15 @@ def test_an_object_beyond_the_reach_is_rejected(results: ToyResults, cameras: li
     found = KeypointPlanner(results).plan(cameras, *detect(cameras, points), results.demonstration.joints[0])
     assert isinstance(found, Rejection)
     assert found.reason == "unreachable"
+
+
+def test_a_run_of_a_closing_is_refused(tmp_path: Path) -> None:
+    results = toy_run(tmp_path)
+    fitted = results.fitted_assets[0]
+    closing = replace(fitted, thetas=fitted.thetas[::-1])
+    results.__dict__["fitted_assets"] = [closing]
+    with pytest.raises(ConfigError, match="demonstrates a closing"):
+        KeypointPlanner(results)
 
 
 def test_an_object_that_faces_away_has_no_plan(results: ToyResults, cameras: list[Camera]) -> None:
