@@ -1,5 +1,6 @@
 """Computation of many units whose values are saved in one file each, so that an interrupted command can continue."""
 
+import json
 from collections.abc import Iterable, Mapping
 from functools import partial
 from pathlib import Path
@@ -30,7 +31,7 @@ class SavedUnits(Generic[T]):
 
     def __init__(self, folder: Path, request: Mapping[str, Any], kind: type[T]) -> None:
         self.folder, self._kind = folder, kind
-        place, want = folder / REQUEST_FILE, dict(request)
+        place, want = folder / REQUEST_FILE, json.loads(json.dumps(request))
         have = reuse_object(place)
         if have and have != want:
             raise ConfigError(folder, "was begun for something else", "delete it, or choose another name")

@@ -27,7 +27,9 @@ def make(folder: Path, request: int = 1) -> list[int]:
         computed.append(unit)
         return Square(value=unit**2)
 
-    found = SavedUnits(folder, {"request": request}, Square).make(range(4), InThisProcess(work), silent)
+    found = SavedUnits(folder, {"request": request, "size": (1, 2)}, Square).make(
+        range(4), InThisProcess(work), silent
+    )
     assert [item.value for item in found] == [0, 1, 4, 9]
     return computed
 

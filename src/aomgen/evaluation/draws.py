@@ -92,7 +92,12 @@ def make_suite(
     if request.seed == results.project.seed:
         raise ConfigError("--seed", f"{request.seed} is the seed of the run", "choose another one")
     twin = twin_digest(results)
-    parts = SavedUnits(path.with_name(f"{path.stem}.parts"), {"twin": twin, **_plain(request)}, DrawnTrial)
+    identity = {
+        "twin": twin,
+        **asdict(request),
+        "params": asdict(results.params("episodes", GenerationParams())),
+    }
+    parts = SavedUnits(path.with_name(f"{path.stem}.parts"), identity, DrawnTrial)
     # A copy without cached results.
     opener = partial(_open_drawing, replace(results), request)
     drawn = parts.make(range(request.trials), Processes(opener, workers, TRIAL_S), progress)
@@ -116,12 +121,6 @@ def make_suite(
     write_suite(path, suite)
     remove_folder(parts.folder)
     return suite
-
-
-def _plain(request: SuiteRequest) -> dict:
-    """Return a request in the form that JSON restores."""
-    content = asdict(request)
-    return content | {"size": request.size and list(request.size), "cameras": list(request.cameras)}
 
 
 def _chosen_cameras(results: Results, wanted: tuple[str, ...]) -> dict[str, Camera]:

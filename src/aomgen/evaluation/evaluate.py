@@ -1,7 +1,7 @@
 """Roll out a policy in all trials of a suite, in parallel processes, and summarize the results."""
 
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from functools import partial
 from pathlib import Path
@@ -155,7 +155,7 @@ def roll_out(world: World, policy: Policy, number: int, film: Path | None = None
         looks = policy.looks(rollout.frame)
         observation = rollout.observation(pixels=film is not None or looks)
         if film is not None:
-            frames.append(np.concatenate(list(observation["pixels"].values()), 1))
+            frames.append(place_side_by_side(list(observation["pixels"].values())))
         action = np.asarray(policy.act(observation), np.float64)
         if looks and policy.points_world is not None:
             errors = policy.points_world - rollout.locate_keypoints()
@@ -174,3 +174,9 @@ def roll_out(world: World, policy: Policy, number: int, film: Path | None = None
         ee_world=world.factory.results.robot.ee_poses(np.stack(joints))[:, :3, 3],
         finder_mm=np.reshape(finder_mm, (-1, len(KEYPOINTS))),
     )
+
+
+def place_side_by_side(images: Sequence[NDArray[np.uint8]]) -> NDArray[np.uint8]:
+    """Join images (H, W, 3) of any sizes into one, aligned at their upper edges on black."""
+    height = max(len(image) for image in images)
+    return np.concatenate([np.pad(image, ((0, height - len(image)), (0, 0), (0, 0))) for image in images], 1)

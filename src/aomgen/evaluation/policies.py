@@ -12,12 +12,12 @@ from aomgen.core.values import Array
 from aomgen.datasets.features import ActionSpace, ee_deltas, feature_columns
 from aomgen.datasets.lerobot_tables import SOURCE
 from aomgen.errors import MissingFileError, UnknownNameError
-from aomgen.evaluation.lerobot_policy import WEIGHTS, LerobotPolicy, checkpoint_folder
+from aomgen.evaluation.lerobot_policy import SETTINGS, WEIGHTS, LerobotPolicy, checkpoint_folder
 from aomgen.evaluation.remote import SCHEMES, open_remote
 from aomgen.evaluation.rollout import Rollout, World
 from aomgen.evaluation.suite import nearest_pose, open_results, training_poses
-from aomgen.io.artifact import file_digest
 from aomgen.io.episode_folder import read_episode
+from aomgen.pipeline.manifest import files_digest
 
 ORACLE, NEAREST = "oracle_replay", "nearest_replay"
 LEROBOT: Final = "lerobot:"
@@ -155,7 +155,8 @@ def open_policy(name: str, world: World) -> Policy:
 
 
 def policy_digest(name: str) -> str:
-    """Return the SHA-256 of a policy's weights; empty if they are not on this machine."""
+    """Return the SHA-256 of a policy's weights and settings; empty if they are not on this machine."""
     if not name.startswith(LEROBOT):
         return ""
-    return file_digest(checkpoint_folder(Path(name.removeprefix(LEROBOT))) / WEIGHTS)
+    folder = checkpoint_folder(Path(name.removeprefix(LEROBOT)))
+    return files_digest([folder / WEIGHTS, folder / SETTINGS])

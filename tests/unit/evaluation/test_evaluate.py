@@ -13,6 +13,7 @@ from aomgen.evaluation.evaluate import (
     EvaluationRequest,
     evaluate,
     interval_95,
+    place_side_by_side,
     roll_out,
 )
 from aomgen.evaluation.policies import NearestReplay, open_policy
@@ -105,6 +106,11 @@ def test_policies_that_do_not_exist_are_refused(
         open_policy("oracle_replay=7", world)
     with pytest.raises(MissingFileError):
         open_policy(f"nearest_replay={tmp_path}", world)
+
+
+def test_images_of_several_sizes_are_joined() -> None:
+    joined = place_side_by_side([np.full((2, 3, 3), 10, np.uint8), np.full((4, 1, 3), 20, np.uint8)])
+    assert joined[..., 0].tolist() == [[10, 10, 10, 20]] * 2 + [[0, 0, 0, 20]] * 2
 
 
 def test_wilsons_interval_is_the_textbooks() -> None:

@@ -34,8 +34,12 @@ def test_weights_are_found_by_themselves_and_below_their_training(tmp_path: Path
         checkpoint_folder(tmp_path)
 
 
-def test_other_weights_are_another_policy(tmp_path: Path) -> None:
+def test_other_weights_or_settings_are_another_policy(tmp_path: Path) -> None:
     one, other = (weights_in(tmp_path / name, name.encode()) for name in ("one", "other"))
+    assert policy_digest(f"lerobot:{one}") != policy_digest(f"lerobot:{other}")
+    (other / "model.safetensors").write_bytes(b"one")
+    assert policy_digest(f"lerobot:{one}") == policy_digest(f"lerobot:{other}")
+    (other / "config.json").write_text('{"library": "other"}')
     assert policy_digest(f"lerobot:{one}") != policy_digest(f"lerobot:{other}")
     assert policy_digest("oracle_replay") == ""
 

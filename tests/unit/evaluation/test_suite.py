@@ -3,6 +3,7 @@
 import json
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -99,6 +100,23 @@ def test_the_seed_of_the_training_is_refused(toy: ToyResults, tmp_path: Path) ->
     with pytest.raises(ConfigError, match="the seed of the run"):
         make_suite(toy, tmp_path / "s.json", SuiteRequest(seed=toy.project.seed), 1, silent)
     assert list(tmp_path.iterdir()) == []
+
+
+def test_trials_of_other_ranges_are_not_continued(
+    toy: ToyResults, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path, request = tmp_path / "s.json", SuiteRequest(trials=1, seed=9)
+
+    def interrupt(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
+        patch.setattr("aomgen.evaluation.draws.write_suite", interrupt)
+        make_suite(toy, path, request, 1, silent)
+    params = {"episodes": {**toy.project.params["episodes"], "ranges": {"x_m": [0.0, 0.01]}}}
+    changed = replace(toy, project=SimpleNamespace(**{**vars(toy.project), "params": params}))
+    with pytest.raises(ConfigError, match="was begun for something else"):
+        make_suite(changed, path, request, 1, silent)
 
 
 def test_unknown_cameras_are_refused(toy: ToyResults, tmp_path: Path) -> None:
