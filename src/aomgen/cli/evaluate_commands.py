@@ -17,9 +17,11 @@ class _PolicyByDefault(typer.core.TyperGroup):
     """`aomgen evaluate SUITE` means `aomgen evaluate policy SUITE`, and `--real FILE` means `real FILE`."""
 
     def parse_args(self, ctx: typer.Context, args: list[str]) -> list[str]:
-        if args and args[0] == REAL_OPTION:
-            args = [REAL_OPTION.strip("-"), *args[1:]]
-        if args and args[0] not in self.commands and not args[0].startswith("-"):
+        if not args or args[0] in self.commands:
+            return super().parse_args(ctx, args)
+        if REAL_OPTION in args:
+            args = [REAL_OPTION.strip("-"), *(arg for arg in args if arg != REAL_OPTION)]
+        elif any(not arg.startswith("-") for arg in args):
             args = [DEFAULT_COMMAND, *args]
         return super().parse_args(ctx, args)
 

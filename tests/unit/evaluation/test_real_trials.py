@@ -133,7 +133,7 @@ def test_the_command(folder: Path) -> None:
 
 def test_trials_without_numbers(folder: Path) -> None:
     (folder / "trials.csv").write_text("policy,success\nlerobot:act,1\nlerobot:act,0\n")
-    done = aomgen("evaluate", "real", "trials.csv", folder=folder)
+    done = aomgen("evaluate", "trials.csv", "--real", folder=folder)
     assert "0 pairs, no trial is named" in done.stdout
     assert "Pearson's r    undefined over 1 policies" in done.stdout
 
