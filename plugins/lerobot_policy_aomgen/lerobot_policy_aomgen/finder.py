@@ -191,6 +191,7 @@ def load_finder(path: Path) -> tuple[Finder, FinderErrors]:
         with safe_open(path, "pt") as file:
             described = json.loads((file.metadata() or {})[METADATA])
             content = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
+        keypoints = tuple(described["keypoints"])
         finder = Finder(FinderSettings(**described["settings"]))
         prefix = "network."
         state = {name.removeprefix(prefix): content[name] for name in content if name.startswith(prefix)}
@@ -202,8 +203,6 @@ def load_finder(path: Path) -> tuple[Finder, FinderErrors]:
         )
     except (SafetensorError, KeyError, TypeError, ValueError, RuntimeError) as error:
         raise MalformedFileError(path, f"is no finder ({error})", "train it again") from error
-    if tuple(described["keypoints"]) != KEYPOINTS:
-        raise MalformedFileError(
-            path, f"locates {described['keypoints']}, expected {KEYPOINTS}", "train it again"
-        )
+    if keypoints != KEYPOINTS:
+        raise MalformedFileError(path, f"locates {keypoints}, expected {KEYPOINTS}", "train it again")
     return finder.eval(), errors
