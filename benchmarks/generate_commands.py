@@ -179,7 +179,7 @@ def faults(
 
     Episodes are real but small. `docs/episodes.md` explains the metrics.
     """
-    from faults import run_faults
+    from benchmarks.faults import run_faults
 
     with tempfile.TemporaryDirectory() as scratch:
         figures = run_faults(Path(scratch), kills, partial(print, file=sys.stderr, flush=True))
