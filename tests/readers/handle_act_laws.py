@@ -44,6 +44,7 @@ names = ["front", "side", mounted]
 
 # The arm and the camera that it carries are where the robot's model has them.
 rng = np.random.default_rng(0)
+torch.manual_seed(0)
 configurations = rng.uniform(-2, 2, (5, 6))
 joints = torch.from_numpy(configurations)
 T_world_ee = pose_end_effector(geometry, joints)
@@ -91,7 +92,7 @@ pixels, depths = project_points(views, points)
 found, spreads = add_errors(tables, views, pixels, depths)
 check(torch.allclose(found[:, :2], pixels[:, :2]), "without errors pixels are true")
 check((lift_points(views, found, spreads)[0] - points).norm(dim=-1).median() < 0.005, "and points as well")
-behind = add_errors(tables, views, pixels, -depths)
+behind = add_errors(tables, views, pixels, -depths.abs())
 check((behind[0] == torch.tensor(SIZE) / 2).all() and (behind[1] > 15).all(), "behind a camera is the middle")
 try:
     tabulate_errors(known, ["nowhere"])
