@@ -104,7 +104,7 @@ def _finite_column(table: LogTable, name: str) -> Array:
 
 
 def unwrap(joints: Array, joint_names: Sequence[str]) -> tuple[Array, tuple[str, ...]]:
-    """Undo steps by whole turns between two rows, as drivers make that keep angles within half a turn of 0.
+    """Remove jumps of whole turns between two rows; drivers that wrap angles to -180 .. 180 degrees cause them.
 
     A joint that was unwrapped is moved by whole turns so that the middle of its range is nearest to 0.
 
@@ -200,7 +200,7 @@ def check_log(log: JointLog, path: Path, videos_s: dict[str, float], offset_s: f
 
     Args:
         videos_s: Length of every video by the name of its camera, [s]; each begins at its own zero.
-        offset_s: Known clock offset (log time = video time + offset), [s].
+        offset_s: Known clock offset of the first video (log time = video time + offset), [s]; None if it is unknown.
 
     Raises:
         UnitsError: Times that only milliseconds, microseconds or nanoseconds explain.
@@ -209,16 +209,16 @@ def check_log(log: JointLog, path: Path, videos_s: dict[str, float], offset_s: f
     """
     _check_steps(log, path, max(videos_s.values()))
     first, last = log.times_s[0], log.times_s[-1]
-    for name, video_s in videos_s.items():
-        if offset_s is not None and not (
-            offset_s >= first - 0.05 * video_s and offset_s + video_s <= last + 0.05 * video_s
-        ):
-            raise IncompleteCaptureError(
-                path,
-                f"with clock_offset_s = {offset_s:g} the video of '{name}' lasts from {offset_s:.1f} s to "
-                f"{offset_s + video_s:.1f} s, the log from {first:.1f} s to {last:.1f} s",
-                "correct it (log time = video time + offset), or leave it out to estimate it",
-            )
+    name, video_s = next(iter(videos_s.items()))
+    if offset_s is not None and not (
+        offset_s >= first - 0.05 * video_s and offset_s + video_s <= last + 0.05 * video_s
+    ):
+        raise IncompleteCaptureError(
+            path,
+            f"with clock_offset_s = {offset_s:g} the video of '{name}' lasts from {offset_s:.1f} s to "
+            f"{offset_s + video_s:.1f} s, the log from {first:.1f} s to {last:.1f} s",
+            "correct it (log time = video time + offset), or leave it out to estimate it",
+        )
     travel = np.ptp(log.joints, axis=0)
     if not travel.max() >= MIN_TRAVEL:
         raise IncompleteCaptureError(

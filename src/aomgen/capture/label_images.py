@@ -29,7 +29,7 @@ def read_demo_masks(
         shape: Frames, height and width of that video.
 
     Raises:
-        IncompleteCaptureError: There are label images, but not one a frame.
+        IncompleteCaptureError: The number of label images differs from the number of video frames.
         MalformedFileError: One has another size than the video.
     """
     files = demo_mask_files(capture, camera)

@@ -136,8 +136,8 @@ def order_rows(
         Times (U,), strictly increasing, values (U, C), the first row (U,) of each, and notes.
 
     Raises:
-        MalformedFileError: Time steps back by more than packets overtake one another, or rows of one time
-            stamp contradict each other.
+        MalformedFileError: Time steps back by more than `MAX_REORDER_S`, or rows with the same time stamp have different
+            values.
     """
     back = np.maximum.accumulate(times) - times
     worst = int(np.argmax(back))

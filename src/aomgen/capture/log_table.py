@@ -90,15 +90,16 @@ def read_log_table(path: Path, required: Sequence[str]) -> LogTable:
 
     Raises:
         MissingFileError, LimitExceededError: The file is missing or too large.
-        MalformedFileError: No text, no header, or a missing column.
+        MalformedFileError: No text, no header, a missing column, or a row whose fields do not match the columns.
     """
     if not path.is_file():
         raise MissingFileError(path, "is missing", "copy it there or correct capture.toml")
     if not path.stat().st_size <= MAX_BYTES:
         raise LimitExceededError(path, f"is larger than {MAX_BYTES} bytes")
     text = _decode(path.read_bytes(), path)
-    lines = [(number, line.strip()) for number, line in enumerate(text.splitlines(), start=1)]
-    lines = [(number, line) for number, line in lines if line and not _DECLARATION.match(line)]
+    # A tab at the start or the end of a line delimits an empty field.
+    lines = [(number, line.strip(" ")) for number, line in enumerate(text.splitlines(), start=1)]
+    lines = [(number, line) for number, line in lines if line.strip() and not _DECLARATION.match(line)]
     if not len(lines) <= MAX_ROWS:
         raise LimitExceededError(path, f"has more than {MAX_ROWS} rows")
     try:
@@ -128,21 +129,28 @@ def _find_header(
 ) -> tuple[int, list[str], str]:
     """Find the index of the header line, the column names and the separator.
 
-    The header is the first line that is no comment, unless the comment before it contains the required names, or the
-    line has no names at all.
+    The header is the first line that is no comment, or the comment before it if this contains more of the required names.
+    If no names are required, the comment must contain more names than the line and have as many fields.
     """
-    first = next((k for k, (_, line) in enumerate(lines) if not line.startswith(COMMENTS)), len(lines))
+    first = next((k for k, (_, line) in enumerate(lines) if not _is_comment(line)), len(lines))
     found: tuple[int, list[str], str] = (first, [], ",")
     best = -1
+    below = lines[min(first, len(lines) - 1)][1] if lines else ""
     for at in (first, first - 1):
-        if not 0 <= at < len(lines) or (best > 0 and not required):
+        if not 0 <= at < len(lines):
             continue
         line = lines[at][1]
-        for mark in COMMENTS:
-            line = line.removeprefix(mark)
+        if _is_comment(line):
+            line = line.strip()
+            for mark in COMMENTS:
+                line = line.removeprefix(mark).strip()
         for separator in SEPARATORS:
-            names = [name.strip() for name in next(_split([line.strip()], separator), [])]
-            score = sum(name in names for name in required) if required else _count_names(names, separator)
+            names = [name.strip() for name in next(_split([line], separator), [])]
+            if required:
+                score = sum(name in names for name in required)
+            else:
+                fits = len(names) == len(next(_split([below], separator), []))
+                score = _count_names(names, line + below, separator) if fits else 0
             if score > best:
                 best, found = score, (at, names, separator)
     missing = [name for name in required if name not in found[1]]
@@ -161,9 +169,13 @@ def _find_header(
     return found
 
 
-def _count_names(names: Sequence[str], separator: str) -> int:
+def _is_comment(line: str) -> bool:
+    return line.lstrip().startswith(COMMENTS)
+
+
+def _count_names(names: Sequence[str], line: str, separator: str) -> int:
     """Count the names in a header whose names are unknown; they may contain spaces if another separator is used."""
-    if separator == " " and any(mark in name for name in names for mark in SEPARATORS if mark != " "):
+    if separator == " " and any(mark in line for mark in SEPARATORS if mark != " "):
         return 0
     return sum(bool(name) and not _is_number(name) for name in names)
 
@@ -185,7 +197,7 @@ def _split(lines: Sequence[str], separator: str) -> Iterator[list[str]]:
 def _read_rows(path: Path, lines: list[tuple[int, str]], header: list[str], separator: str) -> LogTable:
     kept: list[tuple[int, list[str]]] = []
     headers = 0
-    data = [(number, line) for number, line in lines if not line.startswith(COMMENTS)]
+    data = [(number, line) for number, line in lines if not _is_comment(line)]
     comments = len(lines) - len(data)
     split = _split([line for _, line in data], separator)
     for (number, _), fields in zip(data, split, strict=False):
@@ -203,6 +215,15 @@ def _read_rows(path: Path, lines: list[tuple[int, str]], header: list[str], sepa
         notes.append(
             f"the last row (line {number}) has {len(fields)} of {len(header)} fields and was dropped"
         )
+    for number, fields in kept:
+        # Separators may follow the last field. White space does not delimit an empty field, so each field is needed.
+        beyond = any(field.strip() for field in fields[len(header) :])
+        if beyond or (separator == " " and len(fields) < len(header)):
+            raise MalformedFileError(
+                path,
+                f"row {number} has {len(fields)} fields, the header has {len(header)}",
+                "export the log with one name per column",
+            )
     return LogTable(
         path=path,
         header=tuple(header),

@@ -10,6 +10,7 @@ from aomgen.capture.log_table import LogTable, read_log_table, read_number
 from aomgen.errors import IncompleteCaptureError, MalformedFileError
 from aomgen.importers.recorded import JointTable, RecordedEpisode
 
+RTDE: Final = "RTDE recording"
 # Measured joint angles in an RTDE recording, from base to flange, [rad].
 RTDE_COLUMNS: Final = tuple(f"actual_q_{number}" for number in range(6))
 # Names of these joints in the ROS driver and the models of all Universal Robots arms.
@@ -33,7 +34,7 @@ def read_episode(path: Path) -> RecordedEpisode:
     # A column name that occurs twice is ambiguous.
     once = [column for column in table.header if column and table.header.count(column) == 1]
     numeric = [column for column in once if column != name and _is_number(table, column)]
-    times, notes = read_times(table, numeric)
+    times, notes = read_times(table, ())
     columns = {column: np.array(table.column(column, read_number)) for column in numeric}
     if not columns:
         raise MalformedFileError(path, "has no columns of numbers", "export the joint values in columns")
@@ -41,7 +42,7 @@ def read_episode(path: Path) -> RecordedEpisode:
     if all(column in columns for column in RTDE_COLUMNS):
         names = dict(zip(RTDE_COLUMNS, UR_JOINTS, strict=True))
         columns = {names.get(column, column): values for column, values in columns.items()}
-        kind, unit = "RTDE recording", "rad"
+        kind, unit = RTDE, "rad"
     return RecordedEpisode(
         kind=kind,
         tables=(JointTable(name=path.name, times_s=times, columns=columns, unit=unit),),

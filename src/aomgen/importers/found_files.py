@@ -5,9 +5,9 @@ from pathlib import Path
 from typing import Final
 
 from aomgen.core.recording import CAPTURE_FILE
-from aomgen.errors import ConfigError, InputError, MissingFileError, UnknownNameError
+from aomgen.errors import ConfigError, InputError, MalformedFileError, MissingFileError, UnknownNameError
 from aomgen.importers.capture_tables import JOINTS_FILE, DemoTables, write_new_capture
-from aomgen.importers.csv_tables import read_episode
+from aomgen.importers.csv_tables import RTDE, read_episode
 from aomgen.importers.gripper_column import find_gripper
 from aomgen.importers.import_demo import DEFAULT_ROBOT
 from aomgen.importers.joint_columns import find_columns
@@ -27,6 +27,7 @@ def find_capture_files(capture: Path) -> tuple[DemoTables, tuple[str, ...]]:
 
     Raises:
         MissingFileError: One of them is missing; the message names the import that creates it.
+        MalformedFileError: The log is an RTDE recording, whose columns are not named as joints.
         InputError: The log cannot be read.
     """
     scan = next((name for name in ("scan", SCAN_VIDEO) if (capture / name).exists()), "")
@@ -40,7 +41,13 @@ def find_capture_files(capture: Path) -> tuple[DemoTables, tuple[str, ...]]:
             raise MissingFileError(
                 path, "is missing", f"import a recording with `aomgen import demo SOURCE {capture}`"
             )
-    (table,) = read_episode(log).tables
+    recorded = read_episode(log)
+    if recorded.kind == RTDE:
+        # A run reads the columns by the names in the file.
+        raise MalformedFileError(
+            log, "is an RTDE recording", f"move it and import it with `aomgen import demo FILE {capture}`"
+        )
+    (table,) = recorded.tables
     joints = read_description(find_known_description(DEFAULT_ROBOT)).joints
     is_known = all(find_columns(joint, list(table.columns)) == [joint] for joint in joints)
     try:

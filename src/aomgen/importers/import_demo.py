@@ -11,12 +11,19 @@ from typing import Final
 
 import av.error
 import numpy as np
+from numpy.typing import NDArray
 
 from aomgen.capture.capture_schema import RobotSection
 from aomgen.capture.joint_log import check_log, read_joint_log
 from aomgen.core.recording import CAPTURE_FILE
 from aomgen.core.values import Array
-from aomgen.errors import ConfigError, InputError, MalformedFileError, NonFiniteError
+from aomgen.errors import (
+    ConfigError,
+    IncompleteCaptureError,
+    InputError,
+    MalformedFileError,
+    NonFiniteError,
+)
 from aomgen.importers.camera_names import choose_videos
 from aomgen.importers.capture_tables import (
     DemoTables,
@@ -34,6 +41,9 @@ from aomgen.robots.loading import load_robot
 
 # Robot of a capture that does not state one.
 DEFAULT_ROBOT: Final = "ur5e_2f85"
+# Longest time at the start and the end of the arm's motion in which the gripper may have no values, [s]. Recorders subscribe to
+# topics one after another, and the gripper rests there.
+MAX_UNCOVERED_S: Final = 1.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -156,8 +166,7 @@ def _write_log(
         holder.columns[column], column, options.gripper_open, options.gripper_closed, source
     )
     if holder is not arm:
-        order = np.argsort(holder.times_s, kind="stable")
-        share = np.interp(arm.times_s, holder.times_s[order], share[order])
+        share = _resample(share, holder, arm, source)
         grip_note += f", from {holder.name}"
     opened, closed = (robot.gripper_range if robot is not None else None) or (0.0, 1.0)
     rows = np.column_stack([arm.times_s, joints, opened + share * (closed - opened)])
@@ -168,6 +177,34 @@ def _write_log(
     pairs = [f"{name} = {found}" for name, found in zip(names, columns, strict=True) if name != found]
     mapping = [f"joints are taken from other columns: {', '.join(pairs)}"] if pairs else []
     return text.getvalue(), [*mapping, unit_note, grip_note]
+
+
+def _resample(share: Array, holder: JointTable, arm: JointTable, source: Path) -> Array:
+    """Interpolate the gripper's values (T,) in one table at the times of another table.
+
+    Raises:
+        IncompleteCaptureError: The gripper's values do not cover the times of the arm.
+    """
+    times_s, wanted_s = holder.times_s, arm.times_s
+    if (
+        holder.recorded_s is not None
+        and arm.recorded_s is not None
+        and (np.array_equal(times_s, holder.recorded_s) or np.array_equal(wanted_s, arm.recorded_s))
+    ):
+        # One table has no time stamps, and those of the other table may be on another clock than the recorder.
+        times_s, wanted_s = holder.recorded_s, arm.recorded_s
+    if not (
+        times_s.min() <= wanted_s.min() + MAX_UNCOVERED_S
+        and times_s.max() >= wanted_s.max() - MAX_UNCOVERED_S
+    ):
+        raise IncompleteCaptureError(
+            source,
+            f"{holder.name} has values from {times_s.min():.2f} s to {times_s.max():.2f} s, "
+            f"{arm.name} from {wanted_s.min():.2f} s to {wanted_s.max():.2f} s",
+            "record both during the whole demonstration, with time stamps of one clock",
+        )
+    order = np.argsort(times_s, kind="stable")
+    return np.interp(wanted_s, times_s[order], share[order])
 
 
 def _check_finite(table: JointTable, column: str, source: Path) -> None:
@@ -181,12 +218,16 @@ def _check_finite(table: JointTable, column: str, source: Path) -> None:
         )
 
 
-def _read_limits(robot: RobotSection | None, options: ImportOptions, capture: Path) -> Array:
-    """Read the limits (J, 2) of the robot's joints, [rad]."""
+def _read_limits(
+    robot: RobotSection | None, options: ImportOptions, capture: Path
+) -> tuple[Array, NDArray[np.bool_]]:
+    """Read the limits (J, 2) of the robot's joints, [rad] or [m], and the mask (J,) of the prismatic joints."""
     if robot is None:
-        return load_robot(options.robot or DEFAULT_ROBOT).joint_limits
-    file = robot.urdf or robot.mjcf
-    return load_robot(capture / file if file else robot.model, joints=robot.joints, root=capture).joint_limits
+        model = load_robot(options.robot or DEFAULT_ROBOT)
+    else:
+        file = robot.urdf or robot.mjcf
+        model = load_robot(capture / file if file else robot.model, joints=robot.joints, root=capture)
+    return model.joint_limits, model.slides
 
 
 def _write_videos(

@@ -2,9 +2,11 @@
 
 import re
 from collections.abc import Callable, Mapping, Sequence
+from functools import cache
 from typing import Final, Literal, get_args
 
 import numpy as np
+from numpy.typing import NDArray
 
 from aomgen.capture.joint_log import MAX_ANGLE_RAD
 from aomgen.core.values import Array
@@ -158,18 +160,23 @@ def _refuse_incomplete(
 
 
 def read_joints(
-    table: JointTable, columns: Sequence[str], stated: str, read_limits: Callable[[], Array], where: object
+    table: JointTable,
+    columns: Sequence[str],
+    stated: str,
+    read_limits: Callable[[], tuple[Array, NDArray[np.bool_]]],
+    where: object,
 ) -> tuple[Array, str]:
-    """Convert the joint values of a table to radians.
+    """Convert the joint values of a table to radians; prismatic joints are in meters, unless they are normalized.
 
     Args:
         columns: Columns of the J joints.
         stated: Unit of the columns, one of `UNITS`; if empty, it is recognized.
-        read_limits: Returns the limits (J, 2) of the robot's joints, [rad]; called for normalized joints only.
+        read_limits: Returns the limits (J, 2) of the robot's joints, [rad] or [m], and the mask (J,) of the prismatic ones;
+            called only if the columns are not obviously in radians.
         where: The source, for messages.
 
     Returns:
-        Angles (T, J), [rad], and a sentence about the unit.
+        Joint values (T, J), [rad] or [m], and a sentence about the unit.
 
     Raises:
         IncompleteCaptureError: The table has no rows.
@@ -180,51 +187,92 @@ def read_joints(
         raise IncompleteCaptureError(
             where, f"holds no joint states on {table.name}", "choose another recording"
         )
-    unit, reason = (stated, "--unit") if stated else _recognise(table, values, columns, where)
-    largest, column = float(np.nanmax(np.abs(values), initial=0.0)), _name_largest(values, columns)
-    limit = {"rad": MAX_ANGLE_RAD, "deg": MAX_ANGLE_DEG, "normalized": MAX_NORMALIZED}[unit]
-    if not largest <= limit:
+    read_limits = cache(read_limits)
+    unit, reason = (stated, "--unit") if stated else _recognise(table, values, columns, read_limits, where)
+    largest = _find_largest(values)
+    note = f"joints are read as {unit} ({reason}; largest value {largest.max():.4g})"
+    if unit == "rad" and largest.max() <= MAX_ANGLE_RAD:
+        return values, note
+    limits, slides = read_limits()
+    is_angle = ~slides | (unit == "normalized")
+    _check_largest(np.where(is_angle, largest, 0.0), columns, unit, reason, where)
+    if not largest[~is_angle].max(initial=0.0) <= MAX_ANGLE_RAD:
+        worst = int(np.argmax(np.where(is_angle, 0.0, largest)))
         raise UnitsError(
-            where, f"'{column}' reaches {largest:.1f}, limit {limit:.2f} for {unit} ({reason})",
-            f"state the unit: --unit {' or '.join(name for name in UNITS if name != unit)}",
+            where, f"'{columns[worst]}' of a prismatic joint reaches {largest[worst]:.1f}, limit {MAX_ANGLE_RAD:.2f} m",
+            "convert the column to meters",
         )  # fmt: skip
-    note = f"joints are read as {unit} ({reason}; largest value {largest:.4g})"
     if unit == "deg":
-        return np.radians(values), note
+        return np.where(slides, values, np.radians(values)), note
     if unit == "normalized":
-        low, high = np.asarray(read_limits()).T
-        return low + (values + 100) / 200 * (
-            high - low
-        ), f"{note}; -100 .. 100 are the limits of the robot's model"
+        low, high = limits.T
+        endless = ~np.isfinite(high - low)
+        if endless.any():
+            column = columns[int(np.argmax(endless))]
+            raise UnitsError(
+                where, f"'{column}' of a continuous joint cannot be normalized, because the joint has no limits",
+                "state the unit: --unit rad or --unit deg",
+            )  # fmt: skip
+        return (
+            low + (values + 100) / 200 * (high - low),
+            f"{note}; -100 .. 100 are the limits of the robot's model",
+        )
     return values, note
 
 
-def _name_largest(values: Array, columns: Sequence[str]) -> str:
-    return columns[int(np.argmax(np.nan_to_num(np.abs(values)).max(0)))]
+def _find_largest(values: Array) -> Array:
+    """Return the largest magnitude (J,) of the values (T, J) of each joint."""
+    return np.nan_to_num(np.abs(values)).max(0, initial=0.0)
 
 
-def _recognise(table: JointTable, values: Array, columns: Sequence[str], where: object) -> tuple[str, str]:
-    """Return the unit of joint values, and the evidence for it.
+def _check_largest(largest: Array, columns: Sequence[str], unit: str, reason: str, where: object) -> None:
+    """Refuse magnitudes (J,) that a unit excludes."""
+    limit = {"rad": MAX_ANGLE_RAD, "deg": MAX_ANGLE_DEG, "normalized": MAX_NORMALIZED}[unit]
+    worst = int(np.argmax(largest))
+    if not largest[worst] <= limit:
+        raise UnitsError(
+            where, f"'{columns[worst]}' reaches {largest[worst]:.1f}, limit {limit:.2f} for {unit} ({reason})",
+            f"state the unit: --unit {' or '.join(name for name in UNITS if name != unit)}",
+        )  # fmt: skip
+
+
+def _recognise(
+    table: JointTable,
+    values: Array,
+    columns: Sequence[str],
+    read_limits: Callable[[], tuple[Array, NDArray[np.bool_]]],
+    where: object,
+) -> tuple[str, str]:
+    """Return the unit of the revolute joints, and the evidence for it.
 
     Raises:
         UnitsError: Degrees and normalized joints explain the values equally well.
     """
-    units = {read_column_unit(column) for column in columns}
-    if len(units) > 1:
+    units = [read_column_unit(column) for column in columns]
+    if len(set(units)) > 1:
+        # The column of a prismatic joint states no unit of angles.
+        units = [
+            unit for unit, slides in zip(units, read_limits()[1], strict=True) if not (slides and not unit)
+        ]
+    if len(set(units)) > 1:
         raise UnitsError(
             where, f"names columns in several units ({', '.join(columns)})", "state it: --unit rad or deg"
         )
-    if units != {""}:
-        return units.pop(), "the columns' names"
+    if units[0]:
+        return units[0], "the columns' names"
     if table.unit:
         return table.unit, "the format's unit"
-    largest = float(np.nanmax(np.abs(values), initial=0.0))
-    if largest <= MAX_ANGLE_RAD:
+    largest = _find_largest(values)
+    if largest.max() <= MAX_ANGLE_RAD:
         return "rad", "all values are within a turn"
-    if MAX_NORMALIZED < largest <= MAX_ANGLE_DEG:
+    largest = np.where(read_limits()[1], 0.0, largest)
+    if largest.max() <= MAX_ANGLE_RAD:
+        return "rad", "all angles are within a turn"
+    if MAX_NORMALIZED < largest.max() <= MAX_ANGLE_DEG:
         return "deg", "values exceed 102"
+    worst = int(np.argmax(largest))
     raise UnitsError(
         where,
-        f"'{_name_largest(values, columns)}' reaches {largest:.1f}: degrees, or normalized to -100 .. 100?",
+        f"'{columns[worst]}' reaches {largest[worst]:.1f}: degrees, or normalized to -100 .. 100?",
         "state the unit: --unit deg or --unit normalized",
     )

@@ -14,7 +14,7 @@ from aomgen.errors import IncompleteCaptureError, MalformedFileError, SeveralCam
 from aomgen.importers.scan_source import ScanImage, ScanSource
 from aomgen.io.colmap_models import ColmapCamera
 from aomgen.io.heic import HEIC_SUFFIXES, open_heic
-from aomgen.io.images import image_size, open_image, read_image
+from aomgen.io.images import image_size, open_image, read_exif, read_image
 
 # Tag of the EXIF block that contains the focal length.
 EXIF_BLOCK: Final = 0x8769
@@ -114,7 +114,7 @@ def read_photo(path: Path, *, upright: bool = True) -> NDArray[np.uint8]:
 
 def _focal_px(image: Image.Image) -> float:
     """Compute the focal length of a photo, [px], from its 35 mm equivalent; 0 if the photo does not state it."""
-    stated = image.getexif().get_ifd(EXIF_BLOCK).get(FOCAL_35MM, 0)
+    stated = read_exif(image).get_ifd(EXIF_BLOCK).get(FOCAL_35MM, 0)
     try:
         focal_mm = float(stated)
     except (TypeError, ValueError, ZeroDivisionError):

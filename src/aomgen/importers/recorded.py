@@ -17,12 +17,15 @@ class JointTable:
         times_s: (T,), in the order of the recording, [s].
         columns: Values (T,) by column name, in the units of the recording.
         unit: "rad" if the format defines the unit of joints, else "".
+        recorded_s: Times (T,) on the clock of the recorder, which all tables share, [s]; None if the format has none. They
+            equal `times_s` if the values have no time stamps.
     """
 
     name: str
     times_s: Annotated[Array, "T"]
     columns: dict[str, Array]
     unit: str = ""
+    recorded_s: Annotated[Array, "T"] | None = None
 
     __post_init__ = freeze_arrays
 

@@ -13,7 +13,6 @@ from typing import Any, Final, Literal
 
 import numpy as np
 
-from aomgen.core.values import Array
 from aomgen.errors import (
     AomgenError,
     BackendError,
@@ -193,24 +192,15 @@ def _read_tables(bag: OpenBag, path: Path) -> tuple[list[JointTable], list[str]]
         groups.setdefault((topic, *(name for name, _ in ordered)), []).append(row)
     tables, notes = [], []
     for (topic, *names), rows in groups.items():
-        times, is_stamp = _choose_times(np.array([row[:2] for row in rows]))
-        if not is_stamp:
+        times, recorded = np.array([row[:2] for row in rows]).T
+        if not np.ptp(times) > 0:
+            times = recorded
             notes.append(f"{topic} has no time stamps; the times of recording are taken")
         values = np.array([row[2] for row in rows])
         columns = dict(zip(names, values.T, strict=True))
         unit = "rad" if bag.topics[topic] == JOINT_STATE else ""
-        tables.append(JointTable(name=topic, times_s=times, columns=columns, unit=unit))
+        tables.append(JointTable(name=topic, times_s=times, columns=columns, unit=unit, recorded_s=recorded))
     return tables, notes
-
-
-def _choose_times(times: Array) -> tuple[Array, bool]:
-    """Choose the time stamps of messages if they are set, else the recording times; also return whether they are set.
-
-    Args:
-        times: Time stamps and recording times (T, 2), [s].
-    """
-    stamped = bool(np.ptp(times[:, 0]) > 0)
-    return times[:, 0 if stamped else 1], stamped
 
 
 def _write_video(path: Path, kind: BagKind, topic: str, target: Path) -> WrittenVideo:

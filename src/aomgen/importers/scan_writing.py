@@ -3,6 +3,7 @@
 import shutil
 from collections import defaultdict
 from dataclasses import dataclass, replace
+from itertools import chain, count
 from pathlib import Path
 from typing import Final
 
@@ -210,8 +211,9 @@ def _write(layout: Layout, pixels: NDArray[np.uint8], folder: Path, taken: set[s
     if copy:
         with open_image(path) as image:
             copy = exif_orientation(image) == 1
-    if name.name in taken:
-        name = name.with_name(f"{name.stem}_{suffix.strip('.')}{name.suffix}")
+    stem = f"{name.stem}_{suffix.strip('.')}"
+    numbered = (f"{stem}_{number}{name.suffix}" for number in count(2))
+    name = Path(next(item for item in chain([name.name, stem + name.suffix], numbered) if item not in taken))
     if copy:
         shutil.copyfile(path, folder / name.name)
     else:

@@ -101,7 +101,7 @@ def read_transforms(path: Path) -> ScanSource:
         pose = frame.transform_matrix
         images.append(
             ScanImage(
-                name=Path(name).stem + image.suffix,
+                name=name.removesuffix(image.suffix) + image.suffix,
                 path=image,
                 camera=_read_camera(common | _list_fields(frame), path, image),
                 T_scan_cam=None if pose is None else read_opengl_pose(pose, path, name),

@@ -10,9 +10,11 @@ from PIL import Image
 
 from aomgen.capture.capture_check import check_capture, check_robot
 from aomgen.capture.demo_videos import read_demo_videos
+from aomgen.capture.joint_log import check_log
 from aomgen.capture.read import read_capture
 from aomgen.capture.scan_images import check_scan
 from aomgen.core.lens import Lens, undistorter
+from aomgen.core.recording import JointLog
 from aomgen.errors import (
     AomgenError,
     CalibrationError,
@@ -267,3 +269,13 @@ def test_a_click_may_miss_its_box_by_a_few_pixels(capture_copy):
     path.write_text(far)
     with pytest.raises(InputError, match="outside its box"):
         read_capture(capture_copy)
+
+
+def test_a_stated_clock_offset_is_compared_with_the_first_video() -> None:
+    times = np.arange(500) / 50
+    log = JointLog(
+        times_s=times, joints=np.sin(times)[:, None], gripper=0 * times, joint_names=("shoulder_pan_joint",)
+    )
+    check_log(log, Path("joints.csv"), {"front": 6.0, "side": 9.0}, 3.0)
+    with pytest.raises(IncompleteCaptureError, match="'front' lasts"):
+        check_log(log, Path("joints.csv"), {"front": 9.0, "side": 6.0}, 3.0)

@@ -25,7 +25,15 @@ def read(
 ) -> np.ndarray:
     table = make_table({name: values for name in names}, unit=unit)
     limits = np.array([[-1.0, 1.0], [0.0, 4.0]])
-    return read_joints(table, list(names), stated, lambda: limits, "log")[0]
+    return read_joints(table, list(names), stated, lambda: (limits, np.zeros(2, bool)), "log")[0]
+
+
+def read_rail(rail: float, elbow: float, stated: str = "", elbow_name: str = "elbow") -> list[float]:
+    """Read one row of a prismatic and a continuous joint."""
+    table = make_table({"rail": [rail], elbow_name: [elbow]})
+    limits = np.array([[0.0, 2.0], [-np.inf, np.inf]])
+    robot = limits, np.array([True, False])
+    return read_joints(table, ["rail", elbow_name], stated, lambda: robot, "log")[0][0].tolist()
 
 
 @pytest.mark.parametrize(
@@ -47,6 +55,19 @@ def test_units_are_recognised():
 def test_units_are_stated():
     np.testing.assert_allclose(read([0.5, 90.0], "deg")[:, 0], np.radians([0.5, 90.0]))
     np.testing.assert_allclose(read([-100.0, 50.0], "normalized"), [[-1.0, 0.0], [0.5, 3.0]])
+
+
+def test_only_revolute_joints_have_a_unit_of_angles():
+    degrees = pytest.approx([0.5, np.radians(130)])
+    assert read_rail(0.5, 130.0) == degrees
+    assert read_rail(0.5, 130.0, "deg") == degrees
+    assert read_rail(0.5, 130.0, elbow_name="elbow [deg]") == degrees
+    assert read_rail(0.5, 3.0, elbow_name="elbow [rad]") == [0.5, 3.0]
+    for stated in ("", "rad", "deg"):
+        with pytest.raises(UnitsError, match=r"'rail' of a prismatic joint reaches 598.0, limit 6.41 m"):
+            read_rail(598.0, 1.0, stated)
+    with pytest.raises(UnitsError, match="'elbow' of a continuous joint cannot be normalized"):
+        read_rail(0.0, 50.0, "normalized")
 
 
 @pytest.mark.parametrize(

@@ -154,6 +154,15 @@ def test_two_robots_in_one_topic(target: Path, tmp_path: Path, short: Demonstrat
     assert any("left_elbow_joint" in note for note in import_demo(path, target / "capture", 0, options))
 
 
+def test_a_gripper_on_another_clock(target: Path, tmp_path: Path, short: Demonstration):
+    with BagWriter(tmp_path / "bag", "mcap") as bag:
+        for k, time_s in enumerate(short.times_s.tolist()):
+            bag.write_joints("/joint_states", time_s, JOINTS, short.joints[k])
+            bag.write_joints("/hand", time_s + 5.0, ["gripper"], [short.gripper[k]])
+    words = "/hand has values from 1750000005.25 s to 1750000007.55 s, /joint_states from 1750000000.25 s"
+    refuse(tmp_path / "bag", target, IncompleteCaptureError, words, cameras=(f"front={short.video}",))
+
+
 def test_missing_joints_suggest_near_names(target: Path, tmp_path: Path, short: Demonstration):
     names = [name.replace("wrist", "rist") for name in JOINTS]
     path = write_table(

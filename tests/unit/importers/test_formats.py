@@ -201,6 +201,27 @@ def test_arm_and_gripper_on_topics_and_messages_of_their_own(short: Demonstratio
     assert any("from /gripper/joint_states" in note for note in notes)
 
 
+def test_a_gripper_without_stamps_beside_an_arm_in_simulated_time(short: Demonstration, tmp_path: Path):
+    start_s = 12.0 - EPOCH_S
+    packets = read_annex_b(short.video)
+    with BagWriter(tmp_path / "bag", "mcap") as bag:
+        for k, time_s in enumerate(short.times_s.tolist()):
+            message = bag.make(
+                "sensor_msgs/msg/JointState",
+                header=bag.header(start_s + time_s),
+                name=[*JOINTS],
+                position=short.joints[k],
+                velocity=np.zeros(0),
+                effort=np.zeros(0),
+            )
+            bag.write("/joint_states", time_s, message)
+            bag.write("/gripper", time_s, bag.make("std_msgs/msg/Float64", data=float(short.gripper[k])))
+            bag.write_h264("/front", time_s, packets[k])
+    import_demo(tmp_path / "bag", tmp_path / "capture")
+    compare(tmp_path / "capture", short, IDENTICAL_DB)
+    assert read_log(tmp_path / "capture").times_s[0] == pytest.approx(12.0)
+
+
 def test_messages_without_stamps_take_the_times_of_recording(short: Demonstration, tmp_path: Path):
     packets = read_annex_b(short.video)
     with BagWriter(tmp_path / "bag", "mcap") as bag:
@@ -251,6 +272,16 @@ def test_a_table_in_degrees_milliseconds_and_reversed_counts(short: Demonstratio
     path = write_table(tmp_path / "log.txt", header, columns)
     options = ImportOptions(gripper_open=255, cameras=(f"front={short.video}",))
     import_demo(path, tmp_path / "capture", 0, options)
+    compare(tmp_path / "capture", short, IDENTICAL_DB)
+
+
+def test_a_table_with_seconds_and_nanoseconds(short: Demonstration, tmp_path: Path):
+    header = ["stamp.secs", "stamp.nsecs", *JOINTS, "gripper"]
+    seconds, share = np.divmod(short.times_s, 1)
+    path = write_table(tmp_path / "log.csv", header, [seconds, 1e9 * share, short.joints, short.gripper])
+    options = ImportOptions(cameras=(f"front={short.video}",))
+    notes = import_demo(path, tmp_path / "capture", 0, options)
+    assert any("'stamp.secs' with 'stamp.nsecs'" in note for note in notes)
     compare(tmp_path / "capture", short, IDENTICAL_DB)
 
 

@@ -8,7 +8,8 @@ from pathlib import Path
 import pytest
 
 from aomgen.capture.capture_schema import read_manifest
-from aomgen.errors import MissingFileError, UnknownNameError
+from aomgen.errors import MalformedFileError, MissingFileError, UnknownNameError
+from aomgen.importers.csv_tables import UR_JOINTS
 from aomgen.importers.found_files import describe_capture, find_capture_files
 from aomgen.prompting.session import PromptSession
 from command_line import aomgen, one_sentence
@@ -64,4 +65,11 @@ def test_joints_of_another_robot_are_not_recognised(files: Path):
 def test_missing_files_name_the_import(files: Path, name: str, word: str):
     (files / name).rename(files / "elsewhere")
     with pytest.raises(MissingFileError, match=word):
+        find_capture_files(files)
+
+
+def test_an_rtde_recording_is_to_be_imported(files: Path):
+    for number, joint in enumerate(UR_JOINTS):
+        rename_column(files, joint, f"actual_q_{number}")
+    with pytest.raises(MalformedFileError, match=r"is an RTDE recording.*aomgen import demo FILE"):
         find_capture_files(files)

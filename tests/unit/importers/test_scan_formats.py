@@ -10,8 +10,9 @@ from aomgen.capture.scan_poses import SCAN_POSES_FILE, read_scan_poses
 from aomgen.core.progress import silent
 from aomgen.errors import SeveralCamerasError
 from aomgen.importers.scan_import import import_scan
-from aomgen.importers.scan_writing import WrittenScan
-from aomgen.io.images import read_image, write_image
+from aomgen.importers.scan_source import ScanImage, ScanSource
+from aomgen.importers.scan_writing import WrittenScan, write_scan
+from aomgen.io.images import read_image, resize, write_image
 from aomgen.io.video import encode_video
 from foreign_scans import WRITERS, KnownScan, known_scan, write_colmap, write_polycam, write_transforms
 
@@ -35,6 +36,38 @@ def test_posed_scan_comes_back(kind: str, few: KnownScan, tmp_path: Path) -> Non
     found = done.intrinsics
     assert found is not None
     assert (found.fx, found.fy, found.cx, found.cy) == few.intrinsics
+
+
+def test_names_with_dots_stay_apart(few: KnownScan, tmp_path: Path) -> None:
+    path = write_transforms(tmp_path / "source", few) / "transforms.json"
+    text = path.read_text("utf-8")
+    for number, image in enumerate(few.images):
+        name = f"frame.{number:04d}"
+        found = next(path.parent.rglob(image.name))
+        found.rename(found.with_name(name + image.suffix))
+        text = text.replace(image.name, name)
+    path.write_text(text, "utf-8")
+    done = bring(path.parent, tmp_path / "capture")
+    assert list(done.names) == [
+        f"frame.{number:04d}{image.suffix}" for number, image in enumerate(few.images)
+    ]
+
+
+def test_images_whose_names_differ_only_in_the_suffix_stay_apart(few: KnownScan, tmp_path: Path) -> None:
+    source = tmp_path / "source"
+    source.mkdir()
+    image = resize(read_image(few.images[0]), 16, 12)
+    images = [
+        ScanImage(name=f"a{suffix}", path=source / f"{number}.png", camera=None, T_scan_cam=None)
+        for number, suffix in enumerate([".bmp", ".BMP", ".bmp", ".jpg", ".png"])
+    ]
+    for number, item in enumerate(images):
+        write_image(item.path, image + np.uint8(number))
+    folder = tmp_path / "scan"
+    folder.mkdir()
+    done = write_scan(ScanSource(kind="", images=tuple(images), warnings=()), folder, 0, source, silent)
+    assert done.names == ("a.jpg", "a_bmp.jpg", "a_bmp_2.jpg", "a_jpg.jpg", "a.png")
+    assert {path.name for path in folder.iterdir()} == set(done.names)
 
 
 def test_photos_have_no_poses(few: KnownScan, tmp_path: Path) -> None:
