@@ -104,6 +104,11 @@ def asset_file(spec: str) -> tuple[Path, str] | None:
     return (Path(file), joint) if Path(file).suffix.lower() in SUFFIXES else None
 
 
+def resolve_asset(spec: str) -> str:
+    """Make the path of an entry of `assets` absolute; names of parametric assets remain as they are."""
+    return str(Path(spec).resolve()) if asset_file(spec) else spec
+
+
 def load_asset(spec: str) -> ArticulatedAsset:
     """Load the asset that `category:seed`, a USD file or FILE#JOINT names, without checking whether it can be used.
 

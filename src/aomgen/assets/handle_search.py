@@ -7,6 +7,7 @@ from typing import Final
 import numpy as np
 
 from aomgen.assets.asset_check import check_handle, outward_normal
+from aomgen.assets.usd_write import make_names_unique
 from aomgen.core.asset import ArticulatedAsset, AssetLink, BoxCollider
 from aomgen.core.joint import Joint
 from aomgen.core.mesh import sample_meshes
@@ -37,15 +38,21 @@ SAMPLES: Final = 40_000
 PREFIX: Final = "handle"
 
 
-def opening_direction(link: AssetLink, joint: Joint) -> Array:
-    """Compute the unit direction (3,) in which the center of the closed moving link starts to move.
+def opening_direction(link: AssetLink, joint: Joint, handle: Sequence[int] = ()) -> Array:
+    """Compute the unit direction (3,) in which the handle or the center of the closed moving link starts to move.
+
+    Args:
+        link: Moving link.
+        joint: Its joint.
+        handle: Indices of the colliders of the handle; if there are none, the direction is that of the link's center.
 
     Raises:
-        AssetError: The center is on the axis of a revolute joint.
+        AssetError: The handle or the center is on the axis of a revolute joint.
     """
     if joint.type == "prismatic":
         return joint.axis
-    points = np.concatenate([mesh.vertices for mesh in link.meshes])
+    parts = [link.colliders[index].corners for index in handle] or [mesh.vertices for mesh in link.meshes]
+    points = np.concatenate(parts)
     middle = (points.min(0) + points.max(0)) / 2
     direction = np.cross(joint.axis, middle - joint.origin)
     length = float(np.linalg.norm(direction))
@@ -70,9 +77,10 @@ def find_handle(asset: ArticulatedAsset) -> ArticulatedAsset:
     """
     link, joint = asset.moving, asset.joint
     named = _find_named(link)
+    fronts = _fronts(link, joint, named)
     first: ArticulatedAsset | None = None
     for names in [named, []] if named else [[]]:
-        opening, *across = [_protruding(link, joint, front, names) for front in _fronts(link, joint)]
+        opening, *across = [_protruding(link, joint, front, names) for front in fronts]
         # The handle of a sliding door is on the side with the largest protrusion.
         across.sort(key=lambda found: -max((deep for _, _, deep in found), default=0.0))
         for found in (opening, *across):
@@ -106,7 +114,7 @@ def _with_handle(asset: ArticulatedAsset, handle: Sequence[int], bar: int) -> Ar
     along = int(np.argmax(boxes[bar].half_extents))
     return replace(
         asset,
-        moving=replace(asset.moving, colliders=tuple(boxes)),
+        moving=replace(asset.moving, colliders=make_names_unique(boxes)),
         handle_point=boxes[bar].T_asset_box[:3, 3],
         handle_axis=boxes[bar].T_asset_box[:3, along],
     )
@@ -145,7 +153,7 @@ def state_handle(link: AssetLink, low: Array, high: Array) -> AssetLink:
     inside = points[((points >= low) & (points <= high)).all(1)]
     if not len(inside) >= 3:
         raise AssetError(
-            "--handle", f"no surface of the moving part is in the box {low.tolist()} .. {high.tolist()}",
+            "--handle", "states a box that contains no surface of the moving part",
             "give the corners in the coordinates of the file, in meters",
         )  # fmt: skip
     lower, upper = inside.min(0), inside.max(0)
@@ -157,7 +165,7 @@ def state_handle(link: AssetLink, low: Array, high: Array) -> AssetLink:
     outside = [
         item for item in link.colliders if not ((item.T_asset_box[:3, 3] >= low) & (item.T_asset_box[:3, 3] <= high)).all()
     ]  # fmt: skip
-    return replace(link, colliders=(*outside, box))
+    return replace(link, colliders=make_names_unique([*outside, box]))
 
 
 def _find_named(link: AssetLink) -> list[int]:
@@ -179,9 +187,15 @@ def _is_named(name: str) -> bool:
     return any(word in name.lower() for word in HANDLE_WORDS)
 
 
-def _fronts(link: AssetLink, joint: Joint) -> list[Array]:
-    """Return unit normals (3,) of the faces that may carry the handle, the most probable first."""
-    direction = opening_direction(link, joint)
+def _fronts(link: AssetLink, joint: Joint, named: Sequence[int]) -> list[Array]:
+    """Return unit normals (3,) of the faces that may carry the handle, the most probable first.
+
+    Args:
+        link: Moving link.
+        joint: Its joint.
+        named: Indices of the colliders that are named as a handle; may be empty.
+    """
+    direction = opening_direction(link, joint, named)
     axes = link.colliders[_largest(link)].T_asset_box[:3, :3].T
     along = axes @ direction
     best = int(np.argmax(np.abs(along)))
@@ -263,7 +277,7 @@ def _at_rim(asset: ArticulatedAsset) -> list[ArticulatedAsset]:
     return [
         replace(
             asset,
-            moving=replace(link, colliders=tuple(boxes)),
+            moving=replace(link, colliders=make_names_unique(boxes)),
             handle_point=rim[:3, 3],
             handle_axis=T[:3, along],
         )

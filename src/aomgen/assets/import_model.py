@@ -37,9 +37,10 @@ def import_model(
         path: URDF, MJCF, OBJ or USD file.
         joint: Name of the joint that moves; may be empty if there is only one. Other joints keep their value in the file.
         joints_file: Description of an OBJ file's joints; by default `articulation.json` in its folder or a folder above.
-        scale: Factor on all lengths, for example to enlarge a toy.
+        scale: Factor on all lengths, for example to enlarge a toy; `limits` and `handle` refer to the unscaled file.
         category: Category of the object; replaces that of the file.
-        limits: Lower and upper joint limit, [rad] or [m]; replace those of the file.
+        limits: Lower and upper joint limit relative to the pose in the file, [rad] or [m]; they replace the limits in the
+            file.
         handle: Corners x0, y0, z0, x1, y1, z1 of a box around the handle in the modeled pose, Z up, [m].
 
     Returns:
@@ -52,17 +53,17 @@ def import_model(
     """
     suffix = path.suffix.lower()
     if suffix in usd_read.SUFFIXES:
-        asset = read_usd(path, joint, limits=limits, handle=handle)
+        asset = read_usd(path, joint, scale=scale, limits=limits, handle=handle)
     elif suffix == OBJ:
         drawn = read_obj_model(path, joints_file or _joints_file(path), joint)
-        asset = complete(drawn, path, limits=limits, handle=handle)
+        drawn = drawn.transform(np.diag([scale] * 3 + [1.0]))
+        asset = complete(drawn, path, scale=scale, limits=limits, handle=handle)
     elif suffix in mjcf_model.SUFFIXES:
-        drawn = read_mjcf_model(path, joint, limited=not limits)
-        asset = complete(drawn, path, limits=limits, handle=handle)
+        drawn = read_mjcf_model(path, joint, scale=scale, limited=not limits)
+        asset = complete(drawn, path, scale=scale, limits=limits, handle=handle)
     else:
         known = ", ".join([*SUFFIXES, *usd_read.SUFFIXES])
         raise MalformedFileError(path, f"has suffix {suffix!r}", f"expected one of {known}")
-    asset = asset if scale == 1.0 else asset.transform(np.diag([scale] * 3 + [1.0]))
     return replace(asset, category=category or asset.category)
 
 

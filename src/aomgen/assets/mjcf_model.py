@@ -1,7 +1,5 @@
 """Read articulated objects in URDF and MJCF, with meshes, colors and textures, by MuJoCo."""
 
-from collections import Counter
-from dataclasses import replace
 from pathlib import Path
 from typing import Final
 
@@ -28,7 +26,9 @@ _COLOR_ROLES = [mujoco.mjtTextureRole.mjTEXROLE_RGB.value, mujoco.mjtTextureRole
 _OPENING = (mujoco.mjtJoint.mjJNT_HINGE.value, mujoco.mjtJoint.mjJNT_SLIDE.value)
 
 
-def read_mjcf_model(path: Path, joint_name: str, *, limited: bool = True) -> ArticulatedAsset:
+def read_mjcf_model(
+    path: Path, joint_name: str, *, scale: float = 1.0, limited: bool = True
+) -> ArticulatedAsset:
     """Read an object in the pose and frame of its file, without a handle; see `normalization.complete`.
 
     The colliders of a link are boxes that cover the collision geoms of the file; without such geoms, the link has no
@@ -37,6 +37,7 @@ def read_mjcf_model(path: Path, joint_name: str, *, limited: bool = True) -> Art
     Args:
         path: URDF or MJCF file.
         joint_name: Name of the joint that moves; may be empty if there is only one.
+        scale: Factor on all lengths; masses follow the volume.
         limited: Refuse a joint without limits; otherwise such a joint gets the placeholder limits 0 .. 1.
 
     Raises:
@@ -64,9 +65,9 @@ def read_mjcf_model(path: Path, joint_name: str, *, limited: bool = True) -> Art
     return ArticulatedAsset(
         name=xml.name if len(hinges) == 1 else f"{xml.name}-{_joint_name(model, number)}",
         category=xml.name,
-        static=_link(model, data, ~moved, seen, "static", path),
-        moving=_link(model, data, moved, seen, "moving", path),
-        joint=_joint(model, data, number, path, limited),
+        static=_link(model, data, ~moved, seen, "static", scale, path),
+        moving=_link(model, data, moved, seen, "moving", scale, path),
+        joint=_joint(model, data, number, path, limited).move(np.diag([scale] * 3 + [1.0])),
         handle_point=np.zeros(3),
         handle_axis=np.array([0.0, 0.0, 1.0]),
     )
@@ -125,29 +126,31 @@ def _link(
     bodies: NDArray[np.bool_],
     seen: NDArray[np.bool_],
     name: str,
+    scale: float,
     path: Path,
 ) -> AssetLink:
-    """Build a link from the visible geoms and collision geoms of some bodies, world frame."""
+    """Build a link from the visible geoms and collision geoms of some bodies, world frame, scaled."""
     mine = bodies[model.geom_bodyid]
     colliding = model.geom_priority > 0
-    meshes = [_mesh(model, data, int(geom)) for geom in np.flatnonzero(mine & seen)]
+    meshes = [_mesh(model, data, int(geom), scale) for geom in np.flatnonzero(mine & seen)]
     if not meshes:
         raise AssetError(
             path, f"has no visible meshes on its {name} link", "check which bodies the joint moves"
         )
     colliders: list[BoxCollider] = []
     for geom in np.flatnonzero(mine & colliding):
-        colliders += _boxes(model, data, int(geom))
-    mass = float(model.body_mass[bodies].sum())
-    return AssetLink(name=name, meshes=_make_names_unique(meshes), colliders=tuple(colliders), mass=mass)
+        colliders += _boxes(model, data, int(geom), scale)
+    mass = scale**3 * float(model.body_mass[bodies].sum())
+    return AssetLink(name=name, meshes=tuple(meshes), colliders=tuple(colliders), mass=mass)
 
 
-def _boxes(model: mujoco.MjModel, data: mujoco.MjData, geom: int) -> list[BoxCollider]:
-    """Cover a collision geom with boxes; a box geom is used unchanged."""
+def _boxes(model: mujoco.MjModel, data: mujoco.MjData, geom: int, scale: float) -> list[BoxCollider]:
+    """Cover a scaled collision geom with boxes; a box geom is used as it is."""
     if model.geom_type[geom] != mujoco.mjtGeom.mjGEOM_BOX:
-        return box_cover([_mesh(model, data, geom)])
-    pose = transform(data.geom_xmat[geom].reshape(3, 3), data.geom_xpos[geom])
-    return [BoxCollider(name=_geom_name(model, geom), T_asset_box=pose, half_extents=model.geom_size[geom])]
+        return box_cover([_mesh(model, data, geom, scale)])
+    pose = transform(data.geom_xmat[geom].reshape(3, 3), scale * data.geom_xpos[geom])
+    half = scale * model.geom_size[geom]
+    return [BoxCollider(name=_geom_name(model, geom), T_asset_box=pose, half_extents=half)]
 
 
 def _geom_name(model: mujoco.MjModel, geom: int) -> str:
@@ -176,18 +179,7 @@ def _seen(model: mujoco.MjModel, urdf: bool) -> NDArray[np.bool_]:
     return shown | ((model.geom_bodyid == 0) & ~colliding & (model.geom_rgba[:, 3] > 0))
 
 
-def _make_names_unique(meshes: list[Mesh]) -> tuple[Mesh, ...]:
-    """Append numbers to repeated names of meshes."""
-    names = Counter[str]()
-    found = []
-    for mesh in meshes:
-        names[mesh.name] += 1
-        suffix = f"_{names[mesh.name]}" if names[mesh.name] > 1 else ""
-        found.append(replace(mesh, name=mesh.name + suffix))
-    return tuple(found)
-
-
-def _mesh(model: mujoco.MjModel, data: mujoco.MjData, geom: int) -> Mesh:
+def _mesh(model: mujoco.MjModel, data: mujoco.MjData, geom: int, scale: float) -> Mesh:
     material, number = int(model.geom_matid[geom]), int(model.geom_dataid[geom])
     rgba = model.mat_rgba[material] if material >= 0 else model.geom_rgba[geom]
     surface = geom_surface(model, geom)
@@ -199,7 +191,7 @@ def _mesh(model: mujoco.MjModel, data: mujoco.MjData, geom: int) -> Mesh:
     meshed = model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_MESH
     uvs = _uvs(model, number) if meshed else np.zeros((0, 3, 2))
     surface = _material(rgba, _texture(model, material))
-    return surface.mesh(_geom_name(model, geom), apply(place, vertices), faces, uvs)
+    return surface.mesh(_geom_name(model, geom), scale * apply(place, vertices), faces, uvs)
 
 
 def _material(rgba: NDArray[np.float32], texture: NDArray[np.uint8]) -> Material:
@@ -227,8 +219,9 @@ def _texture(model: mujoco.MjModel, material: int) -> NDArray[np.uint8]:
     )
     start = int(model.tex_adr[number])
     pixels = model.tex_data[start : start + width * height * channels].reshape(height, width, channels)
-    color = pixels[:width] if channels >= 3 else np.repeat(pixels[:width, :, :1], 3, -1)
-    return np.ascontiguousarray(color)
+    if model.tex_type[number] != mujoco.mjtTexture.mjTEXTURE_2D:
+        pixels = pixels[:width]
+    return np.ascontiguousarray(pixels if channels >= 3 else np.repeat(pixels[..., :1], 3, -1))
 
 
 def _uvs(model: mujoco.MjModel, mesh: int) -> Array:

@@ -1,6 +1,5 @@
 """Convert an imported asset to the asset frame: closed, with colliders, masses and a handle."""
 
-from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -11,6 +10,7 @@ import numpy as np
 from aomgen.assets.asset_check import find_overlaps, outward_normal
 from aomgen.assets.box_cover import box_cover
 from aomgen.assets.handle_search import find_handle, opening_direction, state_handle
+from aomgen.assets.usd_write import make_names_unique
 from aomgen.core.asset import ArticulatedAsset, AssetLink, BoxCollider
 from aomgen.core.mesh import sample_meshes
 from aomgen.core.transforms import apply, matrix_from_rotvec, transform
@@ -30,6 +30,8 @@ FALLBACK_DENSITY = 400.0
 DENSITIES: Final = (20.0, 4000.0)
 # Two joint limits count as equally closed if the volumes of the asset's bounding boxes differ by less than this share.
 SAME_ROOM: Final = 0.02
+# A joint opens toward the limit that is at least this many times as far from a closed pose as the other limit.
+FARTHER: Final = 2.0
 
 
 def choose_joint(joints: Mapping[str, T], name: str, path: Path) -> T:
@@ -55,7 +57,7 @@ def choose_joint(joints: Mapping[str, T], name: str, path: Path) -> T:
 
 
 def finish_link(link: AssetLink, path: Path) -> AssetLink:
-    """Return a link with colliders, a positive mass and unique collider names.
+    """Return a link with colliders, a positive mass, and unique names of colliders and of meshes.
 
     If the link has no colliders, boxes cover its meshes; if it has no mass, `FALLBACK_DENSITY` is assumed.
 
@@ -66,15 +68,10 @@ def finish_link(link: AssetLink, path: Path) -> AssetLink:
     Raises:
         AssetError: The link has no meshes.
     """
-    boxes: list[BoxCollider] = []
-    names = Counter[str]()
-    for item in link.colliders or box_cover(link.meshes):
-        names[item.name] += 1
-        suffix = f"_{names[item.name]}" if names[item.name] > 1 else ""
-        boxes.append(replace(item, name=item.name + suffix))
+    boxes = link.colliders or box_cover(link.meshes)
     if not link.meshes or not boxes:
         raise AssetError(path, f"link {link.name!r} has no meshes", "check what its joint connects")
-    covered = replace(link, colliders=tuple(boxes))
+    covered = replace(link, meshes=make_names_unique(link.meshes), colliders=make_names_unique(boxes))
     return covered if link.mass > 0 else replace(covered, mass=FALLBACK_DENSITY * covered.volume)
 
 
@@ -87,14 +84,21 @@ def _cover_surface(link: AssetLink) -> bool:
 
 
 def complete(
-    drawn: ArticulatedAsset, path: Path, *, limits: Sequence[float] = (), handle: Sequence[float] = ()
+    drawn: ArticulatedAsset,
+    path: Path,
+    *,
+    scale: float = 1.0,
+    limits: Sequence[float] = (),
+    handle: Sequence[float] = (),
 ) -> ArticulatedAsset:
     """Convert a model to an asset: closed, with colliders, masses and a handle, in the asset frame.
 
     Args:
         drawn: The model in the pose of its file; links may be without colliders and mass.
         path: Its file, for messages.
-        limits: Lower and upper joint limit relative to the pose in the file, [rad] or [m]; replace those of the file.
+        scale: Factor by which the model is larger than in its file; `limits` and `handle` refer to the file.
+        limits: Lower and upper joint limit relative to the pose in the file, [rad] or [m]; they replace the limits in the
+            file.
         handle: Lower and upper corner of a box around the handle, in the coordinates of the file, [m].
 
     Returns:
@@ -104,13 +108,15 @@ def complete(
         AssetError: A link has no meshes, or no handle was found on the moving link.
     """
     if limits:
-        drawn = replace(drawn, joint=replace(drawn.joint, lower=float(limits[0]), upper=float(limits[1])))
+        unit = scale if drawn.joint.type == "prismatic" else 1.0
+        lower, upper = (unit * float(limit) for limit in limits)
+        drawn = replace(drawn, joint=replace(drawn.joint, lower=lower, upper=upper))
     moving, static = (
         finish_link(link if _cover_surface(link) else replace(link, colliders=()), path)
         for link in (drawn.moving, drawn.static)
     )
     if handle:
-        moving = state_handle(moving, np.array(handle[:3]), np.array(handle[3:]))
+        moving = state_handle(moving, scale * np.array(handle[:3]), scale * np.array(handle[3:]))
     notes = [*drawn.notes]
     links = []
     for link in (static, moving):
@@ -118,7 +124,7 @@ def complete(
         # Another density is implausible for furniture or appliances.
         if not DENSITIES[0] <= density <= DENSITIES[1]:
             notes.append(
-                f"'{link.name}' weighs {link.mass:.3g} kg in the file, {density:.3g} kg/m^3 of its colliders; "
+                f"'{link.name}' weighs {link.mass / scale**3:.3g} kg in the file, {density:.3g} kg/m^3 of its colliders; "
                 f"{mass:.2f} kg are assumed"
             )
             link = replace(link, mass=mass)
@@ -165,22 +171,37 @@ def close(asset: ArticulatedAsset) -> ArticulatedAsset:
     """Move the joint to the limit at which the asset's bounding box is smallest; this pose becomes joint value 0.
 
     Files show objects open or closed, with limits of either sign; the bounding box is nearly always smallest when the
-    object is closed. The axis is reversed if necessary, so that positive values open the joint.
+    object is closed. If it is smallest between the limits, in the pose of the file, this pose is closed, and the farther
+    limit is open. The axis is reversed if necessary, so that positive values open the joint.
+
+    Raises:
+        AssetError: The pose of the file is closed, and the limits do not state in which direction the joint opens.
     """
     joint = asset.joint
-    limits = np.array([joint.lower, joint.upper])
+    limits = sorted([joint.lower, joint.upper], key=abs)
+    room = [_bounding_volume(asset, value) for value in limits]
+    drawn = _bounding_volume(asset, 0.0)
+    if joint.lower < 0 < joint.upper and (1 + SAME_ROOM) * drawn < min(room):
+        if not abs(limits[1]) >= FARTHER * abs(limits[0]):
+            raise AssetError(
+                asset.name,
+                f"is closed between its joint limits {joint.lower:.3g} and {joint.upper:.3g}",
+                "state the limits of one direction: --limits 0 UPPER or --limits LOWER 0",
+            )
+        limits[0], room[0] = 0.0, drawn
+    closed, opened = limits if room[0] <= (1 + SAME_ROOM) * room[1] else reversed(limits)
+    axis = joint.axis if opened > closed else -joint.axis
+    opening = replace(joint, axis=axis, lower=0.0, upper=abs(opened - closed))
+    return replace(asset, moving=asset.moving.transform(joint.motion(closed)), joint=opening)
+
+
+def _bounding_volume(asset: ArticulatedAsset, value: float) -> float:
+    """Compute the volume of the bounding box of an asset's meshes at a joint value, [m^3]."""
     static, moving = (
         np.concatenate([mesh.vertices for mesh in link.meshes]) for link in (asset.static, asset.moving)
     )
-    room = []
-    for value in limits:
-        points = np.concatenate([static, apply(joint.motion(value), moving)])
-        room.append(float(np.prod(np.ptp(points, axis=0))))
-    least = np.array(room) <= (1 + SAME_ROOM) * min(room)
-    value = float(min(limits[least], key=abs))
-    turned = -1.0 if value == joint.upper else 1.0
-    opening = replace(joint, axis=turned * joint.axis, lower=0.0, upper=joint.upper - joint.lower)
-    return replace(asset, moving=asset.moving.transform(joint.motion(value)), joint=opening)
+    points = np.concatenate([static, apply(asset.joint.motion(value), moving)])
+    return float(np.prod(np.ptp(points, axis=0)))
 
 
 def to_asset_frame(asset: ArticulatedAsset) -> ArticulatedAsset:

@@ -22,7 +22,12 @@ _Z_UP_FROM_Y_UP = np.array([[1.0, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 
 
 
 def parse_usd(
-    path: Path, joint_name: str = "", *, limits: Sequence[float] = (), handle: Sequence[float] = ()
+    path: Path,
+    joint_name: str = "",
+    *,
+    scale: float = 1.0,
+    limits: Sequence[float] = (),
+    handle: Sequence[float] = (),
 ) -> ArticulatedAsset:
     """Parse a USD file in this process.
 
@@ -34,7 +39,9 @@ def parse_usd(
     Args:
         path: USD file.
         joint_name: Prim name or path of the joint that moves; may be empty if there is only one. Other joints are fixed.
-        limits: Lower and upper joint limit, [rad] or [m]; replace those of the file.
+        scale: Factor on all lengths; `limits` and `handle` refer to the unscaled file.
+        limits: Lower and upper joint limit relative to the pose in the file, [rad] or [m]; they replace the limits in the
+            file.
         handle: Lower and upper corner of a box around the handle, in the coordinates of the stage in meters, Z up.
 
     Raises:
@@ -49,11 +56,12 @@ def parse_usd(
     if not stage:
         raise MalformedFileError(path, "cannot be parsed as USD", "open and export the asset again")
     check_layers(stage, path.resolve().parent)
-    unit = float(UsdGeom.GetStageMetersPerUnit(stage))
+    unit = scale * float(UsdGeom.GetStageMetersPerUnit(stage))
     up = np.eye(4) if UsdGeom.GetStageUpAxis(stage) == UsdGeom.Tokens.z else _Z_UP_FROM_Y_UP
     to_metric = up @ np.diag([unit, unit, unit, 1.0])
     joint, moving_bodies, bodies = _find_joint(stage, joint_name, to_metric, unit, path, limited=not limits)
-    static, moving = read_links(stage, moving_bodies, bodies, to_metric, path)
+    links = read_links(stage, moving_bodies, bodies, to_metric, path)
+    static, moving = (replace(link, mass=scale**3 * link.mass) for link in links)
     root = stage.GetDefaultPrim()
     asset = ArticulatedAsset(
         name=str((root.GetDisplayName() or root.GetName()) if root else path.stem),
@@ -66,7 +74,7 @@ def parse_usd(
         credit=str(_root_attribute(stage, "credit") or ""),
     )
     if _root_attribute(stage, "handle_point") is None or limits or handle:
-        return complete(asset, path, limits=limits, handle=handle)
+        return complete(asset, path, scale=scale, limits=limits, handle=handle)
     authored = replace(asset, static=finish_link(static, path), moving=finish_link(moving, path))
     return to_asset_frame(_with_authored_handle(authored, stage, to_metric))
 
@@ -80,7 +88,7 @@ def _find_joint(
         stage: Open Usd.Stage.
         name: Name or path of the joint; may be empty if there is only one.
         to_metric: Transform (4, 4) from stage coordinates to meters, Z up.
-        unit: metersPerUnit of the stage.
+        unit: Length of the stage's unit, [m].
         path: File, for messages.
         limited: Refuse a joint without limits; otherwise such a joint gets the placeholder limits 0 .. 1.
 

@@ -38,6 +38,7 @@ def read_usd(
     path: Path,
     joint: str = "",
     *,
+    scale: float = 1.0,
     limits: Sequence[float] = (),
     handle: Sequence[float] = (),
     timeout_s: float = TIMEOUT_S,
@@ -50,7 +51,9 @@ def read_usd(
     Args:
         path: USD file.
         joint: Prim name or path of the joint that moves; may be empty if there is only one.
-        limits: Lower and upper joint limit, [rad] or [m]; replace those of the file.
+        scale: Factor on all lengths; `limits` and `handle` refer to the unscaled file.
+        limits: Lower and upper joint limit relative to the pose in the file, [rad] or [m]; they replace the limits in the
+            file.
         handle: Lower and upper corner of a box around the handle, in the coordinates of the stage in meters, Z up.
         timeout_s: Time limit of the child.
 
@@ -73,7 +76,7 @@ def read_usd(
     if not path.stat().st_size <= MAX_BYTES:
         raise LimitExceededError(path, f"has {path.stat().st_size} bytes, limit {MAX_BYTES}")
     with tempfile.TemporaryDirectory(prefix="aomgen-usd-") as folder:
-        choices = json.dumps({"limits": list(limits), "handle": list(handle)})
+        choices = json.dumps({"scale": scale, "limits": list(limits), "handle": list(handle)})
         _run_child([str(path.resolve()), folder, joint, choices], path, timeout_s)
         return load_artifact(Path(folder), ARTIFACT, ArticulatedAsset)
 
@@ -109,7 +112,7 @@ def parse_as_child(arguments: list[str]) -> int:
     """Parse a USD file, save the asset as an artifact, and return the exit code.
 
     Args:
-        arguments: File, folder of the artifact, joint name, and `limits` and `handle` of `parse_usd` in JSON.
+        arguments: File, folder of the artifact, joint name, and `scale`, `limits` and `handle` of `parse_usd` in JSON.
     """
     from aomgen.assets.usd_parse import parse_usd
 

@@ -5,9 +5,11 @@ joint resistance to those of MuJoCo's `MjcJointAPI` and of PhysX's `PhysxJointAx
 material with `MjcMaterialAPI`. usd-core contains none of these schemas, so their attributes are written by name.
 """
 
-from collections.abc import Sequence
+from collections import Counter
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,6 +36,7 @@ NAMESPACE = "aomgen"
 # Script that replays episodes in Isaac Sim; it does not depend on AOMGen.
 REPLAY_SCRIPT = Path(__file__).with_name("replay_in_isaac_sim.py")
 CONTACT_MATERIAL = "contact"
+Named = TypeVar("Named", AssetLink, BoxCollider, Mesh)
 
 
 def write_usd(asset: ArticulatedAsset, path: Path) -> None:
@@ -65,8 +68,7 @@ def write_usd(asset: ArticulatedAsset, path: Path) -> None:
     root.GetPrim().SetDisplayName(asset.name)
     writer = _Writer(stage, str(root.GetPath()), path.parent / f"{path.stem}_textures")
     writer.contact_material()
-    static = writer.link(asset.static)
-    moving = writer.link(asset.moving)
+    static, moving = (writer.link(link) for link in make_names_unique((asset.static, asset.moving)))
     writer.joint(asset, static, moving)
     for name, kind, value in (
         ("category", Sdf.ValueTypeNames.String, asset.category),
@@ -291,6 +293,20 @@ def _vector(values: Array) -> Any:
     from pxr import Gf
 
     return Gf.Vec3d(*(float(v) for v in values))
+
+
+def make_names_unique(items: Iterable[Named]) -> tuple[Named, ...]:
+    """Append numbers to names that convert to the same USD identifier as an earlier name."""
+    numbers = Counter[str]()
+    found = []
+    for item in items:
+        name, first = item.name, make_identifier(item.name)
+        while (identifier := make_identifier(name)) in numbers:
+            numbers[first] += 1
+            name = f"{item.name}_{numbers[first]}"
+        numbers[identifier] = 1
+        found.append(replace(item, name=name))
+    return tuple(found)
 
 
 def make_identifier(name: str) -> str:

@@ -36,7 +36,7 @@ class RobotXml:
 
     Attributes:
         path: File of the description.
-        name: Name of the robot in the description.
+        name: Name of the robot in the description, or that of the file if the description has none.
         kind: "urdf" or "mjcf".
         text: Text of a URDF for MuJoCo, in which each mesh is renamed to a key of `meshes`; empty for an MJCF.
         meshes: Mesh files of a URDF by their names in `text`; empty for an MJCF.
@@ -73,7 +73,7 @@ def read_robot_xml(path: Path, root: Path) -> RobotXml:
         return _urdf(path, tree, root)
     if tree.tag == "mujoco":
         references = _mjcf_references(path, tree, root)
-        name = tree.get("model", path.stem)
+        name = tree.get("model") or path.stem
         return RobotXml(path=path, name=name, kind="mjcf", text="", meshes={}, references=references)
     if tree.tag == "mujocoinclude":
         raise MalformedFileError(
@@ -125,7 +125,7 @@ def _urdf(path: Path, tree: ElementTree.Element, root: Path) -> RobotXml:
         options.set(key, "false")
     return RobotXml(
         path=path,
-        name=tree.get("name", path.stem),
+        name=tree.get("name") or path.stem,
         kind="urdf",
         text=ElementTree.tostring(tree, encoding="unicode"),
         meshes=meshes,

@@ -1,5 +1,6 @@
 """What makers leave out or write otherwise: paths, names, units, masses, handles, shapes; each is read or named."""
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +11,7 @@ from typer.testing import CliRunner
 from aomgen.assets.asset_check import check_asset, held_at_rim, outward_normal
 from aomgen.assets.box_cover import box_cover
 from aomgen.assets.doctor import examine
+from aomgen.assets.handle_search import state_handle
 from aomgen.assets.import_model import import_model
 from aomgen.assets.usd_read import read_usd
 from aomgen.cli.app import app
@@ -106,6 +108,19 @@ def test_a_knob_is_held_from_both_sides(tmp_path: Path) -> None:
     assert asset.handle_point[0] == pytest.approx(0.16, abs=0.02)
 
 
+def test_a_door_that_is_closed_between_its_limits_opens_to_the_farther_one(tmp_path: Path) -> None:
+    file = write(tmp_path)
+    shallow = file.read_text().replace('0.19 0.2" pos="-0.19 0.2', '0.09 0.2" pos="-0.19 0.1')
+    file.write_text(shallow.replace('pos="0 0.39 0.2"', 'pos="0 0.19 0.2"'))
+    expected, asset = import_model(file), import_model(file, limits=(-0.79, 1.6))
+    assert check_asset(asset) == []
+    assert asset.joint.upper == pytest.approx(1.6)
+    np.testing.assert_allclose(asset.joint.axis, expected.joint.axis, atol=1e-9)
+    np.testing.assert_allclose(asset.handle_point, expected.handle_point, atol=1e-9)
+    with pytest.raises(AssetError, match=r"-1\.57 and 1\.57; state the limits of one direction"):
+        import_model(file, limits=(-1.57, 1.57))
+
+
 def test_a_door_without_a_handle_says_how_to_state_one(tmp_path: Path) -> None:
     file = write(tmp_path, handle="")
     thick = file.read_text().replace(
@@ -121,6 +136,54 @@ def test_a_stated_handle_is_taken(tmp_path: Path) -> None:
     assert check_asset(asset) == []
     with pytest.raises(AssetError, match="no surface of the moving part"):
         import_model(write(tmp_path), handle=(1, 1, 1, 2, 2, 2))
+    once = state_handle(asset.moving, np.array([-0.1, -1.0, 0.0]), np.array([0.0, 1.0, 0.4]))
+    twice = state_handle(once, np.array([-0.15, -1.0, 0.3]), np.array([-0.1, 1.0, 0.4]))
+    assert len(twice.colliders) == len({box.name for box in twice.colliders})
+
+
+@pytest.mark.parametrize(("name", "handle"), [("bar", (0.1, -0.06, 0.1, 0.2, -0.04, 0.3)), ("handle", ())])
+def test_a_pivot_door_opens_toward_its_handle(tmp_path: Path, name: str, handle: tuple[float, ...]) -> None:
+    file = write(tmp_path, handle=BAR.replace("<geom", f'<geom name="{name}"', 1))
+    text = (
+        file.read_text().replace('pos="-0.2 0 0.2"', 'pos="0 0 0.2"').replace('pos="0.2 0 0"', 'pos="0 0 0"')
+    )
+    file.write_text(text.replace("0.36 ", "0.16 "))
+    asset = import_model(file, handle=handle)
+    np.testing.assert_allclose(asset.handle_point, [0.16, -0.05, 0.2], atol=0.06)
+    np.testing.assert_allclose(outward_normal(asset), [0, -1, 0], atol=1e-9)
+    assert check_asset(asset) == []
+
+
+@pytest.mark.parametrize("scale", [0.01, 6.0])
+@pytest.mark.parametrize("handle", [(), (0.1, -0.06, 0.1, 0.2, -0.04, 0.3)])
+@pytest.mark.parametrize("slides", [False, True])
+def test_a_scaled_file_gives_the_same_asset(
+    tmp_path: Path, scale: float, handle: tuple[float, ...], slides: bool
+) -> None:
+    file = write(tmp_path)
+    if slides:
+        hinge = 'type="hinge" axis="0 0 -1" range="0 1.6"'
+        file.write_text(file.read_text().replace(hinge, 'type="slide" axis="0 -1 0" range="0 0.3"'))
+    limits = (0.0, 0.25) if slides else (0.0, 1.5)
+    expected = import_model(file, limits=limits, handle=handle)
+
+    def divide(found: re.Match[str]) -> str:
+        return f'{found[1]}="{" ".join(repr(float(word) / scale) for word in found[2].split())}"'
+
+    file.write_text(re.sub(r'(size|pos)="([^"]*)"', divide, file.read_text()))
+    asset = import_model(
+        file,
+        scale=scale,
+        limits=[value / scale for value in limits] if slides else limits,
+        handle=[value / scale for value in handle],
+    )
+    assert check_asset(asset) == []
+    assert asset.joint.upper == pytest.approx(expected.joint.upper)
+    np.testing.assert_allclose(asset.joint.origin, expected.joint.origin, atol=1e-9)
+    np.testing.assert_allclose(asset.handle_point, expected.handle_point, atol=1e-5 if handle else 1e-9)
+    for box, other in zip(asset.moving.colliders, expected.moving.colliders, strict=True):
+        assert box.name == other.name
+        np.testing.assert_allclose(box.half_extents, other.half_extents, atol=1e-5 if handle else 1e-9)
 
 
 def test_a_door_that_slides_sideways_faces_the_side_of_its_handle(tmp_path: Path) -> None:

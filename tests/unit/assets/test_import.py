@@ -11,6 +11,7 @@ from typer.testing import CliRunner
 from aomgen.assets.asset_check import check_asset
 from aomgen.assets.doctor import examine
 from aomgen.assets.import_model import import_model
+from aomgen.assets.mjcf_model import read_mjcf_model
 from aomgen.assets.normalization import clear_path, close
 from aomgen.assets.usd_read import read_usd
 from aomgen.assets.usd_write import write_usd
@@ -177,6 +178,21 @@ def test_a_urdf_keeps_colors_and_masses(tmp_path: Path) -> None:
     larger = import_model(tmp_path / "chest.urdf", scale=2.0, category="drawer")
     assert larger.joint.upper == pytest.approx(0.4)
     assert larger.category == "drawer"
+
+
+@pytest.mark.parametrize(("kind", "height"), [("2d", 8), ("cube", 4)])
+def test_an_mjcf_keeps_a_texture_that_is_higher_than_wide(tmp_path: Path, kind: str, height: int) -> None:
+    Image.new("RGB", (4, 8 if kind == "2d" else 24), (200, 100, 50)).save(tmp_path / "paint.png")
+    layout = 'gridsize="6 1" gridlayout="RLUDFB"' if kind == "cube" else ""
+    paint = f'''<asset><texture name="paint" type="{kind}" file="paint.png" {layout}/>
+      <material name="paint" texture="paint"/>
+      <mesh name="sheet" vertex="0 0 0 .1 0 0 .1 0 .1 0 0 .1" texcoord="0 0 1 0 1 1 0 1" face="0 1 2 0 2 3"/>
+      </asset><worldbody>'''
+    sheet = '<geom type="mesh" mesh="sheet" material="paint" contype="0" conaffinity="0"/><geom name="knob"'
+    text = MJCF.replace("<worldbody>", paint).replace('<geom name="knob"', sheet)
+    drawn = read_mjcf_model(written(tmp_path / "cupboard.xml", text), "slide")
+    (mesh,) = [item for item in drawn.moving.meshes if item.name.endswith("sheet")]
+    assert mesh.texture_srgb.shape == (height, 4, 3)
 
 
 def test_a_usd_with_two_joints_opens_the_named_one(tmp_path: Path) -> None:

@@ -13,7 +13,7 @@ from aomgen.assets.choice import make_asset
 from aomgen.assets.handle_search import find_handle
 from aomgen.assets.usd_parse import parse_usd
 from aomgen.assets.usd_read import read_usd
-from aomgen.assets.usd_write import write_usd
+from aomgen.assets.usd_write import make_identifier, make_names_unique, write_usd
 from aomgen.core.asset import ArticulatedAsset
 from aomgen.errors import AssetError, ConfigError, MalformedFileError, MissingFileError, UnsafePathError
 from aomgen.io.artifact import load_artifact, save_artifact
@@ -111,6 +111,52 @@ def test_centimetres_y_up_and_negative_limits(usd: Path, microwave: ArticulatedA
     # The root of this file names no handle, so it is guessed.
     assert asset.handle_point == pytest.approx(microwave.handle_point, abs=0.008)
     assert check_asset(asset) == []
+
+
+def test_a_file_of_another_unit_is_scaled_before_its_handle_is_found(tmp_path: Path) -> None:
+    asset = make_asset("drawer", 2)
+    path = tmp_path / "drawer.usda"
+    write_usd(asset.transform(np.diag([100.0, 100.0, 100.0, 1.0])), path)
+    assert_same(asset, parse_usd(path, scale=0.01), tolerance=1e-5)
+    stage = Usd.Stage.Open(str(path))
+    stage.GetDefaultPrim().RemoveProperty("aomgen:handle_point")
+    stage.GetRootLayer().Save()
+    found = read_usd(path, scale=0.01, limits=(0, 20))
+    assert found.handle_point == pytest.approx(asset.handle_point, abs=0.008)
+    assert (found.moving.mass, found.joint.upper) == pytest.approx((asset.moving.mass, 0.2))
+    assert check_asset(found) == []
+
+
+def test_repeated_names_lose_no_geometry(usd: Path) -> None:
+    stage = Usd.Stage.Open(str(usd))
+    layer = stage.GetRootLayer()
+    for group in ("visual", "collision"):
+        link = f"/microwave_1/door/{group}"
+        kept = str(stage.GetPrimAtPath(link).GetChildren()[0].GetName())
+        for number, name in enumerate([f"{kept}_1", f"{kept}_2", kept]):
+            UsdGeom.Scope.Define(stage, f"{link}/copy_{number}")
+            Sdf.CopySpec(layer, f"{link}/{kept}", layer, f"{link}/copy_{number}/{name}")
+            stage.GetPrimAtPath(f"{link}/copy_{number}/{name}").SetDisplayName(name.replace("_", " "))
+    stage.GetPrimAtPath("/microwave_1/door").SetDisplayName("body")
+    layer.Save()
+    asset = parse_usd(usd)
+    write_usd(asset, usd.with_name("again.usda"))
+    again = parse_usd(usd.with_name("again.usda"))
+    assert [sum(len(mesh.faces) for mesh in link.meshes) for link in (again.static, again.moving)] == [
+        sum(len(mesh.faces) for mesh in link.meshes) for link in (asset.static, asset.moving)
+    ]
+    for parts, others in (
+        (asset.moving.meshes, again.moving.meshes),
+        (asset.moving.colliders, again.moving.colliders),
+    ):
+        assert [item.name for item in parts] == [item.name for item in others]
+        assert len({make_identifier(item.name) for item in parts}) == len(parts)
+
+
+def test_a_number_is_appended_until_the_name_is_unused(microwave: ArticulatedAsset) -> None:
+    names = ["Cube", "Cube_1", "Cube_2", "Cube", "Cube 2", "Cube"]
+    meshes = make_names_unique(replace(microwave.static.meshes[0], name=name) for name in names)
+    assert [mesh.name for mesh in meshes] == ["Cube", "Cube_1", "Cube_2", "Cube_3", "Cube 2_2", "Cube_4"]
 
 
 @pytest.mark.parametrize("category", ["microwave", "drawer"])
