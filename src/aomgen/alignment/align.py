@@ -28,11 +28,12 @@ from aomgen.alignment.silhouette_fit import (
     spread,
 )
 from aomgen.alignment.uncertainty import (
-    MAX_JOINT_OFFSET_RAD,
     SIGNIFICANT_SDS,
     CameraErrors,
     covariance_from_cameras,
+    joint_offset_limits,
     joint_offsets,
+    message_unit,
     similarity_covariance,
 )
 from aomgen.core.alignment import Alignment
@@ -40,7 +41,7 @@ from aomgen.core.progress import Progress, part
 from aomgen.core.transforms import apply, similarity
 from aomgen.core.values import Array
 from aomgen.errors import AlignmentError
-from aomgen.robots.robot import RobotConfiguration
+from aomgen.robots.robot import RobotConfiguration, RobotModel
 
 STAGE = "alignment"
 # Least support beyond chance of the whole robot, 0..1; displaced contours reach 0 by definition.
@@ -122,7 +123,7 @@ def align(
         if rotation is not None:
             turn_rad, gain = rotation
             measured = f"they confirm {gain:.0%} more of the gripper there"
-            raise _make_joint_error(configuration.robot.joint_names[-1], turn_rad, measured)
+            raise _make_joint_error(configuration.robot, -1, turn_rad, measured)
     _refuse_wrong_joints(evidence, configuration)
     residuals = {view.name: np.abs(view.edge_px[view.confirmed]) for view in evidence}
     result = Alignment(
@@ -243,28 +244,29 @@ def _refuse_unconfirmed(found: Confirmation, runner_up: float, configuration: Ro
             joint = configuration.robot.joint_names[segment - 1]
             raise AlignmentError(
                 STAGE,
-                f"the images do not show the robot at its logged pose, from {joint} on (they confirm {lift:.0%} of "
-                f"that outline beyond chance, at least {MIN_SEGMENT_LIFT:.0%} are needed)",
+                f"from {joint} to the gripper, the robot in the images is not where its joint values place it: image "
+                f"edges confirm {lift:.0%} of this outline more than by chance, at least {MIN_SEGMENT_LIFT:.0%} are needed",
                 "check scan_state: the joint values must be those during the scan",
             )
 
 
 def _refuse_wrong_joints(evidence: list[ViewEvidence], configuration: RobotConfiguration) -> None:
-    offsets_rad, sds_rad, moves_px = joint_offsets(evidence)
-    sizes = np.abs(offsets_rad)
-    wrong = (sizes > MAX_JOINT_OFFSET_RAD) & (sizes > SIGNIFICANT_SDS * sds_rad)
-    wrong &= moves_px > MIN_JOINT_MOVE_PX
+    robot = configuration.robot
+    offsets, sds, moves_px = joint_offsets(evidence, robot.slides)
+    sizes, limits = np.abs(offsets), joint_offset_limits(robot.slides)
+    wrong = (sizes > limits) & (sizes > SIGNIFICANT_SDS * sds) & (moves_px > MIN_JOINT_MOVE_PX)
     if wrong.any():
-        worst = int(np.argmax(np.where(wrong, sizes, 0)))
-        sd_deg, limit_deg = np.degrees(sds_rad[worst]), np.degrees(MAX_JOINT_OFFSET_RAD)
-        measured = f"+-{sd_deg:.1f}, limit {limit_deg:.0f}"
-        raise _make_joint_error(configuration.robot.joint_names[worst], offsets_rad[worst], measured)
+        worst = int(np.argmax(np.where(wrong, sizes / limits, 0)))
+        factor, _ = message_unit(robot.slides[worst])
+        measured = f"+-{factor * sds[worst]:.1f}, limit {factor * limits[worst]:.0f}"
+        raise _make_joint_error(robot, worst, offsets[worst], measured)
 
 
-def _make_joint_error(name: str, offset_rad: float, measured: str) -> AlignmentError:
+def _make_joint_error(robot: RobotModel, joint: int, offset: float, measured: str) -> AlignmentError:
+    factor, unit = message_unit(robot.slides[joint])
     return AlignmentError(
         STAGE,
-        f"{name} is {np.degrees(offset_rad):+.0f} deg from its logged value in the images ({measured})",
+        f"{robot.joint_names[joint]} is {factor * offset:+.0f} {unit} from its logged value in the images ({measured})",
         "check scan_state: the joint values must be those during the scan",
     )
 

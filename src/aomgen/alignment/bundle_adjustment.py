@@ -20,12 +20,13 @@ from aomgen.alignment.bundle_terms import (
     pose_difference,
 )
 from aomgen.alignment.time_offset import MIN_CLOCK_SD_S
-from aomgen.alignment.uncertainty import MAX_JOINT_OFFSET_RAD, SIGNIFICANT_SDS
+from aomgen.alignment.uncertainty import SIGNIFICANT_SDS, joint_offset_limits, message_unit
 from aomgen.core.alignment import Clock
 from aomgen.core.camera import camera_in_world
 from aomgen.core.least_squares import Kernel, ResidualTerm, jackknife_covariance, solve
 from aomgen.core.values import Array
 from aomgen.errors import AlignmentError
+from aomgen.robots.robot import RobotModel
 
 # Search range and robust kernel of each round of rendering, [px]: from the error of the initial values down to one pixel.
 _ROUNDS = ((10, 3.0), (6, 1.5), (4, 1.0))
@@ -51,7 +52,7 @@ def adjust_validated(problem: BundleProblem) -> tuple[BundleProblem, BundleSolut
         AlignmentError: A joint zero improves the fit, but is larger than that of any calibrated arm.
     """
     while True:
-        held = replace(problem, params=replace(problem.params, zero_sd_rad=KNOWN_SD))
+        held = replace(problem, params=replace(problem.params, zero_sd_rad=KNOWN_SD, zero_sd_m=KNOWN_SD))
         found = adjust_bundle(held)
         for name in problem.cameras:
             camera = _without_contradiction(problem, name, found)
@@ -158,15 +159,28 @@ def _estimate_joint_zeros(problem: BundleProblem, logged: BundleSolution) -> Bun
     gains = gains[~np.isnan(gains)]
     if not (len(gains) > 1 and gains.mean() > _CLEAR_SDS * gains.std(ddof=1) / np.sqrt(len(gains))):
         return logged
-    worst = int(np.argmax(np.abs(found.zeros_rad)))
-    if not abs(found.zeros_rad[worst]) <= MAX_JOINT_OFFSET_RAD:
-        raise AlignmentError(
-            f"joint '{problem.arm.log.joint_names[worst]}'",
-            f"is {np.degrees(found.zeros_rad[worst]):+.1f} deg (+-{np.degrees(found.zero_sds_rad[worst]):.1f}) "
-            f"from its logged value according to scan and videos, limit {np.degrees(MAX_JOINT_OFFSET_RAD):.0f} deg",
-            "master this joint again, or add its offset to the log",
-        )
+    refuse_large_zeros(problem.arm.robot, found)
     return found
+
+
+def refuse_large_zeros(robot: RobotModel, found: BundleSolution) -> None:
+    """Refuse joint zeros that are larger than those of any calibrated arm.
+
+    Raises:
+        AlignmentError: Names the joint with the largest zero relative to its limit.
+    """
+    limits = joint_offset_limits(robot.slides)
+    worst = int(np.argmax(np.abs(found.zeros_rad) / limits))
+    if abs(found.zeros_rad[worst]) <= limits[worst]:
+        return
+    factor, unit = message_unit(robot.slides[worst])
+    zero, sd, limit = (factor * values[worst] for values in (found.zeros_rad, found.zero_sds_rad, limits))
+    raise AlignmentError(
+        f"joint '{robot.joint_names[worst]}'",
+        f"is {zero:+.1f} {unit} (+-{sd:.1f}) from its logged value according to scan and videos, "
+        f"limit {limit:.0f} {unit}",
+        "master this joint again, or add its offset to the log",
+    )
 
 
 def _held_out_misfits(problem: BundleProblem, found: BundleSolution) -> Array:

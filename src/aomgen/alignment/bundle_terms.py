@@ -56,13 +56,15 @@ class BundleParams:
         frames: Number of frames of each video; 0 keeps the poses of the cameras in the scan.
         width: Largest width of the images, [px].
         points: Number of contour points of a frame.
-        zero_sd_rad: Standard deviation of the joint zeros of a calibrated arm; a value near 0 keeps those of the log.
+        zero_sd_rad, zero_sd_m: Standard deviations of the zeros of revolute and prismatic joints of a calibrated arm; values
+            near 0 keep those of the log.
     """
 
     frames: int = 32
     width: int = 640
     points: int = 300
     zero_sd_rad: float = float(np.radians(0.3))
+    zero_sd_m: float = 0.001
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -113,7 +115,7 @@ class CameraState:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BundleSolution:
-    """Similarity (4, 4), joint zeros (J,) to add to the log's with their deviations, cameras by name.
+    """Similarity (4, 4), joint zeros (J,) [rad] or [m] to add to the log's with their deviations, cameras by name.
 
     Contours of the scan are `scan_bias_px` wider than rendered.
     """
@@ -163,10 +165,10 @@ class Bundle:
 
     def priors(self) -> list[ResidualTerm[BundleSolution]]:
         """List the terms that need no contour."""
+        params, slides = self.problem.params, self.problem.arm.robot.slides
+        zero_sds = np.where(slides, params.zero_sd_m, params.zero_sd_rad)
         terms: list[ResidualTerm[BundleSolution]] = [
-            ResidualTerm(
-                name="joint zeros", residual=lambda x: x.zeros_rad, sd=self.problem.params.zero_sd_rad
-            ),
+            ResidualTerm(name="joint zeros", residual=lambda x: x.zeros_rad, sd=zero_sds),
             ResidualTerm(name="scan bias", residual=lambda x: np.array([x.scan_bias_px]), sd=_BIAS_SD_PX),
         ]
         for name, item in self.problem.cameras.items():

@@ -55,7 +55,7 @@ class ViewEvidence:
         edge_px, edge_weights: Signed outward distance to the image edge (C,), and its weight.
         border_px, border_weights: The same for the border between two colors, with a larger search range.
         jacobian: (C, 7), see `shift_jacobian`, about the end effector.
-        joint_jacobian: (C, J), shift of the outline for a rotation of each joint, [px/rad].
+        joint_jacobian: (C, J), shift of the outline for a motion of each joint, [px/rad] or [px/m].
         camera_jacobian: (C, 6), shift of the outline for an error of the camera: center [m], then rotation
             vector [rad], world frame.
     """
@@ -190,10 +190,10 @@ def find_wrist_rotation(
 
     Returns:
         The rotation relative to the log, [rad], and the gain in the confirmed share; None if the images do
-        not contradict the log.
-
-    Not checked: the last joint is assumed to be revolute (for a prismatic one the result is None).
+        not contradict the log, or if the last joint is prismatic.
     """
+    if drawing.configuration.robot.slides[-1]:
+        return None
     gripper = len(drawing.configuration.joints)
     names = {view.name for view in views}
 

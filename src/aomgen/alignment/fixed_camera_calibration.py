@@ -49,11 +49,13 @@ class FixedCameraVideo:
     Attributes:
         camera_recon: Camera as estimated by structure from motion, recon frame, at the size of the video.
         T_world_cam: Hand-eye calibration (4, 4), or None.
+        clock_offset_s: Log time minus video time, [s]; None if it is unknown.
     """
 
     video: Video
     camera_recon: Camera
     T_world_cam: Matrix4 | None = None
+    clock_offset_s: float | None = None
 
     __post_init__ = freeze_arrays
 
@@ -65,7 +67,6 @@ class AlignedScan:
     Attributes:
         views: Scan images that may be used.
         configuration: Robot during the scan.
-        clock_offset_s: Log time minus video time, [s]; None if it is unknown.
     """
 
     alignment: Alignment
@@ -73,7 +74,6 @@ class AlignedScan:
     points_recon: Array
     configuration: RobotConfiguration
     log: JointLog
-    clock_offset_s: float | None
 
 
 def calibrate_fixed_cameras(
@@ -138,8 +138,8 @@ def calibrate_fixed_cameras(
 
 def _first_clock(scene: AlignedScan, item: FixedCameraVideo) -> Clock | SyncError:
     times = item.video.times_s
-    if scene.clock_offset_s is not None:
-        return Clock(offset_s=scene.clock_offset_s, middle_s=float(times[0] + times[-1]) / 2)
+    if item.clock_offset_s is not None:
+        return Clock(offset_s=item.clock_offset_s, middle_s=float(times[0] + times[-1]) / 2)
     camera = camera_in_world(scene.alignment.S_world_recon, item.camera_recon)
     with robot_masks(scene.configuration.robot, camera, scene.log) as masks_at:
         try:

@@ -16,7 +16,7 @@ from aomgen.alignment.starting_poses import RobotBox
 from aomgen.alignment.uncertainty import CameraErrors, camera_covariance
 from aomgen.core.alignment import Alignment
 from aomgen.core.progress import Progress, part
-from aomgen.core.recording import Prompt
+from aomgen.core.recording import Prompt, Recording
 from aomgen.core.structure import Structure, held_out
 from aomgen.io.artifact import save_artifact
 from aomgen.io.images import read_image
@@ -24,6 +24,9 @@ from aomgen.results import Results
 
 # Seed of the plane search, fixed so that a run can be repeated.
 SEED = 0
+# Largest differences of equal configurations: more than the noise of encoders, less than a visible motion. Joints are in rad or m,
+# the gripper is a share of its stroke.
+SAME_JOINTS, SAME_GRIPPER = 0.01, 0.05
 
 
 def run(results: Results, folder: Path, progress: Progress) -> dict[str, Any]:
@@ -35,11 +38,14 @@ def run(results: Results, folder: Path, progress: Progress) -> dict[str, Any]:
 def align_scan(results: Results, progress: Progress, boxes: Sequence[RobotBox] = ()) -> Alignment:
     """Estimate the similarity from the robot's contours; held-out images are not used.
 
+    The first frames of the fixed cameras are used if the robot begins the demonstration in its configuration of the scan.
+
     Args:
         boxes: Boxes around the robot, in addition to those of the prompts.
     """
     capture, structure = results.pinhole_capture, results.structure
-    first_srgb = {name: video.frames_srgb[0] for name, video in results.videos.items()}
+    videos = results.videos if starts_as_scanned(capture) else {}
+    first_srgb = {name: video.frames_srgb[0] for name, video in videos.items()}
     scan = Scan(
         views=views_of(structure, results.scan_images, first_srgb),
         boxes=[*boxes, *boxes_of(structure, capture.prompts, ("robot",))],
@@ -48,6 +54,18 @@ def align_scan(results: Results, progress: Progress, boxes: Sequence[RobotBox] =
     )
     params = results.params("alignment", AlignmentParams())
     return align(scan, results.configuration_in(capture), progress, np.random.default_rng(SEED), params)
+
+
+def starts_as_scanned(capture: Recording) -> bool:
+    """Return whether the robot begins the demonstration in its configuration of the scan.
+
+    If the clock offset is unknown, the videos are assumed to begin with the log.
+    """
+    log, robot = capture.joint_log, capture.robot
+    start_s = log.times_s[0] if capture.clock_offset_s is None else capture.clock_offset_s
+    joints, gripper = log.at(start_s)
+    joints_equal = np.abs(joints - robot.scan_joints).max() <= SAME_JOINTS
+    return bool(joints_equal and abs(gripper - robot.scan_gripper) <= SAME_GRIPPER)
 
 
 def calibrate_cameras(
@@ -65,25 +83,26 @@ def calibrate_cameras(
         points_recon=structure.points_recon,
         configuration=results.configuration_in(capture),
         log=capture.joint_log,
-        clock_offset_s=capture.clock_offset_s,
     )
     videos = {
         camera.name: FixedCameraVideo(
             video=results.videos[camera.name],
             camera_recon=structure.demo_cameras_recon[camera.name],
             T_world_cam=camera.T_world_cam,
+            clock_offset_s=capture.clock_offset_s if camera is capture.cameras[0] else None,
         )
         for camera in capture.cameras
         if camera.name in structure.demo_cameras_recon
     }
     result = calibrate_fixed_cameras(scan, videos, progress, params)
     save_artifact(folder, "alignment", result)
+    revolute_zeros_rad = result.joint_zeros_rad[~results.robot.slides]
     return {
         "support": result.support,
         "runner_up_support": result.runner_up_support,
         "residual_px": result.residual_px,
         "end_effector_sd_mm": 1e3 * result.ee_sd_m,
-        "largest_joint_zero_deg": float(np.degrees(np.abs(result.joint_zeros_rad).max())),
+        "largest_joint_zero_deg": float(np.degrees(np.abs(revolute_zeros_rad).max(initial=0.0))),
         "fixed_cameras": {name: camera.summary() for name, camera in result.cameras.items()},
         "warnings": [warning for name, item in result.cameras.items() for warning in item.warnings(name)],
     }

@@ -25,7 +25,7 @@ from aomgen.robots.silhouette import MasksAt
 LAGS = (1, 3, 8)
 # Least share of the video that the log covers.
 MIN_OVERLAP = 0.5
-# Image width for the comparison, [px]: a link is a few pixels wide.
+# Largest image width for the comparison, [px]: a link is a few pixels wide.
 WIDTH = 160
 # Coarse step, which is also the interval between frames, [s].
 STEP_S = 0.1
@@ -62,7 +62,8 @@ class ClockFrames:
         even = np.arange(video.times_s[0], video.times_s[-1] + 0.5 / video.fps, stride / video.fps)
         chosen = np.abs(video.times_s - even[:, None]).argmin(1)
         height, width = video.frames_srgb.shape[1:3]
-        size = (WIDTH, max(1, round(WIDTH * height / width)))
+        small = min(WIDTH, width)
+        size = (small, max(1, round(small * height / width)))
         images = np.stack([resize(frame, *size) for frame in video.frames_srgb[chosen]]).astype(np.float32)
         if not len(images) > max(LAGS):
             raise SyncError("video", f"has only {len(images)} frames to compare", "record the whole motion")

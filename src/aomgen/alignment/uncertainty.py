@@ -8,6 +8,7 @@ correlated, because they observe the same points, so averaging over many views r
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import Annotated
 
 import numpy as np
@@ -24,12 +25,12 @@ from aomgen.core.values import Array, freeze_arrays
 
 # Groups of views, or segments of a video, left out in turn (jackknife): the rest must still determine all joints.
 JACKKNIFE_GROUPS = 8
-# Largest joint offset of a calibrated arm, [rad].
-MAX_JOINT_OFFSET_RAD = float(np.radians(2.0))
+# Largest offset of a revolute joint [rad] and of a prismatic joint [m] of a calibrated arm.
+MAX_JOINT_OFFSET_RAD, MAX_JOINT_OFFSET_M = float(np.radians(2.0)), 0.005
 # Standard deviations of a significant deviation: four, because many quantities are tested.
 SIGNIFICANT_SDS = 4.0
-# Standard deviation of a wide prior of joint offsets, [rad]; encoders of arms are accurate to a fraction of a degree.
-JOINT_PRIOR_RAD = np.radians(20.0)
+# Standard deviations of a wide prior of joint offsets, [rad] and [m]; encoders of arms are accurate to a fraction of a degree.
+JOINT_PRIOR_RAD, JOINT_PRIOR_M = float(np.radians(20.0)), 0.1
 # Mean length of a normally distributed error in a plane over its standard deviation along one axis.
 _RAYLEIGH = float(np.sqrt(np.pi / 2))
 
@@ -172,19 +173,33 @@ def covariance_from_cameras(evidence: list[ViewEvidence], errors: CameraErrors) 
     return np.asarray(max(1.0, float(ratio)) * K @ errors.covariance @ K.T, np.float64)
 
 
-def joint_offsets(evidence: list[ViewEvidence]) -> tuple[Array, Array, Array]:
+def joint_offset_limits(slides: NDArray[np.bool_]) -> Array:
+    """Return the largest offset (J,) of each joint of a calibrated arm, [rad], or [m] for a prismatic joint."""
+    return np.where(slides, MAX_JOINT_OFFSET_M, MAX_JOINT_OFFSET_RAD)
+
+
+def message_unit(slides: bool) -> tuple[float, str]:
+    """Return the unit of joint offsets in messages, mm or deg, preceded by its number in one m or rad."""
+    return (1e3, "mm") if slides else (float(np.degrees(1.0)), "deg")
+
+
+def joint_offsets(evidence: list[ViewEvidence], slides: NDArray[np.bool_]) -> tuple[Array, Array, Array]:
     """Estimate joint offsets from at least one view.
 
     Joints and similarity are estimated together, linearized about the rendered state, so offsets of more than about ten degrees
     are only detected as large.
 
+    Args:
+        slides: Mask (J,) of the prismatic joints.
+
     Returns:
-        Offsets (J,) and their standard deviations (J,), [rad]; and the root mean square (J,), [px], of the motion
-        of the outline by each offset that no motion of the whole robot explains; it is nearly zero for a rotation about the
-        axis of a round base.
+        Offsets (J,) and their standard deviations (J,), [rad], or [m] for a prismatic joint; and the root mean square (J,),
+        [px], of the motion of the outline by each offset that no motion of the whole robot explains; it is nearly zero for a
+        rotation about the axis of a round base.
     """
-    offsets = _joint_step(evidence)[7:]
-    covariance = _jackknife(evidence, _joint_step, 7 + len(offsets))
+    step = partial(_joint_step, prior_sds=np.where(slides, JOINT_PRIOR_M, JOINT_PRIOR_RAD))
+    offsets = step(evidence)[7:]
+    covariance = _jackknife(evidence, step, 7 + len(offsets))
     weights, whole, own = (
         _pool(evidence, field) for field in ("border_weights", "jacobian", "joint_jacobian")
     )
@@ -212,12 +227,12 @@ def _similarity_step(evidence: list[ViewEvidence]) -> Array:
     return _solve([_shifts_term(J, shifts, weights, EDGE_KERNEL)], J.shape[1])
 
 
-def _joint_step(evidence: list[ViewEvidence]) -> Array:
-    """Step (7 + J,) of similarity and joints to the color borders."""
+def _joint_step(evidence: list[ViewEvidence], prior_sds: Array) -> Array:
+    """Step (7 + J,) of similarity and joints to the color borders; `prior_sds` (J,) in the units of the joints."""
     J = np.concatenate([_pool(evidence, "jacobian"), _pool(evidence, "joint_jacobian")], axis=1)
     borders = _shifts_term(J, _pool(evidence, "border_px"), _pool(evidence, "border_weights"))
     prior: ResidualTerm[Array] = ResidualTerm(
-        name="joints", residual=lambda x: x[7:], sd=JOINT_PRIOR_RAD, jacobian=lambda x: np.eye(len(x))[7:]
+        name="joints", residual=lambda x: x[7:], sd=prior_sds, jacobian=lambda x: np.eye(len(x))[7:]
     )
     return _solve([borders, prior], J.shape[1])
 

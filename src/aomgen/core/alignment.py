@@ -88,8 +88,8 @@ class Alignment:
         residual_px: Median distance of confirmed outline points from image edges.
         residual_px_of_view: The same for each view in which enough of the robot is visible.
         ee_sd_m: Standard deviation of the end-effector position, [m].
-        joint_zeros_rad: Offset to be added to each joint of the log (J,), see `calibrate_fixed_cameras`; 0 without
-            evidence for an offset, empty before the estimation.
+        joint_zeros_rad: Offset to be added to each joint of the log (J,), [rad], or [m] for a prismatic joint, see
+            `calibrate_fixed_cameras`; 0 without evidence for an offset, empty before the estimation.
         joint_zero_sds_rad: Standard deviations of these offsets (J,).
         cameras: Fixed cameras by name; empty before the calibration.
     """

@@ -182,7 +182,7 @@ class Recording:
         cameras: The demonstration's fixed cameras.
         joint_log: Log of arm and gripper, on its own clock.
         joint_log_file: File of the joint log.
-        clock_offset_s: Known offset, [s] (log time = video time + offset), or None.
+        clock_offset_s: Known offset of the first camera, [s] (log time = video time + offset), or None.
         prompts: A person's annotations.
         mask_folders: Folders below `masks/`, by name.
         notes: Sentences about data that were skipped, sorted, merged or unwrapped when they were read.

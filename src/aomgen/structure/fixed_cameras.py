@@ -87,7 +87,7 @@ def place_fixed_camera(
 ) -> tuple[Camera, Lens, Figures]:
     """Find a fixed camera and its lens.
 
-    A camera with the image size and the stated intrinsics of the scan, or without stated ones, may be the camera of the scan.
+    The scan's lens is also tried if the image sizes are equal and the view states no intrinsics or those of the scan.
 
     Returns:
         Optics of the undistorted frames and pose, recon frame; the lens; and metrics of the registration with the name of

@@ -43,7 +43,7 @@ SENTENCES: Final = {
     "isolated": ("overlap with no image of the others", "they will be dropped; record images in between"),
     "weakly connected": ("overlap with one other image only", "record images beside them"),
     "exposed otherwise": (
-        "are exposed otherwise than the images around them",
+        "are brighter or darker than the images that overlap with them",
         "lock exposure and white balance",
     ),
     "repeated": ("show the same as another one", "they add nothing"),

@@ -141,7 +141,7 @@ def set_camera(camera: pycolmap.Camera, lens: Lens) -> None:
 
 
 def free_lens(camera: pycolmap.Camera, kind: LensModel) -> None:
-    """Give a camera the parameters that a lens model refines; its lens stays as far as these hold it."""
+    """Switch a camera to the parameters of a lens model; coefficients that the model lacks are dropped."""
     lens = lens_of(camera)
     if kind == "radial":
         camera.model = pycolmap.CameraModelId.SIMPLE_RADIAL

@@ -1,12 +1,14 @@
 """Alignment finds a hidden similarity from drawn images, and refuses where no robot stands."""
 
+from contextlib import nullcontext
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter
 
-from aomgen.alignment.align import AlignmentParams, align
+from aomgen.alignment.align import AlignmentParams, _refuse_wrong_joints, align
 from aomgen.alignment.confidence import ViewEvidence, collect_evidence, find_wrist_rotation
 from aomgen.alignment.contours import AlignmentImage, Contour, edge_shifts, region_shifts, shift_jacobian
 from aomgen.alignment.pose_search import Scan
@@ -23,6 +25,7 @@ from aomgen.robots.silhouette import SilhouetteRenderer
 
 JOINTS = np.array([3.5, -2.2, 2.4, 0.25, 1.35, 0.0])
 S_WORLD_RECON = similarity(0.37, matrix_from_rotvec([1.1, -0.7, 2.0]), [0.4, -0.2, 0.9])
+HINGES = np.zeros(2, bool)
 PARAMS = AlignmentParams(views=6, contour_points=250, start_poses=(600,), search_views=5, search_width=64)
 
 
@@ -199,14 +202,36 @@ def evidence_of(offsets_rad: np.ndarray, rng: np.random.Generator) -> list[ViewE
 
 def test_a_joint_that_is_off_is_measured():
     evidence = evidence_of(np.array([0.0, 0.1]), np.random.default_rng(8))
-    offsets_rad, sds_rad, moves_px = joint_offsets(evidence)
+    offsets_rad, sds_rad, moves_px = joint_offsets(evidence, HINGES)
     assert offsets_rad[1] == pytest.approx(0.1, abs=0.003)
     assert sds_rad[1] < 0.003
     assert moves_px[1] == pytest.approx(10.0, rel=0.1)
 
 
+@pytest.mark.parametrize(
+    ("slides", "offset", "message"),
+    [
+        ([False, True], 0.008, r"b is \+8 mm from .* limit 5\)"),
+        ([False, True], 0.003, ""),
+        ([False, False], 0.1, r"b is \+6 deg from .* limit 2\)"),
+        ([False, False], 0.03, ""),
+    ],
+)
+def test_rails_have_a_limit_in_meters(slides, offset, message):
+    pair = SimpleNamespace(joint_names=("a", "b"), slides=np.array(slides))
+    evidence = evidence_of(np.array([0.0, offset]), np.random.default_rng(8))
+    with pytest.raises(AlignmentError, match=message) if message else nullcontext():
+        _refuse_wrong_joints(evidence, SimpleNamespace(robot=pair))
+
+
+def test_a_last_joint_that_is_prismatic_has_no_rotation(configuration):
+    rails = replace(configuration.robot, slides=np.arange(6) == 5)
+    drawing = SimpleNamespace(configuration=replace(configuration, robot=rails))
+    assert find_wrist_rotation(np.eye(4), [], drawing, 400, []) is None
+
+
 def test_a_joint_that_only_turns_the_whole_robot_moves_next_to_nothing():
-    _, _, moves_px = joint_offsets(evidence_of(np.array([0.3, 0.0]), np.random.default_rng(9)))
+    _, _, moves_px = joint_offsets(evidence_of(np.array([0.3, 0.0]), np.random.default_rng(9)), HINGES)
     assert (moves_px < 0.3).all()
 
 

@@ -52,19 +52,17 @@ class Stage:
     points_recon: np.ndarray
     scan_off_rad: np.ndarray = field(default_factory=lambda: np.zeros(6))
 
-    def scene(self, **changes: object) -> AlignedScan:
+    def scene(self) -> AlignedScan:
         configuration = RobotConfiguration(
             robot=self.robot, joints=SCAN_JOINTS + self.scan_off_rad, gripper=0.1
         )
-        known = AlignedScan(
+        return AlignedScan(
             alignment=ALIGNED,
             views=self.views,
             points_recon=self.points_recon,
             configuration=configuration,
             log=self.log,
-            clock_offset_s=None,
         )
-        return replace(known, **changes)
 
     def picture(self, bodies: np.ndarray, wall: np.ndarray, rng: np.random.Generator) -> np.ndarray:
         image = np.where((bodies >= 0)[..., None], self.colors[bodies], wall)
@@ -100,12 +98,16 @@ def placed(camera: Camera, T_error: np.ndarray = MISPLACED) -> Camera:
     return camera_in_world(S_RECON_WORLD, camera.move(camera.T_world_cam @ T_error))
 
 
-def camera_video(camera: Camera, video: Video, T_world_cam: np.ndarray | None = None) -> FixedCameraVideo:
-    return FixedCameraVideo(video=video, camera_recon=placed(camera), T_world_cam=T_world_cam)
+def camera_video(
+    camera: Camera, video: Video, T_world_cam: np.ndarray | None = None, clock_offset_s: float | None = None
+) -> FixedCameraVideo:
+    return FixedCameraVideo(
+        video=video, camera_recon=placed(camera), T_world_cam=T_world_cam, clock_offset_s=clock_offset_s
+    )
 
 
-def calibrate(stage: Stage, cameras: dict[str, FixedCameraVideo], **changes: object) -> Alignment:
-    return calibrate_fixed_cameras(stage.scene(**changes), cameras, silent, PARAMS)
+def calibrate(stage: Stage, cameras: dict[str, FixedCameraVideo]) -> Alignment:
+    return calibrate_fixed_cameras(stage.scene(), cameras, silent, PARAMS)
 
 
 def error_px(found: Camera, true: Camera) -> float:
@@ -188,8 +190,8 @@ def test_a_clock_that_drifts_is_refused_with_the_factor(stage: Stage) -> None:
 @pytest.mark.slow
 def test_a_known_clock_is_kept_and_a_slightly_wrong_calibration_contradicted(stage: Stage) -> None:
     wrong = FRONT.T_world_cam @ transform(np.eye(3), [0.02, 0.0, 0.01])
-    cameras = {"front": camera_video(FRONT, stage.film(FRONT, 0.2), wrong)}
-    found = calibrate(stage, cameras, clock_offset_s=0.2).cameras["front"]
+    cameras = {"front": camera_video(FRONT, stage.film(FRONT, 0.2), wrong, 0.2)}
+    found = calibrate(stage, cameras).cameras["front"]
     assert found.require_clock().offset_s == 0.2
     assert error_px(found.camera, FRONT) < 0.3
     assert any("contradicts" in warning for warning in found.warnings("front"))
@@ -201,8 +203,8 @@ def test_a_film_without_the_arm_moves_no_camera(stage: Stage) -> None:
     rng = np.random.default_rng(2)
     times = np.arange(int(FPS * SECONDS)) / FPS
     wall = (clouds(rng)[None] + rng.normal(0, 3, (len(times), 240, 320, 3))).clip(0, 255).astype(np.uint8)
-    cameras = {"front": camera_video(FRONT, Video(times_s=times, frames_srgb=wall, fps=FPS))}
-    found = calibrate(stage, cameras, clock_offset_s=0.2).cameras["front"]
+    cameras = {"front": camera_video(FRONT, Video(times_s=times, frames_srgb=wall, fps=FPS), None, 0.2)}
+    found = calibrate(stage, cameras).cameras["front"]
     assert found.warnings("front")
     # The scan views alone place the similarity.
     assert error_px(found.camera, FRONT.move(FRONT.T_world_cam @ MISPLACED)) < 0.2
@@ -211,8 +213,8 @@ def test_a_film_without_the_arm_moves_no_camera(stage: Stage) -> None:
 def test_without_frames_cameras_stay_and_a_known_clock_is_kept(stage: Stage) -> None:
     empty = Video(times_s=np.zeros(1), frames_srgb=np.zeros((1, 240, 320, 3), np.uint8), fps=FPS)
     found = calibrate_fixed_cameras(
-        stage.scene(clock_offset_s=0.2),
-        {"front": camera_video(FRONT, empty)},
+        stage.scene(),
+        {"front": camera_video(FRONT, empty, None, 0.2), "side": camera_video(SIDE, empty)},
         silent,
         replace(PARAMS, frames=0),
     )
@@ -222,6 +224,8 @@ def test_without_frames_cameras_stay_and_a_known_clock_is_kept(stage: Stage) -> 
     assert found.S_world_recon == pytest.approx(S_WORLD_RECON, abs=1e-6)
     assert camera.require_clock().offset_s == 0.2
     assert camera.warnings("front") == []
+    # The offset of one camera is not that of the others.
+    assert found.cameras["side"].clock is None
 
 
 @pytest.mark.parametrize(
@@ -257,7 +261,7 @@ def test_joints_as_logged_stay(stage: Stage, front_film: Video) -> None:
 def test_a_joint_far_off_is_refused_by_name(stage: Stage, front_film: Video) -> None:
     zeros = np.radians([0.0, 0.0, 3.5, 0.0, 0.0, 0.0])
     with pytest.raises(AlignmentError, match="elbow_joint"):
-        calibrate(worse(stage, -zeros), {"front": camera_video(FRONT, front_film)}, clock_offset_s=0.4)
+        calibrate(worse(stage, -zeros), {"front": camera_video(FRONT, front_film, None, 0.4)})
 
 
 def worse(stage: Stage, added_rad: np.ndarray) -> Stage:

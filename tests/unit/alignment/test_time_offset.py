@@ -102,3 +102,16 @@ def test_the_rendered_robot_gives_the_offset(robot: RobotModel) -> None:
         video = Video(times_s=frames, frames_srgb=np.clip(noisy, 0, 255).astype(np.uint8), fps=FPS)
         estimate = estimate_clock(video, log.times_s, masks_at)
     assert estimate.offset_s == pytest.approx(0.87, abs=0.02)
+
+
+def test_a_small_video_is_not_enlarged() -> None:
+    """A renderer of the size of the video cannot render larger masks."""
+    widths: list[int] = []
+
+    def masks_at(times_s: np.ndarray, width: int, height: int) -> np.ndarray:
+        widths.append(width)
+        return disc(path)(times_s, width, height)
+
+    video = film(disc(path)(TIMES + 0.74, 96, 72))
+    assert estimate_clock(video, LOG_TIMES, masks_at).offset_s == pytest.approx(0.74, abs=0.02)
+    assert set(widths) == {96}

@@ -63,7 +63,7 @@ def test_check_writes_a_page_with_the_worst_image_first(capture_copy, tmp_path):
     assert f"{count} images, 640 x 480" in result.output
     assert "95 frames" in result.output
     assert (
-        f"1 of {count} scan images are exposed otherwise than the images around them (0020.jpg)"
+        f"1 of {count} scan images are brighter or darker than the images that overlap with them (0020.jpg)"
         in result.output
     )
     mapped = int(re.findall(rf"(\d+) of {count} images in a quick reconstruction", result.output)[0])
