@@ -53,12 +53,20 @@ class SavedUnits(Generic[T]):
             AomgenError: The computation of a unit fails.
         """
         wanted = list(units)
-        waiting = [unit for unit in wanted if reuse(self._file(unit), partial(self._load, unit)) is None]
+        found = {unit: reuse(self._file(unit), partial(self._load, unit)) for unit in wanted}
+        waiting = [unit for unit, value in found.items() if value is None]
         kept = len(wanted) - len(waiting)
+        if kept:
+            text = (
+                f"kept {kept} of {len(wanted)} of an earlier call; another output folder computes all again"
+            )
+            progress(kept / len(wanted), f"{self.folder.name}: {text}")
         for number, done in enumerate(run_units(waiting, executor), kept + 1):
             save_artifact(self.folder, unit_name(done.unit), done.value)
             progress(number / len(wanted), f"{number} of {len(wanted)}")
-        return [self._load(unit) for unit in wanted]
+        # Computed values are read back, so that they do not depend on which units were saved before.
+        found |= {unit: self._load(unit) for unit in waiting}
+        return [value for value in found.values() if value is not None]
 
     def _file(self, unit: int) -> Path:
         return self.folder / f"{unit_name(unit)}.json"

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from aomgen.core.progress import silent
+from aomgen.core.progress import Progress, silent
 from aomgen.errors import ConfigError
 from aomgen.io.reuse import StoredFileWarning
 from aomgen.saved_units import REQUEST_FILE, SavedUnits
@@ -19,7 +19,7 @@ class Square:
     value: int
 
 
-def make(folder: Path, request: int = 1) -> list[int]:
+def make(folder: Path, request: int = 1, progress: Progress = silent) -> list[int]:
     """Compute four squares, and return the units that were not kept."""
     computed = list[int]()
 
@@ -28,7 +28,7 @@ def make(folder: Path, request: int = 1) -> list[int]:
         return Square(value=unit**2)
 
     found = SavedUnits(folder, {"request": request, "size": (1, 2)}, Square).make(
-        range(4), InThisProcess(work), silent
+        range(4), InThisProcess(work), progress
     )
     assert [item.value for item in found] == [0, 1, 4, 9]
     return computed
@@ -39,6 +39,17 @@ def test_values_are_kept_for_one_request(tmp_path: Path) -> None:
     assert make(tmp_path / "units") == []
     with pytest.raises(ConfigError, match="begun for something else"):
         make(tmp_path / "units", request=2)
+
+
+def test_the_number_of_kept_values_is_reported(tmp_path: Path) -> None:
+    texts = list[str]()
+    make(tmp_path / "rollouts", progress=lambda share, text: texts.append(text))
+    assert texts == ["1 of 4", "2 of 4", "3 of 4", "4 of 4"]
+    (tmp_path / "rollouts" / "0001.json").unlink()
+    texts.clear()
+    make(tmp_path / "rollouts", progress=lambda share, text: texts.append(text))
+    assert len(texts) == 2
+    assert texts[0].startswith("rollouts: kept 3 of 4 of an earlier call; another")
 
 
 @pytest.mark.parametrize("content", ["", '{"type": "Square", "value": {}}', '{"type": "Other"}'])

@@ -73,11 +73,12 @@ def stage_folder(path: Path) -> Iterator[Path]:
     The context manager yields an empty folder next to `path`. When the block ends without an error, the files of this
     folder are synced, and it replaces the file or folder at `path`. On Linux, the old and the new folder are exchanged in
     one step. If the file system does not support this (NFS), the old one is renamed first; a process that dies before the
-    second rename leaves no folder at `path`.
+    second rename leaves no folder at `path`. If `path` is a symbolic link, the folder to which it points is replaced.
 
     Raises:
         StorageError: Writing to the disk failed.
     """
+    path = Path(os.path.realpath(path))
     try:
         with scratch_folder(path.parent) as staging:
             yield staging
@@ -119,12 +120,18 @@ def lock_folder(folder: Path) -> Iterator[None]:
     try:
         handle = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
     except OSError as error:
-        raise StorageError(folder, f"cannot be opened ({error.strerror})", "check the folder") from error
+        reason = f"cannot be opened ({error.strerror or error})"
+        raise StorageError(folder, reason, "check the folder") from error
     try:
         _lock(handle, wait=True)
         yield
     finally:
         os.close(handle)
+
+
+def is_vacant(path: Path) -> bool:
+    """Return whether a path does not exist or is an empty folder, so that a new folder replaces nothing."""
+    return not path.exists() or (path.is_dir() and not any(path.iterdir()))
 
 
 def remove_staging(folder: Path) -> None:
@@ -237,13 +244,13 @@ def _exchange(first: Path, second: Path) -> bool:
 
 
 def _delete(path: Path) -> None:
-    """Delete a file or folder; files that other processes delete in the meantime are ignored."""
+    """Delete a file, link or folder; files that other processes delete in the meantime are ignored."""
 
     def unless_gone(function: Any, name: str, info: Any) -> None:
         if not isinstance(info[1], FileNotFoundError):
             raise info[1]
 
-    if path.is_dir():
+    if path.is_dir() and not path.is_symlink():
         shutil.rmtree(path, onerror=unless_gone)
     else:
         path.unlink(missing_ok=True)
@@ -259,11 +266,12 @@ def _sync(path: Path) -> None:
 
 
 def _cannot_be_written(path: Path, error: OSError) -> StorageError:
-    return StorageError(path, f"cannot be written ({error.strerror})", "free space or choose another folder")
+    reason = f"cannot be written ({error.strerror or error})"
+    return StorageError(path, reason, "free space or choose another folder")
 
 
 def _cannot_be_deleted(path: Path, error: OSError) -> StorageError:
-    return StorageError(path, f"cannot be deleted ({error.strerror})", "delete it by hand")
+    return StorageError(path, f"cannot be deleted ({error.strerror or error})", "delete it by hand")
 
 
 def _plain(value: Any) -> Any:

@@ -4,14 +4,14 @@ from collections.abc import Mapping, Sequence
 from functools import cache
 from pathlib import Path
 
-from aomgen.assets.choice import asset_file, is_made, make_asset, open_assets, suggest_category
+from aomgen.assets.choice import is_made, make_asset, open_assets, resolve_asset, suggest_category
 from aomgen.capture.capture_check import check_capture
 from aomgen.core.asset import ArticulatedAsset
 from aomgen.core.episode import NEW_CAMERA
 from aomgen.core.project import Project, split_light
 from aomgen.core.recording import CAPTURE_FILE, Recording
 from aomgen.errors import BackendError, ConfigError, MissingFileError, StorageError, suggest
-from aomgen.io.atomic import write_json
+from aomgen.io.atomic import is_vacant, write_json
 from aomgen.io.hdr_image import read_environment
 from aomgen.io.reuse import reuse_object
 from aomgen.io.video import probe_video
@@ -143,7 +143,7 @@ def new_project(capture: Recording, out: Path, assets: Sequence[str]) -> Project
     return Project(
         capture=capture.folder.resolve(),
         out=out.resolve(),
-        assets=tuple(str(Path(item).resolve()) if asset_file(item) else item for item in chosen),
+        assets=tuple(map(resolve_asset, chosen)),
         image_size=_fitting_size(capture, IMAGE_WIDTH),
     )
 
@@ -155,7 +155,7 @@ def _require_own(folder: Path) -> None:
         StorageError: The folder has such content.
     """
     made = any((folder / name).is_file() for name in (MANIFEST, STARTED))
-    if folder.exists() and not made and not (folder.is_dir() and not any(folder.iterdir())):
+    if not is_vacant(folder) and not made:
         raise StorageError(
             folder,
             "was not created by a run, and this run would replace it",

@@ -7,14 +7,14 @@ import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
 from typing import Any, Protocol
 
 from aomgen.core.progress import Progress
 from aomgen.core.project import Project
 from aomgen.errors import LockedError, StorageError
-from aomgen.io.atomic import remove_folder, remove_staging, stage_folder, write_json, write_text
+from aomgen.io.atomic import NO_LOCKS, remove_folder, remove_staging, stage_folder, write_json, write_text
 from aomgen.io.reuse import DAMAGE, reuse, reuse_object, warn_of_file
 from aomgen.pipeline.manifest import (
     MANIFEST,
@@ -78,7 +78,10 @@ class Display(Protocol):
     """Receiver of the progress of a run, for example a terminal."""
 
     def begin(self, stage: Stage, *, fresh: bool) -> None:
-        """Show the start of a stage; `fresh` means that its result is up to date and kept."""
+        """Show the start of a stage; `fresh` means that its result is up to date and kept.
+
+        Items that an incremental stage cannot keep have been deleted before.
+        """
         ...
 
     def progress(self, share: float, text: str) -> None:
@@ -159,13 +162,29 @@ def share_stages(folders: Iterable[Path], out: Path) -> None:
     Args:
         folders: Folders of the stages; those that do not exist are skipped.
         out: Folder of the other run; stages that exist there are kept.
+
+    Raises:
+        LockedError: The other run is in progress.
+        StorageError: Writing to the disk failed.
     """
-    for folder in folders:
-        if folder.is_dir() and not (out / folder.name).exists():
-            shutil.copytree(folder, out / folder.name, copy_function=_link)
+    with lock(out):
+        for folder in folders:
+            if folder.is_dir() and not (out / folder.name).exists():
+                with stage_folder(out / folder.name) as staging:
+                    _link_tree(folder, staging)
 
 
-def _link(source: str, target: str) -> None:
+def _link_tree(source: Path, target: Path) -> None:
+    """Link all files below a folder into another one."""
+    for path in sorted(source.rglob("*")):
+        copy = target / path.relative_to(source)
+        if path.is_dir():
+            copy.mkdir()
+        else:
+            _link(path, copy)
+
+
+def _link(source: Path, target: Path) -> None:
     """Link a file, or copy it if the target is on another file system."""
     try:
         os.link(source, target)
@@ -228,10 +247,11 @@ def _kept(results: Results, stage: Stage, digests: dict[str, str]) -> Manifest |
 def _make(results: Results, stage: Stage, digests: dict[str, str], display: Display) -> Manifest:
     """Run a stage and commit its folder."""
     folder, wanted = results.folders[stage.name], _identify(results, stage, digests)
-    display.begin(stage, fresh=False)
     start = time.monotonic()
     if stage.incremental:
         _begin_in_place(folder, stage, wanted)
+    display.begin(stage, fresh=False)
+    if stage.incremental:
         manifest = _finish(folder, stage, wanted, stage.function(results, folder, display.progress))
     else:
         with stage_folder(folder) as staging:
@@ -266,12 +286,15 @@ def _make_folder(folder: Path) -> None:
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise StorageError(folder, f"cannot be made ({error.strerror})", "choose another folder") from error
+        reason = f"cannot be made ({error.strerror or error})"
+        raise StorageError(folder, reason, "choose another folder") from error
 
 
 @contextmanager
 def lock(out: Path) -> Iterator[None]:
     """Create the folder of a run and hold its lock, which the system releases when the process dies.
+
+    On a file system without locks, the user is warned, and simultaneous runs are not detected.
 
     Raises:
         LockedError: Another run holds it.
@@ -288,4 +311,14 @@ def lock(out: Path) -> Iterator[None]:
             raise LockedError(
                 out, "is in use by another run", "wait for it or choose another folder"
             ) from error
+        except OSError as error:
+            if error.errno not in NO_LOCKS:
+                raise
+            _warn_without_locks(out)
         yield
+
+
+@cache
+def _warn_without_locks(out: Path) -> None:
+    """Warn once for each folder, although a run acquires its lock several times."""
+    warn_of_file(out, "is on a file system without locks", "simultaneous runs are not detected")

@@ -155,3 +155,32 @@ def test_a_folder_replaces_a_file_in_one_step(tmp_path):
     write_bytes(tmp_path / "x", b"old")
     fill(tmp_path / "x", "new")
     assert [p.relative_to(tmp_path).as_posix() for p in tmp_path.rglob("*")] == ["x", "x/new"]
+
+
+@pytest.mark.parametrize("exists", [True, False])
+def test_a_linked_folder_is_replaced_where_it_is(tmp_path, exists):
+    (tmp_path / "disk").mkdir()
+    target = tmp_path / "disk" / "data"
+    if exists:
+        fill(target, "old")
+    (tmp_path / "x").symlink_to(target)
+    fill(tmp_path / "x", "new")
+    assert (tmp_path / "x").readlink() == target
+    assert [p.name for p in target.iterdir()] == ["new"]
+    assert staged(tmp_path) == staged(tmp_path / "disk") == []
+
+
+def test_a_link_that_replaces_staging_is_deleted_without_its_target(tmp_path):
+    (tmp_path / "data").mkdir()
+    with atomic.scratch_folder(tmp_path) as folder:
+        folder.rmdir()
+        folder.symlink_to(tmp_path / "data")
+    assert [p.name for p in tmp_path.iterdir()] == ["data"]
+
+
+def test_an_error_without_a_number_is_stated(tmp_path):
+    with (
+        pytest.raises(StorageError, match="cannot be written \\(the disk is gone\\)"),
+        stage_folder(tmp_path / "x"),
+    ):
+        raise OSError("the disk is gone")

@@ -1,18 +1,22 @@
 """Stages are kept, made anew and continued exactly when they should be."""
 
+import errno
+import fcntl
 import os
+import warnings
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from aomgen.core.project import Project
-from aomgen.errors import AomgenError, InputError, LockedError
+from aomgen.errors import AomgenError, InputError, LockedError, StorageError
 from aomgen.io.artifact import read_json
 from aomgen.io.atomic import write_bytes, write_text
 from aomgen.io.reuse import StoredFileWarning
+from aomgen.pipeline import runner
 from aomgen.pipeline.manifest import MANIFEST, read_manifest
-from aomgen.pipeline.runner import WARNINGS, Stage, run_stages, share_stages, stage_states
+from aomgen.pipeline.runner import LOCK_FILE, WARNINGS, Stage, lock, run_stages, share_stages, stage_states
 from aomgen.results import Results
 
 
@@ -269,14 +273,71 @@ def test_items_stay_when_only_their_number_changes(tmp_path):
 @pytest.mark.parametrize("linked", [True, False])
 def test_stages_are_shared_with_another_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, linked: bool):
     for name in ("01_structure", "02_gaussians"):
-        (tmp_path / "run" / name).mkdir(parents=True)
-        (tmp_path / "run" / name / "data").write_text(name)
+        (tmp_path / "run" / name / "deep").mkdir(parents=True)
+        (tmp_path / "run" / name / "deep" / "data").write_text(name)
     (tmp_path / "other" / "02_gaussians").mkdir(parents=True)
     if not linked:
         monkeypatch.setattr(os, "link", lambda *_: (_ for _ in ()).throw(OSError("another file system")))
     share_stages(sorted((tmp_path / "run").iterdir()), tmp_path / "other")
-    shared = tmp_path / "other" / "01_structure" / "data"
+    shared = tmp_path / "other" / "01_structure" / "deep" / "data"
     assert shared.read_text() == "01_structure"
-    assert shared.samefile(tmp_path / "run" / "01_structure" / "data") == linked
+    assert shared.samefile(tmp_path / "run" / "01_structure" / "deep" / "data") == linked
     # A stage that the other run has stays.
     assert not list((tmp_path / "other" / "02_gaussians").iterdir())
+
+
+@pytest.mark.parametrize("cause", [OSError(errno.ENOSPC, "No space left on device"), KeyboardInterrupt()])
+def test_a_stage_is_shared_completely_or_not_at_all(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, cause):
+    folder, out = tmp_path / "run" / "01_structure", tmp_path / "other"
+    folder.mkdir(parents=True)
+    for name in ("a", "b", MANIFEST):
+        (folder / name).write_text(name)
+    copies: list[str] = []
+
+    def fill_disk(source: Path, target: Path) -> None:
+        copies.append(source.name)
+        if len(copies) == 2:
+            raise cause
+        target.write_bytes(source.read_bytes())
+
+    with monkeypatch.context() as patch:
+        patch.setattr(runner, "_link", fill_disk)
+        expected = pytest.raises(StorageError, match="No space left") if isinstance(cause, OSError) else None
+        with expected or pytest.raises(KeyboardInterrupt):
+            share_stages([folder], out)
+    assert [path.name for path in out.iterdir()] == [LOCK_FILE]
+    share_stages([folder], out)
+    assert {path.name for path in (out / folder.name).iterdir()} == set(os.listdir(folder))
+
+
+def test_stages_are_not_shared_with_a_run_in_progress(tmp_path: Path):
+    with lock(tmp_path), pytest.raises(LockedError):
+        share_stages([], tmp_path)
+
+
+@pytest.mark.parametrize("code", [errno.ENOSYS, errno.ENOLCK, errno.EOPNOTSUPP])
+def test_without_file_locks_a_run_works_and_warns_once(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, code: int
+):
+    def refuse(file: object, operation: int) -> None:
+        raise OSError(code, os.strerror(code))
+
+    monkeypatch.setattr(fcntl, "flock", refuse)
+    with warnings.catch_warnings(record=True) as warned:
+        warnings.simplefilter("always")
+        assert go(tmp_path).ran == ["a", "b"]
+        assert go(tmp_path).kept == ["a", "b"]
+    assert [str(item.message) for item in warned] == [
+        f"{tmp_path / 'out'}: is on a file system without locks; simultaneous runs are not detected"
+    ]
+
+
+def test_other_errors_of_locks_are_not_hidden(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    def refuse(file: object, operation: int) -> None:
+        raise OSError(errno.EIO, "Input/output error")
+
+    with lock(tmp_path):
+        pass
+    monkeypatch.setattr(fcntl, "flock", refuse)
+    with pytest.raises(OSError, match="Input/output error"), lock(tmp_path):
+        pass
