@@ -300,7 +300,7 @@ def test_a_remaining_type_must_be_decided_by_the_path(monkeypatch: pytest.Monkey
         estimate_motion(world("door"), QUICK)
     monkeypatch.undo()
     drop_drawers(monkeypatch, margin=-400.0, unseen_bulge_m=0.0)
-    with pytest.raises(DemonstrationTooShortError, match="moved the part 4 mm"):
+    with pytest.raises(DemonstrationTooShortError, match="moved the part 4"):
         estimate_motion(world("door"), QUICK)
 
 

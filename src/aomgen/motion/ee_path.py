@@ -43,8 +43,8 @@ class GripperPath:
 
     @property
     def travel(self) -> Array:
-        """Largest distance (D,) from the first point up to each point, [m]."""
-        return np.maximum.accumulate(np.linalg.norm(self.points - self.points[0], axis=1))
+        """Largest distance (D,) from the first point up to each point, [m]; empty for a path without points."""
+        return np.maximum.accumulate(np.linalg.norm(self.points - self.points[:1], axis=1))
 
     @property
     def length(self) -> Array:

@@ -133,7 +133,7 @@ def fit_candidates(
     if not extent >= _MIN_TRAVEL_M:
         raise DemonstrationTooShortError(
             "joint",
-            f"the gripper moved the part {extent * 1e3:.0f} mm, need {_MIN_TRAVEL_M * 1e3:.0f} mm",
+            f"the gripper moved the part {extent * 1e3:.1f} mm, need {_MIN_TRAVEL_M * 1e3:.0f} mm",
             _REMEDY,
         )
     doors, drawer = make_models(path, np.inf if shape is None else shape.reach_m(points.mean(0)))
@@ -167,14 +167,14 @@ def choose_type(found: JointCandidates, video_margin: float = 0.0) -> JointType:
     if margin > -_MIN_MARGIN and not turn >= _MIN_TURN_RAD:
         limit = np.degrees(_MIN_TURN_RAD)
         raise DemonstrationTooShortError(
-            "joint", f"the part turned {np.degrees(turn):.1f} degrees, need {limit:.0f}", _REMEDY
+            "joint", f"the part turned {np.degrees(turn):.2f} degrees, need {limit:.0f}", _REMEDY
         )
     if not abs(margin) >= _MIN_MARGIN:
         raise AmbiguousJointError(
             "joint",
-            f"a revolute and a prismatic joint fit equally well (evidence differs by {abs(margin):.1f}, need "
+            f"a revolute and a prismatic joint fit equally well (evidence differs by {abs(margin):.2f}, need "
             f"{_MIN_MARGIN:.1f})",
-            "record a longer motion or give the joint's type in the project",
+            _REMEDY,
         )
     if margin > 0:
         return "revolute"
@@ -216,7 +216,7 @@ def _refuse_hidden_arc(found: JointCandidates) -> None:
         return
     problem = (
         f"the path of {found.extent_m * 1e3:.0f} mm is straight, but a door of {_DOOR_RADIUS_M:.1f} m radius "
-        f"would bend it by {bulge * 1e3:.1f} mm only, need {found.unseen_bulge_m * 1e3:.1f} mm"
+        f"would bend it by {bulge * 1e3:.2f} mm only, need {found.unseen_bulge_m * 1e3:.2f} mm"
     )
     if found.extent_m < _MIN_TURN_RAD * _DOOR_RADIUS_M:
         raise DemonstrationTooShortError("joint", problem, _REMEDY)

@@ -33,8 +33,8 @@ _ASIDE_M, _ASIDE_S = 0.004, 0.1
 # A part has left its first state when its value differs by this much, [rad], [m]: half a degree, and half a
 # degree of a door whose handle is 0.23 m from its hinge.
 LEAVE_RAD, LEAVE_M = float(np.radians(0.5)), 0.002
-# Fingers and handle yield by 1 to 3 mm from rest to a steady pull, before the part follows the gripper, [m];
-# for a hinge, the rate at which grasps slip along the motion covers half of that.
+# Fingers and handle deform by 1 to 3 mm before the part follows the gripper. For hinges, half of this is already included in the
+# slip rate (`_GIVE_RATES` of `joint_posterior`), [m].
 YIELD_M: Final[dict[JointType, float]] = {"prismatic": 0.002, "revolute": 0.001}
 
 

@@ -118,8 +118,8 @@ def measure_change_fractions(
         times_s, frames_srgb, robot: Times (T,) [s] of small frames (T, H, W, 3) of one exposure, and the
             robot's masks (T, H, W) in them.
         region: The part's pixels (H, W) at its scanned pose.
-        touch: Interval in which the gripper can move the part. The two states are taken from its ends, so
-            that the shadow of the arriving gripper is in both images.
+        touch: Interval in which the gripper can move the part. The reference images of the first and last state are taken
+            while the gripper is at the part, so that its shadow is in both and does not count as a change.
 
     Source: AOMGen, sec. 4.2, "Keyframe Extraction". The paper compares the part's masks in
     neighboring frames; here the image itself is compared with the first and the last state.

@@ -41,9 +41,8 @@ _NOISE, _SHARED = 3.0, 9.0
 _SURFACE_M = 0.01
 # A part that shows fewer pixels than this gives no evidence of change.
 _MIN_PIXELS = 30
-# Likelihood ratio below which prompts are doubted, and below whose inverse they are refused. On
-# captures with correct prompts the ratio is 5 or more; for swapped ones it reaches 0.15, for boxes
-# around the whole object 0.5.
+# Prompts with a likelihood ratio below MIN_ODDS cause a warning; prompts below 1 / MIN_ODDS are refused. Measured ratios: correct
+# prompts at least 5, swapped prompts at most 0.15, boxes around the whole object at most 0.5.
 MIN_ODDS = 2.0
 
 

@@ -38,8 +38,8 @@ from aomgen.robots.silhouette import MasksAt
 
 # Width of the smoother of the dense end-effector path, [s]; short compared with any commanded motion.
 _WAY_SMOOTH_S = 0.1
-# Faster videos are thinned to about this, [1/s]: a motion lasts seconds.
-MAX_FPS = 15.0
+# Faster videos are thinned to this rate or somewhat more, [1/s]: a motion lasts seconds.
+LEAST_FPS = 15.0
 # Fewer frames cannot show two rest states and a motion between them.
 _LEAST_FRAMES = 5
 # Step of dense times, [s]: that of a 100 Hz joint log.
@@ -75,7 +75,7 @@ class VideoObservations:
         Raises:
             NoMotionError: The video has too few frames.
         """
-        stride = max(1, int(np.floor(demo.video.fps / MAX_FPS)))
+        stride = choose_frame_step(demo.video.fps)
         width = min(width, demo.camera.width)
         small = demo.camera.resize(width, round(width * demo.camera.height / demo.camera.width))
         times = demo.video.times_s[::stride]
@@ -136,7 +136,7 @@ class VideoObservations:
             followed=followed,
             followed_sd=followed_sd,
             nearest_m=float(self.signals.distances_m.min()),
-            travel_m=float(held.travel.max()),
+            travel_m=float(held.travel.max(initial=0.0)),
         )
 
     @property
@@ -151,6 +151,11 @@ class VideoObservations:
             speeds_m_s=self.signals.speeds_m_s,
             gripper=self.signals.gripper,
         )
+
+
+def choose_frame_step(fps: float) -> int:
+    """Return the largest step between used frames that keeps a rate of `LEAST_FPS`; 29.97 fps count as 30, as in NTSC."""
+    return max(1, int(fps / LEAST_FPS + 0.01))
 
 
 def _way(demo: MotionInput, first_s: float, last_s: float) -> GripperPath:

@@ -14,8 +14,8 @@ from aomgen.core.values import Array, freeze_arrays
 from aomgen.parts.panel import Panel
 from aomgen.segmentation.interface import Mask
 
-# Largest `box_misfit` of a mask to its box, largest difference to the smallest misfit of a mask, and least share of the mask inside
-# the box; other masks show another object.
+# A mask is used only if its `box_misfit` is below MAX_MASK_MISFIT and less than MASK_SPREAD above that of the best mask, and if
+# more than MIN_SHARE_INSIDE of it lies in the box. Other masks show another object.
 MAX_MASK_MISFIT, MASK_SPREAD, MIN_SHARE_INSIDE = 0.25, 0.1, 0.5
 # Weight of a mask relative to a box: segmenters may miss whole faces, manual boxes have errors of a few pixels.
 MASK_WEIGHT = 0.5

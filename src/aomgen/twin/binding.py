@@ -1,6 +1,7 @@
 """Build twins: attach scanned Gaussians to bodies, and replace the recorded object by an asset."""
 
 from dataclasses import replace
+from typing import Final
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -15,6 +16,9 @@ from aomgen.robots.robot import RobotModel
 from aomgen.splatting.surfels import Surfels
 from aomgen.twin.relighting import Relit, join_relit
 from aomgen.twin.twin import OBJECT, PART, TwinModel, TwinState, body_list, body_poses, move_bodies
+
+# Horizontal share of the unit normal of a part below which the part is a lid.
+LEVEL_SHARE: Final = 0.5
 
 
 def bind(
@@ -81,7 +85,7 @@ def object_frame(static_points_world: ArrayLike, joint_world: Joint, moving_poin
         front = np.linalg.svd(centred[:: max(len(centred) // 4000, 1)], full_matrices=False)[2][2]
         front = front * np.sign(front @ (np.median(moving, 0) - (low + high) / 2) or 1.0)
     front[2] = 0
-    if np.linalg.norm(front) < 1e-6:  # The part is a lid, whose front is opposite the hinge.
+    if np.linalg.norm(front) < LEVEL_SHARE:  # The part is a lid, whose front is opposite the hinge.
         front = np.median(moving, 0) - joint_world.origin
         front = front - (front @ joint_world.axis) * joint_world.axis
         front[2] = 0

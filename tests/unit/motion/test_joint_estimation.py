@@ -1,6 +1,7 @@
 """Joints are hidden behind a hand's path and asked back."""
 
 from dataclasses import dataclass, replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -167,6 +168,22 @@ def test_a_filmed_door_of_a_few_degrees_is_too_short() -> None:
     found = fit_candidates(wide_pull(0.6, 4, 0.002, 1), HOLD)
     with pytest.raises(DemonstrationTooShortError, match="turned"):
         choose_type(found, 50.0)
+
+
+def test_values_just_below_a_limit_are_not_printed_as_equal_to_it() -> None:
+    def candidates(turn_deg: float, margin: float) -> SimpleNamespace:
+        joint = replace(DOOR, upper=float(np.radians(turn_deg)))
+        return SimpleNamespace(margin=margin, revolute=SimpleNamespace(joint=joint))
+
+    with pytest.raises(DemonstrationTooShortError, match=r"turned 14\.96 degrees, need 15"):
+        choose_type(candidates(14.96, 50.0))
+    with pytest.raises(AmbiguousJointError, match=r"differs by 2\.98, need 3\.0") as refused:
+        choose_type(candidates(60.0, 2.98))
+    # A project cannot state the type of the joint.
+    assert refused.value.remedy == "record a longer demonstration"
+    path = hand_path(DRAWER, 0.0304, Flaws(position_m=0, wobble_rad=0), np.random.default_rng(9))
+    with pytest.raises(DemonstrationTooShortError, match=r"29\.\d mm, need 30 mm"):
+        estimate_joint(path, HOLD)
 
 
 @pytest.mark.parametrize(("joint", "travel"), [(DOOR, np.radians(60)), (DRAWER, 0.15)])

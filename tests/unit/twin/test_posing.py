@@ -3,6 +3,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from aomgen.core.joint import Joint
 from aomgen.core.light import light_from_harmonics
 from aomgen.core.sh import sh_basis
 from aomgen.core.transforms import angle_between, apply, invert, matrix_from_rotvec, transform
@@ -100,6 +101,17 @@ def test_the_object_frame_is_found_from_points(toy_scene):
     assert np.rad2deg(angle_between(T[:3, 1], T_true[:3, 1])) < 5
     np.testing.assert_allclose(T[:3, 2], [0, 0, 1], atol=1e-12)
     assert np.linalg.norm(T[:3, 3] - T_true[:3, 3]) < 0.06
+
+
+@pytest.mark.parametrize("tilt", [0.0, 0.1])
+def test_the_front_of_a_lid_is_opposite_its_hinge(tilt: float):
+    rng = np.random.default_rng(0)
+    static = rng.uniform([-0.2, -0.125, 0.0], [0.2, 0.125, 0.15], (2000, 3))
+    lid = rng.uniform([-0.2, -0.125, 0.19], [0.2, 0.125, 0.2], (2000, 3))
+    lid += rng.normal(0, 0.001, lid.shape) + tilt * lid[:, :1] * [0.0, 0.0, 1.0]
+    hinge = Joint(type="revolute", axis=(-1, 0, 0), origin=(0, 0.125, 0.19), lower=0, upper=1.5)
+    T = object_frame(static, hinge, lid)
+    assert np.rad2deg(angle_between(-T[:3, 1], np.array([0.0, -1.0, 0.0]))) < 1
 
 
 def test_layers_are_the_picture_of_everything(toy_scene):
