@@ -31,15 +31,16 @@ def export_twin(
         results: Results of a run.
         path: File with one of `TWIN_SUFFIXES`; a folder of meshes and a CSV of controls are written next to an .xml.
         episode: Number of an episode; None selects the recorded demonstration, or the first episode for an .xml.
-        joint: Value of the object's joint, [rad] or [m]; only for files of Gaussians.
-        time_s: Time of the motion whose state is written; only for files of Gaussians.
+        joint: Value of the object's joint in its range, [rad] or [m]; only for files of Gaussians.
+        time_s: Time of the motion, [s], whose state is written; only for files of Gaussians.
 
     Returns:
         Description of what was written.
 
     Raises:
         UnknownNameError: The suffix is unknown, or the episode does not exist.
-        ConfigError: The format does not support an option.
+        ConfigError: The format does not support an option, a value is outside of its range, or the folder of an .xml was not
+            written by AOMGen.
         MissingFileError: A required stage has not finished.
         BackendError: A package is missing.
         StorageError: Writing to the disk failed.

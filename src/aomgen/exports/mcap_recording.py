@@ -21,7 +21,6 @@ from aomgen.core.values import Array
 from aomgen.exports.scene_motion import SceneMotion
 from aomgen.io.atomic import write_bytes
 from aomgen.io.images import encode_jpeg
-from aomgen.io.video import decode_frames
 
 WORLD_FRAME: Final = "world"
 JOINTS_TOPIC, COMMANDS_TOPIC, POSES_TOPIC = "/joint_states", "/joint_commands", "/tf"
@@ -139,14 +138,13 @@ def _list_calibrations(motion: SceneMotion) -> Iterator[Message]:
 
 
 def _list_images(motion: SceneMotion) -> Iterator[Message]:
-    """Yield the frames of all videos as JPEG, without those before the start of the motion."""
+    """Yield the undistorted frames of all videos as JPEG, without those before the start of the motion."""
     first = float(motion.trajectory.times_s[0])
-    for name, file in motion.videos.items():
-        for video_s, frame in decode_frames(file):
+    for name in motion.videos:
+        for video_s, image in motion.decode_video(name):
             time_s = video_s + motion.video_starts_s[name] - first
             if time_s < 0:
                 continue
-            image = np.asarray(frame.to_ndarray(format="rgb24", threads=1), np.uint8)
             data = base64.b64encode(encode_jpeg(image)).decode()
             content = {
                 "timestamp": _stamp(time_s),

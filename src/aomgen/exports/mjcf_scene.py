@@ -2,7 +2,7 @@
 
 ```
 scene.xml            python -m mujoco.viewer --mjcf=scene.xml; its keyframe "start" is the begin of the episode
-scene_meshes/        OBJ and PNG files that it names
+scene_meshes/        OBJ and PNG files that it names, and aomgen.json, which marks the folder as one that may be replaced
 scene_controls.csv   time_s and a column for each actuator, at every control tick
 ```
 """
@@ -20,9 +20,10 @@ from aomgen.assets.mjcf import VISUAL_GROUP
 from aomgen.core.camera import Camera
 from aomgen.core.transforms import matrix_from_quat, quat_from_matrix
 from aomgen.core.values import Array
+from aomgen.datasets.selection import MARK, require_replaceable
 from aomgen.exports.scene_motion import SceneMotion
 from aomgen.exports.simulated_scene import describe_nominal, simulate_motion_scene
-from aomgen.io.atomic import stage_folder, write_bytes, write_text
+from aomgen.io.atomic import stage_folder, write_bytes, write_json, write_text
 from aomgen.io.images import encode_png
 from aomgen.results import Results
 from aomgen.simulation.controls import (
@@ -51,8 +52,12 @@ def write_mjcf(results: Results, motion: SceneMotion, path: Path) -> None:
     Joint resistance, servos, contact exclusions and time step are those of the verification in the nominal setting.
 
     Raises:
+        ConfigError: The folder of the meshes has other content.
         StorageError: Writing to the disk failed.
     """
+    meshes = path.with_name(f"{path.stem}_meshes")
+    table = path.with_name(f"{path.stem}_controls.csv")
+    require_replaceable(meshes)
     scene = simulate_motion_scene(results, motion)
     spec = describe_nominal(results, scene, motion)
     ticks, _, spec.option.timestep = divide_frame(motion.fps, scene.model.opt.timestep)
@@ -66,7 +71,6 @@ def write_mjcf(results: Results, motion: SceneMotion, path: Path) -> None:
     start = scene.qpos(first[:, :-1], first[:, -1], motion.trajectory.thetas[:1])[0]
     spec.add_key(name=KEYFRAME, qpos=start, ctrl=controls[0])
     spec.modelname = path.stem
-    meshes = path.with_name(f"{path.stem}_meshes")
     files = _export_meshes(spec, model) | _export_textures(spec, model)
     spec.meshdir = spec.texturedir = meshes.name
     spec.assets = {f"{meshes.name}/{name}": content for name, content in files.items()}
@@ -76,7 +80,8 @@ def write_mjcf(results: Results, motion: SceneMotion, path: Path) -> None:
     with stage_folder(meshes) as folder:
         for name, content in files.items():
             write_bytes(folder / name, content)
-    write_text(path.with_name(f"{path.stem}_controls.csv"), _format_csv(["time_s", *names], times, controls))
+        write_json(folder / MARK, {"model": path.name})
+    write_text(table, _format_csv(["time_s", *names], times, controls))
     write_text(path, text)
 
 

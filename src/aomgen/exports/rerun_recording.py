@@ -1,11 +1,12 @@
 """Export of a motion as a Rerun recording: Gaussians by body, poses, joints, cameras with videos, contacts."""
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 import rerun as rr  # pyright: ignore[reportMissingImports]
+from numpy.typing import NDArray
 
 from aomgen.conventions import xyzw_from_wxyz
 from aomgen.core.camera import Camera
@@ -16,6 +17,7 @@ from aomgen.core.values import Array
 from aomgen.errors import StorageError
 from aomgen.exports.scene_motion import SceneMotion
 from aomgen.io.atomic import scratch_folder, write_bytes
+from aomgen.io.video import encode_video
 
 APPLICATION: Final = "aomgen"
 # Name of the time axis, which starts with the motion, [s].
@@ -119,19 +121,35 @@ def _log_cameras(recording: Any, motion: SceneMotion) -> None:
         )
         recording.log(entity, pinhole, static=True)
         if name in motion.videos:
-            _log_video(recording, entity, motion.videos[name], motion.video_starts_s[name])
+            _log_video(recording, f"{entity}/video", motion, name)
 
 
-def _log_video(recording: Any, entity: str, file: Path, start_s: float) -> None:
-    """Log a video file without changes, and a reference to each of its frames."""
-    video = rr.AssetVideo(path=file)
-    recording.log(f"{entity}/video", video, static=True)
+def _log_video(recording: Any, entity: str, motion: SceneMotion, name: str) -> None:
+    """Log a video, and a reference to each of its frames; only a video with lens distortion is encoded again."""
+    video, times_s = rr.AssetVideo(path=motion.videos[name]), None
+    if name in motion.lenses:
+        video, times_s = _undistort_video(motion, name)
+    recording.log(entity, video, static=True)
     stamps_ns = np.asarray(video.read_frame_timestamps_nanos())
+    times_s = stamps_ns * 1e-9 if times_s is None else times_s
     recording.send_columns(
-        f"{entity}/video",
-        [_time_column(np.asarray(stamps_ns * 1e-9 + start_s, np.float64))],
+        entity,
+        [_time_column(np.asarray(times_s + motion.video_starts_s[name], np.float64))],
         rr.VideoFrameReference.columns_nanos(stamps_ns),
     )
+
+
+def _undistort_video(motion: SceneMotion, name: str) -> tuple[Any, Array]:
+    """Encode the undistorted frames of a video at a constant rate; return it and the original times (F,), [s]."""
+    times_s = list[float]()
+
+    def images() -> Iterator[NDArray[np.uint8]]:
+        for time_s, image in motion.decode_video(name):
+            times_s.append(time_s)
+            yield image
+
+    content = encode_video(images(), max(round(motion.fps), 1))
+    return rr.AssetVideo(contents=content, media_type="video/mp4"), np.array(times_s)
 
 
 def _log_joints(recording: Any, motion: SceneMotion) -> None:

@@ -1,16 +1,18 @@
 """Motion of a twin, the recorded demonstration or one episode, with all data that export formats use."""
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from aomgen.core.camera import Camera, CameraPath
 from aomgen.core.demonstration import SceneTrajectory
 from aomgen.core.episode import ContactLog
 from aomgen.core.gaussians import Gaussians
+from aomgen.core.lens import Lens
 from aomgen.core.plan import FittedAsset
 from aomgen.core.values import Array
 from aomgen.episodes.factory import EpisodeFactory
@@ -24,6 +26,7 @@ from aomgen.io.episode_folder import (
     read_episode,
     read_variation,
 )
+from aomgen.io.undistorted_video import decode_undistorted
 from aomgen.results import Results
 from aomgen.robots.robot import RobotModel
 from aomgen.twin.twin import TwinModel, pose_bodies, trajectory_body_poses
@@ -44,6 +47,7 @@ class SceneMotion:
         paths: Moving cameras, by name.
         videos: Recorded or rendered videos by camera name.
         video_starts_s: Time of the first frame of a video on the trajectory's clock, by name, [s].
+        lenses: Lenses of the videos with distorted images, by camera name.
         contacts: Contacts of the fingers; None for a recording.
         fitted: Physical model of the object; None for the recorded object.
     """
@@ -57,6 +61,7 @@ class SceneMotion:
     paths: Mapping[str, CameraPath] = field(default_factory=dict)
     videos: Mapping[str, Path] = field(default_factory=dict)
     video_starts_s: Mapping[str, float] = field(default_factory=dict)
+    lenses: Mapping[str, Lens] = field(default_factory=dict)
     contacts: ContactLog | None = None
     fitted: FittedAsset | None = None
 
@@ -73,6 +78,14 @@ class SceneMotion:
         return trajectory_body_poses(
             self.twin, self.robot, moved.joints, moved.gripper, moved.thetas, moved.T_world_object
         )
+
+    def decode_video(self, name: str) -> Iterator[tuple[float, NDArray[np.uint8]]]:
+        """Yield the time in the video, [s], and the undistorted image (H, W, 3) of each frame of a camera's video.
+
+        Raises:
+            MissingFileError, MalformedFileError, LimitExceededError: See `io.undistorted_video.decode_undistorted`.
+        """
+        return decode_undistorted(self.videos[name], self.lenses.get(name))
 
     def body_gaussians(self) -> dict[str, Gaussians]:
         """Return the Gaussians of each body that has any, in the frame of the body, lit as in the first frame."""
@@ -139,6 +152,7 @@ def _open_demonstration(results: Results) -> SceneMotion:
     demo, twin, fixed = results.demonstration, results.twin, results.alignment.cameras
     clocks = {name: camera.clock for name, camera in fixed.items() if camera.clock is not None}
     first = fixed[results.demo_camera].require_clock().offset_s
+    recorded = [item for item in results.pinhole_capture.cameras if item.name in clocks]
     states = np.column_stack([demo.joints, demo.gripper])
     return SceneMotion(
         name="demonstration",
@@ -147,7 +161,8 @@ def _open_demonstration(results: Results) -> SceneMotion:
         trajectory=demo.with_object(twin.T_world_object),
         commands=np.concatenate([states, states[-1:]]),
         cameras={name: camera.camera for name, camera in fixed.items()},
-        videos={item.name: item.video for item in results.recorded.cameras if item.name in clocks},
+        videos={item.name: item.video for item in recorded},
+        lenses={item.name: item.lens for item in recorded if item.lens},
         video_starts_s={name: clock.offset_s - first for name, clock in clocks.items()},
     )
 

@@ -1,6 +1,7 @@
 """Reading and writing of images as sRGB arrays; the size in the header is checked before memory is allocated."""
 
 import io
+import struct
 from pathlib import Path
 from typing import Final, Literal
 
@@ -32,9 +33,17 @@ def image_size(path: Path) -> tuple[int, int]:
         return (image.height, image.width) if transposed else (image.width, image.height)
 
 
+def read_exif(image: Image.Image) -> Image.Exif:
+    """Return the EXIF data of an image; they are empty if the image has none or they are damaged."""
+    try:
+        return image.getexif()
+    except (SyntaxError, struct.error):
+        return Image.Exif()
+
+
 def exif_orientation(image: Image.Image) -> int:
     """Return the EXIF orientation of an image, 1 (as stored) to 8; 1 if it is missing or outside this range."""
-    orientation = image.getexif().get(EXIF_ORIENTATION, 1)
+    orientation = read_exif(image).get(EXIF_ORIENTATION, 1)
     return orientation if orientation in range(1, 9) else 1
 
 
@@ -77,7 +86,7 @@ def decode_image(data: bytes, where: Path, mode: Mode = "RGB") -> NDArray[np.uin
 
 def _pixels(image: Image.Image, where: Path, mode: Mode, *, upright: bool = True) -> NDArray[np.uint8]:
     try:
-        turned = ImageOps.exif_transpose(image) if upright else image
+        turned = ImageOps.exif_transpose(image) if upright and exif_orientation(image) > 1 else image
         return np.asarray(to_eight_bits(turned).convert(mode))
     except (OSError, ValueError, SyntaxError) as error:
         raise MalformedFileError(where, f"cannot be decoded ({error})", "export it again") from error

@@ -9,6 +9,7 @@ import mujoco
 import numpy as np
 import pytest
 
+from aomgen.errors import ConfigError
 from aomgen.exports.mjcf_scene import write_mjcf
 from aomgen.exports.scene_motion import SceneMotion
 from aomgen.exports.simulated_scene import describe_nominal, simulate_motion_scene
@@ -34,7 +35,37 @@ def snippet() -> str:
 
 def test_what_is_written(folder: Path) -> None:
     assert {item.name for item in folder.iterdir()} == {"scene.xml", "scene_meshes", "scene_controls.csv"}
-    assert {item.suffix for item in (folder / "scene_meshes").iterdir()} == {".obj", ".png"}
+    assert {item.suffix for item in (folder / "scene_meshes").iterdir()} == {".obj", ".png", ".json"}
+
+
+def test_only_a_folder_of_aomgen_is_replaced(
+    folder: Path, results: Results, motion: SceneMotion, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    class Passed(Exception):
+        """The folder was accepted."""
+
+    def stop(*_: object) -> None:
+        raise Passed
+
+    monkeypatch.setattr("aomgen.exports.mjcf_scene.simulate_motion_scene", stop)
+    meshes = tmp_path / "panda_meshes"
+
+    def accepts() -> bool:
+        with pytest.raises((Passed, ConfigError)) as caught:
+            write_mjcf(results, motion, tmp_path / "panda.xml")
+        return caught.type is Passed
+
+    assert accepts()
+    meshes.mkdir()
+    assert accepts()
+    (meshes / "link.obj").write_text("v 0 0 0")
+    assert not accepts()
+    shutil.rmtree(meshes)
+    shutil.copytree(folder / "scene_meshes", meshes)
+    assert accepts()
+    shutil.rmtree(meshes)
+    meshes.write_text("mine")
+    assert not accepts()
 
 
 def test_the_controls_open_the_drawer_in_plain_mujoco(folder: Path, motion: SceneMotion) -> None:

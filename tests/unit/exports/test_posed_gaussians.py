@@ -1,11 +1,13 @@
 """Files of Gaussians in a state: what is drawn from them, and which state."""
 
+import re
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from aomgen.core.transforms import invert
+from aomgen.errors import ConfigError
 from aomgen.exports.posed_gaussians import Y_UP, choose_state, write_posed_gaussians
 from aomgen.exports.scene_motion import SceneMotion
 from aomgen.io.gaussian_files import Y_UP_SUFFIXES, read_gaussians
@@ -25,6 +27,24 @@ def test_drawn_as_the_twin(motion: SceneMotion, tmp_path: Path, suffix: str, lea
     wanted = render_state(motion.twin, motion.robot, state, camera).rgb
     assert len(found) == len(motion.twin.gaussians)
     assert psnr(render(found, camera).rgb, wanted) >= least_db
+
+
+@pytest.mark.parametrize(
+    ("joint", "time_s", "said"),
+    [
+        (np.nan, None, "--joint: is nan m; choose a value between 0.000 and"),
+        (50.0, None, "--joint: is 50 m"),
+        (-0.1, None, "--joint: is -0.1 m"),
+        (None, 5000.0, "--time: is 5000 s; choose a value between 0.000 and"),
+        (None, np.nan, "--time: is nan s"),
+    ],
+)
+def test_values_outside_of_their_range_are_refused(
+    motion: SceneMotion, tmp_path: Path, joint: float | None, time_s: float | None, said: str
+) -> None:
+    with pytest.raises(ConfigError, match=re.escape(said)):
+        write_posed_gaussians(motion, tmp_path / "state.ply", joint=joint, time_s=time_s)
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_states(motion: SceneMotion) -> None:

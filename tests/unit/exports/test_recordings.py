@@ -3,15 +3,18 @@
 import base64
 import io
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from PIL import Image
 
+from aomgen.core.lens import Lens, undistorter
 from aomgen.core.transforms import matrix_from_quat
 from aomgen.exports.mcap_recording import write_mcap
 from aomgen.exports.scene_motion import SceneMotion
+from aomgen.io.video import encode_video, read_frames
 
 
 def test_rerun(motion: SceneMotion, tmp_path: Path) -> None:
@@ -44,6 +47,51 @@ def test_rerun(motion: SceneMotion, tmp_path: Path) -> None:
     assert bytes(video["AssetVideo:blob"][0][0]) == motion.videos["front"].read_bytes()
     assert len(video["VideoFrameReference:timestamp"]) >= len(motion.trajectory)
     assert len([row for row in columns["/world/contacts/left"]["Arrows3D:vectors"] if row]) == 2
+
+
+LENS = Lens(fx=50, fy=50, cx=32, cy=24, width=64, height=48, k1=-0.3)
+
+
+def difference(found: np.ndarray, motion: SceneMotion) -> float:
+    """The mean difference of an image to the undistorted first frame of the recording."""
+    recorded = read_frames(motion.videos["front"], [0])[0]
+    return float(np.abs(found.astype(float) - undistorter(LENS)(recorded)).mean())
+
+
+@pytest.fixture
+def bent(motion: SceneMotion, tmp_path_factory: pytest.TempPathFactory) -> SceneMotion:
+    """The motion with a smooth video of a distorted camera."""
+    video = tmp_path_factory.mktemp("bent") / "front.mp4"
+    image = np.tile((2 * np.mgrid[:48, :64].sum(0))[..., None], 3).astype(np.uint8)
+    video.write_bytes(encode_video([image] * len(motion.trajectory), 10))
+    return replace(motion, videos={"front": video}, lenses={"front": LENS})
+
+
+def test_rerun_shows_undistorted_images(bent: SceneMotion, tmp_path: Path) -> None:
+    chunks = pytest.importorskip("rerun.chunk", reason="extra rerun is not installed")
+    from aomgen.exports.rerun_recording import write_rerun
+
+    write_rerun(bent, tmp_path / "motion.rrd")
+    times_ns = []
+    for chunk in chunks.RrdReader(tmp_path / "motion.rrd").stream():
+        if chunk.entity_path == "/world/camera/front/video":
+            batch = chunk.to_record_batch()
+            if "AssetVideo:blob" in batch.schema.names:
+                blob = batch.column("AssetVideo:blob").to_pylist()[0][0]
+                (tmp_path / "front.mp4").write_bytes(bytes(blob))
+            else:
+                times_ns = batch.column("time").cast("int64").to_pylist()
+    assert difference(read_frames(tmp_path / "front.mp4", [0])[0], bent) < 2
+    np.testing.assert_allclose(times_ns, 1e9 * bent.trajectory.times_s, atol=1e3)
+
+
+def test_mcap_shows_undistorted_images(bent: SceneMotion, tmp_path: Path) -> None:
+    reader = pytest.importorskip("mcap.reader")
+    write_mcap(bent, tmp_path / "motion.mcap")
+    with (tmp_path / "motion.mcap").open("rb") as file:
+        messages = reader.make_reader(file).iter_messages(topics=["/camera/front/image"])
+        data = json.loads(next(messages)[2].data)["data"]
+    assert difference(np.asarray(Image.open(io.BytesIO(base64.b64decode(data)))), bent) < 2
 
 
 def test_mcap(motion: SceneMotion, tmp_path: Path) -> None:
