@@ -6,7 +6,6 @@ shards.
 """
 
 import io
-import json
 import tarfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
@@ -33,10 +32,11 @@ from aomgen.core.progress import Progress
 from aomgen.episodes.stage import open_executor
 from aomgen.errors import ConfigError, UnknownNameError
 from aomgen.exports.image_samples import ImageRoom
-from aomgen.io.atomic import write_bytes, write_json
+from aomgen.io.atomic import is_vacant, write_bytes, write_json
+from aomgen.pipeline.manifest import files_digest
 from aomgen.pipeline.stages import require_stage
-from aomgen.results import Results
-from aomgen.saved_units import REQUEST_FILE, SavedUnits
+from aomgen.results import BACKGROUND_FOLDER, FITTED, Results
+from aomgen.saved_units import REQUEST_FILE, SavedUnits, unit_name
 
 # Version of the file layout.
 VERSION: Final = 1
@@ -141,14 +141,26 @@ def export_images(
         own = dict.fromkeys(fitted.asset.category for fitted in results.fitted_assets)
         request = replace(request, categories=tuple(filter(is_made, own)))
     request.check()
-    if folder.exists() and any(folder.iterdir()) and not (folder / OBJECTS / REQUEST_FILE).is_file():
+    if not is_vacant(folder) and not (folder / OBJECTS / REQUEST_FILE).is_file():
         raise ConfigError(folder, "is there and holds no labelled images", "choose another folder")
-    stated = json.loads(json.dumps({"version": VERSION, "run": str(results.out), **asdict(request)}))
-    units = SavedUnits(folder / OBJECTS, stated, dict)
+    identity = {"version": VERSION, "run": str(results.out), "twin": _scene_digest(results)}
+    units = SavedUnits(folder / OBJECTS, identity | asdict(request), dict)
+    for shard in range(request.shards):
+        if not (folder / SHARD.format(shard)).is_file():
+            (units.folder / f"{unit_name(shard)}.json").unlink(missing_ok=True)
     opener = partial(open_room, replace(results), folder, request)
     objects = units.make(range(request.shards), open_executor(results, opener, TIMEOUT_S), progress)
     write_json(folder / DATASET_FILE, _describe(results, request, objects))
     return objects
+
+
+def _scene_digest(results: Results) -> str:
+    """Compute the digest of the scene, of its twin without an object, and of the first object, which places the others."""
+    folder, first = results.folders["replacement"], results.asset_folder(0)
+    files = [folder / "scene.json"]
+    files += [folder / BACKGROUND_FOLDER / f"twin.{suffix}" for suffix in ("json", "npz")]
+    files += [first / f"{FITTED}.{suffix}" for suffix in ("json", "npz")]
+    return files_digest([file for file in files if file.is_file()])
 
 
 def open_room(results: Results, folder: Path, request: ImageSetRequest) -> Callable[[int], dict[str, Any]]:

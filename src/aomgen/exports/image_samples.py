@@ -14,13 +14,12 @@ from aomgen.conventions import BACKGROUND
 from aomgen.core.asset import ArticulatedAsset
 from aomgen.core.camera import Camera
 from aomgen.core.exposure import change_exposure
-from aomgen.core.gaussians import Gaussians
 from aomgen.core.keypoints import find_keypoints, move_keypoints, project_keypoints
 from aomgen.core.plan import FittedAsset, LightChange
 from aomgen.core.transforms import apply
 from aomgen.core.values import Array
 from aomgen.episodes.render import ImageParams, render_episode, static_layers
-from aomgen.exports.image_clutter import make_clutter, place_clutter
+from aomgen.exports.image_clutter import Clutter, ClutterPlacer, find_footprint, make_clutter
 from aomgen.exports.image_scenes import SceneMaker
 from aomgen.io.artifact import load_artifact
 from aomgen.io.images import encode_jpeg, encode_png
@@ -29,14 +28,11 @@ from aomgen.lighting.object_shadow import ObjectShadow, tabulate_object_shadow
 from aomgen.lighting.reflection import show_in_light
 from aomgen.replacement.asset_cover import cover_asset
 from aomgen.results import BACKGROUND_FOLDER, Results
-from aomgen.splatting.surfels import Surfels
 from aomgen.twin.binding import with_object
 from aomgen.twin.twin import TwinModel
 from aomgen.twin.variation import change_appearance, light_gains, scale_object
 
 OUTPUTS: Final = ImageParams(depth=True, labels=True)
-# Smallest distance of clutter from the object's center, relative to half the diagonal of its footprint.
-CLUTTER_GAP: Final = 1.1
 # Degree of the spherical harmonics of colors; higher degrees render reflections better and double the time.
 SH_DEGREE: Final = 1
 # The same quality as in RLDS, at least 36 dB.
@@ -59,10 +55,12 @@ class ImageRoom:
         self._scenes = SceneMaker(results, size)
         home = results.folders["replacement"] / BACKGROUND_FOLDER
         twin = load_artifact(home, "twin", TwinModel)
+        scene = results.episode_scene
+        self._placer = ClutterPlacer(scene.light, scene.T_world_plane, self._scenes.table)
         self._background = replace(twin, gaussians=twin.gaussians.with_sh_degree(SH_DEGREE))
 
     @cached_property
-    def _clutter(self) -> list[Surfels]:
+    def _clutter(self) -> list[Clutter]:
         return make_clutter(np.random.default_rng([self._seed, *b"clutter"]))
 
     def render(
@@ -100,7 +98,8 @@ class ImageRoom:
         cameras, paths = dict(self._scenes.draw_cameras(rng)), dict(self._scenes.draw_paths(states, rng))
         robot, asset, T = self._results.robot, fitted.asset, states.T_world_object
         twin = scale_object(twin, variation.scale)
-        for item in self._place_clutter(asset, T, rng):
+        taken = find_footprint(fitted, T)
+        for item in self._placer.place(self._clutter, asset.category, T[:3, :3], taken, rng):
             twin = twin.extend(item, 0, BACKGROUND)
         # Brightness and color of the light are changed in the images, for a camera with fixed exposure.
         turned = replace(LightChange(), turn=variation.light.turn)
@@ -141,14 +140,6 @@ class ImageRoom:
                     "depth.png": encode_png(depth_mm[t], PNG_LEVEL),
                     "json": json.dumps(stated, allow_nan=False).encode(),
                 }
-
-    def _place_clutter(self, asset: ArticulatedAsset, T: Array, rng: np.random.Generator) -> list[Gaussians]:
-        """Place clutter around an object at a pose T (4, 4), world frame."""
-        room = self._results.episode_scene
-        low, high = asset.static.bounds
-        middle = apply(T, np.append((low + high)[:2] / 2, 0.0))[:2]
-        taken = middle, CLUTTER_GAP * float(np.linalg.norm((high - low)[:2])) / 2
-        return place_clutter(self._clutter, room.light, room.T_world_plane, self._scenes.table, taken, rng)
 
 
 def _describe_view(

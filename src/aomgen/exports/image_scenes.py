@@ -14,9 +14,9 @@ from aomgen.core.joint import LIMIT_SHARE
 from aomgen.core.plan import FittedAsset, LightChange, MaterialChange, OrbitChange, Variation
 from aomgen.core.transforms import apply, invert, matrix_from_rotvec, transform
 from aomgen.core.values import Array
-from aomgen.episodes.factory import GenerationParams
 from aomgen.episodes.grasps import TILTS_DEG, orientations
 from aomgen.episodes.ik import IkSolver, ik_solver, path_residuals, walk
+from aomgen.episodes.parameters import GenerationParams
 from aomgen.episodes.retarget import DemonstratedMotion
 from aomgen.episodes.screening import Place, orbit_camera
 from aomgen.episodes.variations import Ranges, draw_independently, scale_fit
@@ -40,7 +40,7 @@ LOOKS: Final = {
     "brightness": (0.5, 1.4),
 }
 # Shares of closed objects, of cameras exactly as recorded, and of unchanged materials.
-CLOSED, RECORDED, AS_MADE = 0.5, 0.3, 0.4
+CLOSED, RECORDED, AS_MADE = 0.8, 0.3, 0.4
 # Rotation [deg] and distance factor of the other cameras about the recorded handle; offsets of mounted cameras, [m]
 # and [deg].
 TURN_DEG, TILT_DEG, DISTANCE = (-8.0, 8.0), (-8.0, 8.0), (0.9, 1.1)

@@ -3,7 +3,9 @@
 import io
 import json
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
+from shutil import copytree
 from typing import Any
 
 import numpy as np
@@ -63,6 +65,8 @@ def plain() -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(image_samples, "cover_asset", cover_plainly)
         patch.setattr(image_clutter, "KINDS", 2)
+        patch.setattr(image_clutter, "OBJECTS", 1)
+        patch.setattr(image_clutter, "OBJECT_DISCS", 300)
         yield
 
 
@@ -115,6 +119,34 @@ def test_the_set_says_what_it_holds(dataset: Path) -> None:
     assert [key for shard in sorted(dataset.glob("*.tar")) for key, _ in read_shard(shard)] == [
         f"{number:08d}" for number in range(5)
     ]
+
+
+def test_a_deleted_shard_is_rendered_again_and_another_twin_is_refused(
+    results: ToyResults, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rendered = list[int]()
+
+    def open_writer(results: ToyResults, folder: Path, request: ImageSetRequest) -> Any:
+        def write(shard: int) -> dict[str, str]:
+            rendered.append(shard)
+            (folder / f"shard-{shard:06d}.tar").touch()
+            return {"asset": str(shard)}
+
+        return write
+
+    monkeypatch.setattr(image_dataset, "require_stage", lambda *arguments: None)
+    monkeypatch.setattr(image_dataset, "open_executor", lambda _, opener, timeout_s: Inline(opener, -1))
+    monkeypatch.setattr(image_dataset, "open_room", open_writer)
+    export_images(results, tmp_path / "set", REQUEST, lambda share, text: None)
+    (tmp_path / "set" / "shard-000001.tar").unlink()
+    export_images(results, tmp_path / "set", REQUEST, lambda share, text: None)
+    assert rendered == [0, 1, 1]
+    other = copytree(results.folders["replacement"], tmp_path / "replacement")
+    scene = other / "scene.json"
+    scene.write_text(scene.read_text() + "\n")
+    changed = replace(results, folders={**results.folders, "replacement": other})
+    with pytest.raises(ConfigError, match="begun for something else"):
+        export_images(changed, tmp_path / "set", REQUEST, lambda share, text: None)
 
 
 def test_labels_agree_with_each_other(dataset: Path) -> None:
@@ -182,4 +214,6 @@ def test_a_foreign_folder_is_not_touched(results: ToyResults, tmp_path: Path, mo
     (tmp_path / "holiday.jpg").touch()
     with pytest.raises(ConfigError, match="holds no labelled images"):
         export_images(results, tmp_path, REQUEST, lambda share, text: None)
+    with pytest.raises(ConfigError, match="holds no labelled images"):
+        export_images(results, tmp_path / "holiday.jpg", REQUEST, lambda share, text: None)
     assert [path.name for path in tmp_path.iterdir()] == ["holiday.jpg"]
