@@ -218,13 +218,18 @@ def _levers_and_inertias(model: mujoco.MjModel, joints: tuple[str, ...], site: i
 
 
 def _sample_configurations(model: mujoco.MjModel, joints: tuple[str, ...], count: int) -> Array:
-    """Sample states (count, nq) with random arm joints within their limits, from a fixed seed."""
+    """Sample states (count, nq) with random arm joints within their limits and within half a turn of 0, from a fixed seed.
+
+    A range that is entirely beyond half a turn is sampled as a whole.
+    """
     rng = np.random.default_rng(0)
     states = np.repeat(model.qpos0[None], count, 0)
     for name in joints:
         joint = model.joint(name)
         low, high = joint.range if joint.limited[0] else (-np.pi, np.pi)
-        states[:, joint.qposadr[0]] = rng.uniform(max(low, -np.pi), min(high, np.pi), count)
+        if low <= np.pi and high >= -np.pi:
+            low, high = max(low, -np.pi), min(high, np.pi)
+        states[:, joint.qposadr[0]] = rng.uniform(low, high, count)
     return states
 
 

@@ -11,7 +11,7 @@ from pydantic import BaseModel, ConfigDict, Field, FiniteFloat
 from aomgen.errors import ConfigError, MalformedFileError
 from aomgen.io.mujoco_model import RobotXml, read_robot_xml
 from aomgen.io.paths import find_inside
-from aomgen.io.schema import read_toml
+from aomgen.io.schema import format_toml_value, read_toml
 
 FILE_NAME: Final = "robot.toml"
 # Folder with the descriptions of the robots that are known by name.
@@ -68,7 +68,7 @@ class GripperSection(_Section):
         model, attach, prefix: Model file of the gripper, the arm's site to which it is attached, and the prefix of its
             names; empty if the model of the arm contains the gripper.
         open, closed: Values of the driving joints at gripper 0 and 1, [rad] or [m]. The gripper value of the joint log
-            refers to the first; the others follow it.
+            refers to the first one that moves; the others follow it.
         actuator: If given, the actuators and contact shapes of the model are used without changes.
         left, right: Pads of the fingers.
     """
@@ -89,8 +89,9 @@ class GripperSection(_Section):
 
     @property
     def strokes(self) -> Mapping[str, tuple[float, float]]:
-        """Values of each driving joint at gripper 0 and 1, [rad] or [m]."""
-        return {name: (self.open[name], self.closed[name]) for name in self.open}
+        """Values of each driving joint at gripper 0 and 1, [rad] or [m]; joints that do not move come last."""
+        names = sorted(self.open, key=lambda name: self.open[name] == self.closed[name])
+        return {name: (self.open[name], self.closed[name]) for name in names}
 
 
 class MountSection(_Section):
@@ -248,23 +249,23 @@ def robot_references(model_file: Path, root: Path) -> tuple[Path, ...]:
 def description_toml(description: RobotDescription) -> str:
     """Format a description as the text of a robot.toml."""
     end, gripper = description.end_effector, description.gripper
-    joints = ", ".join(f'"{name}"' for name in description.joints)
-    place = f'body = "{end.body}"\nposition = {list(end.position)}\nquat_wxyz = {list(end.quat_wxyz)}'
+    quote = format_toml_value
+    place = f"body = {quote(end.body)}\nposition = {list(end.position)}\nquat_wxyz = {list(end.quat_wxyz)}"
     text = f"""\
 # What the parts of this robot are for. Lengths in meters, angles in radians; check every line.
 format = 1
-name = "{description.name}"
-model = "{description.model}"  # beside this file
-joints = [{joints}]  # the arm, from the base on
+name = {quote(description.name)}
+model = {quote(description.model)}  # beside this file
+joints = {quote(list(description.joints))}  # the arm, from the base on
 
 [end_effector]  # z out of the palm, y from the left to the right finger
-{f'site = "{end.site}"' if end.site else place}
+{f"site = {quote(end.site)}" if end.site else place}
 """
     for camera in description.camera:
         text += f"""
 [[camera]]  # x right, y down, z forward
-name = "{camera.name}"
-body = "{camera.body}"
+name = {quote(camera.name)}
+body = {quote(camera.body)}
 position = {list(camera.position)}
 quat_wxyz = {list(camera.quat_wxyz)}
 fov_deg = {camera.fov_deg}
@@ -273,16 +274,14 @@ height = {camera.height}
 """
     if gripper is None:
         return text
-    text += (
-        "\n[gripper]\n# Values of the joints that drive it; the log's gripper column measures the first.\n"
-    )
+    text += "\n[gripper]\n# Values of the joints that drive it; the log's gripper column measures the first that moves.\n"
     for key, values in (("open", gripper.open), ("closed", gripper.closed)):
-        pairs = ", ".join(f'"{name}" = {value}' for name, value in values.items())
+        pairs = ", ".join(f"{quote(name)} = {value}" for name, value in values.items())
         text += f"{key} = {{ {pairs} }}\n"
     for side, pad in gripper.pads.items():
         text += f"""
 [gripper.{side}]  # a box behind the face that holds, z towards the other finger
-body = "{pad.body}"
+body = {quote(pad.body)}
 center = {list(pad.center)}
 quat_wxyz = {list(pad.quat_wxyz)}
 half_extents = {list(pad.half_extents)}

@@ -19,7 +19,7 @@ from aomgen.robots.reading import ArmChain
 # Number of rows of the table from open to closed; the error of linear interpolation between them is far below a millimeter.
 STEPS = 33
 # Simulated time in which the fingers come to rest, [s], and the largest constraint error after it, [m] or [rad].
-SETTLE_S, OPEN_LOOP_M = 0.3, 0.002
+SETTLE_S, MAX_DEVIATION = 0.3, 0.002
 # Smallest distance by which the fingers of a gripper approach each other, [m].
 MIN_TRAVEL_M = 0.004
 
@@ -92,13 +92,26 @@ def settle_fingers(
             model.eq_data[model.equality(f"hold_{name}").id, 0] = start + value * (end - start) - zero
         mujoco.mj_step(model, data, round(SETTLE_S / model.opt.timestep))
         positions.append(data.qpos[fingers].copy())
-        loops = data.efc_type[: data.nefc] == mujoco.mjtConstraint.mjCNSTR_EQUALITY
-        apart = float(np.abs(data.efc_pos[: data.nefc][loops]).max(initial=0.0))
-        if not apart <= OPEN_LOOP_M:
+        deviation, unit = _find_deviation(model, data)
+        if not deviation <= MAX_DEVIATION:
             raise MalformedFileError(
                 path,
                 f"does not reach the values of gripper.open and .closed, or does not close the loops of the fingers: "
-                f"the deviation is {1000 * apart:.1f} mm, limit {1000 * OPEN_LOOP_M:.0f} mm",
+                f"the largest deviation is {deviation:.4f} {unit}, limit {MAX_DEVIATION:g} {unit}",
                 "correct these values, or limits and loops of the file",
             )
     return GripperTable(joint_names=chain.hand_joints, values=values, positions=np.array(positions))
+
+
+def _find_deviation(model: mujoco.MjModel, data: mujoco.MjData) -> tuple[float, str]:
+    """Return the largest error of an equality constraint, and its unit."""
+    is_equality = data.efc_type[: data.nefc] == mujoco.mjtConstraint.mjCNSTR_EQUALITY
+    errors = np.where(is_equality, np.abs(data.efc_pos[: data.nefc]), 0.0)
+    row = int(np.argmax(errors))
+    constraint = int(data.efc_id[row])
+    if model.eq_type[constraint] == mujoco.mjtEq.mjEQ_JOINT:
+        is_angle = model.jnt_type[model.eq_obj1id[constraint]] == mujoco.mjtJoint.mjJNT_HINGE
+    else:
+        # The first three rows of a constraint between bodies are a distance.
+        is_angle = row - int(np.argmax(is_equality & (data.efc_id[: data.nefc] == constraint))) >= 3
+    return float(errors[row]), "rad" if is_angle else "m"

@@ -1,8 +1,8 @@
 """Sample the settings of simulated runs, which vary the object's resistance, from an episode's seed and index.
 
 Four properties have two levels each, which gives sixteen corner settings. Each episode is simulated in two opposite
-corners, so that both levels of every property are covered, and in the nominal setting; eight consecutive episodes cover
-all sixteen corners.
+corners, so that both levels of every property are covered, and in the nominal setting. The episodes with indices 8 k to
+8 k + 7 cover all sixteen corners.
 """
 
 from dataclasses import replace

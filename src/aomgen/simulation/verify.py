@@ -25,7 +25,8 @@ from aomgen.version import __version__
 
 CONTROL: Final = (
     "from frame t on the position command moves straight from action[t-1] to action[t], reached at t+1, with "
-    "velocity feed-forward; the arm is gravity compensated; before frame 0 it stands at state[0]"
+    "velocity feed-forward; the arm is gravity compensated; before frame 0 it stands at state[0]; if push_m of the "
+    "variation is more than 0, the simulated command also contained the random pushes, which the actions omit"
 )
 JOINT_DRIVES = (mujoco.mjtTrn.mjTRN_JOINT, mujoco.mjtTrn.mjTRN_JOINTINPARENT)
 

@@ -38,6 +38,18 @@ def test_a_draft_written_down_is_the_draft(described):
     assert read_description(model.parent / FILE_NAME) == draft
 
 
+def test_names_may_contain_quotes(write_urdf):
+    model = write_urdf()
+    text = model.read_text()
+    for name in ("small", "elbow", "palm", "slide_a", "finger_a"):
+        text = text.replace(f'"{name}"', f'"my &quot;{name}&quot;"')
+    model.write_text(text)
+    draft = propose_description(model, model.parent)
+    path = model.parent / FILE_NAME
+    path.write_text(description_toml(draft))
+    assert read_description(path) == draft
+
+
 def test_what_a_person_corrects_counts(described):
     robot = load_robot(
         described(('"slide_a" = 0.04', '"slide_a" = 0.03'), ('name = "small"', 'name = "mine"'))

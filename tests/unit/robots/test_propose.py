@@ -132,6 +132,42 @@ def test_wrong_words_about_the_hand_are_refused(write_urdf, told, message):
         propose_description(path, path.parent, **told)
 
 
+def test_the_first_driving_joint_may_rest(write_urdf):
+    path = write_urdf(mimic="")
+    draft = propose_description(
+        path,
+        path.parent,
+        opened={"slide_a": 0.0, "slide_b": 0.04},
+        closed={"slide_a": 0.0, "slide_b": 0.0},
+    )
+    (path.parent / FILE_NAME).write_text(description_toml(draft))
+    drive = load_robot(path).drive
+    assert (drive.driver, drive.driver_range) == ("slide_b", (0.04, 0.0))
+
+
+def test_a_robot_without_a_name_has_that_of_its_file(write_urdf):
+    path = write_urdf()
+    path.write_text(path.read_text().replace('name="small"', 'name=""'))
+    assert load_robot(path).name == "robot"
+
+
+def test_a_joint_may_be_limited_to_angles_beyond_half_a_turn(write_urdf):
+    path = write_urdf()
+    path.write_text(path.read_text().replace('lower="-3" upper="3"', 'lower="3.3" upper="6"'))
+    assert load_robot(path).joint_limits[0] == pytest.approx([3.3, 6])
+
+
+@pytest.mark.parametrize(("kind", "unit"), [("prismatic", "m"), ("revolute", "rad")])
+def test_fingers_that_stop_are_refused_in_their_unit(write_urdf, kind, unit):
+    path = write_urdf()
+    draft = propose_description(path, path.parent)
+    text = description_toml(draft).replace('"slide_a" = 0.04', '"slide_a" = 0.07')
+    (path.parent / FILE_NAME).write_text(text)
+    path.write_text(path.read_text().replace('type="prismatic"', f'type="{kind}"'))
+    with pytest.raises(MalformedFileError, match=rf"deviation is 0\.0\d+ {unit}, limit 0\.002 {unit};"):
+        load_robot(path)
+
+
 def test_fingers_that_hardly_move_are_no_gripper(write_urdf):
     with pytest.raises(MalformedFileError, match="no two fingers that close"):
         load_robot(write_urdf(stroke=0.001))
