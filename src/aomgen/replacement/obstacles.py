@@ -47,6 +47,10 @@ CLEAR_M: Final = 0.01
 ROBOT_SAMPLES: Final = 5000
 # Gaussians within this distance of the object's location belong to the object, [m].
 OBJECT_M: Final = 0.03
+# A part of fewer cells is kept if it is higher, [m]: the foot of a lamp and its pole are different parts.
+POLE_M: Final = 0.06
+# Smallest side of a box, [m].
+THINNEST_M: Final = CELL_M / 2
 # A box is split in two if that reduces the volume by this share.
 SAVED_SHARE: Final = 0.15
 # Share of the samples beyond a side of a box that count as outliers.
@@ -130,7 +134,8 @@ def _parts(obstacle: Array) -> list[Array]:
     np.maximum.at(heights, tuple(cells.T), obstacle[:, 2])
     np.add.at(counts, tuple(cells.T), 1)
     heights[counts < SOLID_SAMPLES] = 0.0
-    if np.count_nonzero(heights) < LEAST_CELLS:
+    # Few low cells are the blur beside a larger part, but few high ones are a pole.
+    if np.count_nonzero(heights) < LEAST_CELLS and heights.max() < POLE_M:
         return []
     best, where = (1 - SAVED_SHARE) * _volume(heights), None
     for axis in (0, 1):
@@ -160,7 +165,8 @@ def _box(part: Array, T_world_plane: Array) -> OrientedBox:
     low, high = np.quantile(part @ R, (BEYOND, 1 - BEYOND), axis=0)
     low[2] = 0.0
     T_plane_box = transform(R, R @ ((low + high) / 2))
-    return OrientedBox(T_world_box=T_world_plane @ T_plane_box, half_extents=(high - low) / 2)
+    half = np.maximum(high - low, THINNEST_M) / 2
+    return OrientedBox(T_world_box=T_world_plane @ T_plane_box, half_extents=half)
 
 
 def _beside(box: OrientedBox, robot_world: Array) -> OrientedBox | None:

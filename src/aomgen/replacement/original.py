@@ -148,6 +148,8 @@ def _part_boxes(moving: Array, held: Array, bar: int, across: int) -> tuple[Arra
         EstimationError: See `fit_original`.
     """
     aside = np.abs(moving[:, across] - held[across])
+    if not (aside > AROUND_M).sum() >= LEAST_POINTS:
+        raise EstimationError("original", "the part is not larger than its handle", "name other assets")
     panel = np.quantile(moving[aside > AROUND_M], QUANTILES, axis=0)
     panel[:, across] = np.quantile(moving[:, across], QUANTILES)
     near = (aside < AROUND_M) & (np.abs(moving[:, bar] - held[bar]) < ALONG_M)

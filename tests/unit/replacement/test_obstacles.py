@@ -8,7 +8,7 @@ import pytest
 from aomgen.core.boxes import OrientedBox, upright_axes
 from aomgen.core.gaussians import Gaussians, concatenate, gaussians_of
 from aomgen.core.transforms import quat_from_matrix, transform
-from aomgen.replacement.obstacles import find_obstacles, free_rectangle
+from aomgen.replacement.obstacles import _parts, _standing, find_obstacles, free_rectangle
 from aomgen.robots.robot import RobotConfiguration, RobotModel, longest_reach
 from aomgen.twin.support import Support
 
@@ -97,6 +97,16 @@ def test_boxes_are_found_again(standing_robot: RobotConfiguration, seed: int) ->
     assert len(found) == 2
     for true in (CARTON, BOOK):
         assert min(farthest_corner(box, true) for box in found) < 0.015
+
+
+def test_thin_parts_of_obstacles_are_kept() -> None:
+    """The foot of a lamp and its pole of 4 x 4 cm, which covers four cells."""
+    foot = np.mgrid[0.001:0.2:0.004, 0.001:0.2:0.004, 0.016:0.03:0.004].reshape(3, -1).T
+    pole = np.mgrid[0.081:0.12:0.004, 0.081:0.12:0.004, 0.03:0.5:0.004].reshape(3, -1).T
+    (lamp,) = _standing(np.concatenate([foot, pole]))
+    heights = sorted(part[:, 2].max() for part in _parts(lamp))
+    assert heights[-1] == pytest.approx(0.5, abs=0.01)
+    assert heights[-2] < 0.05
 
 
 def test_a_wall_is_cut_where_the_reach_ends(standing_robot: RobotConfiguration) -> None:

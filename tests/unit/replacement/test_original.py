@@ -46,6 +46,15 @@ def test_an_object_without_a_handle_that_was_scanned_is_refused() -> None:
         fit_original(demo, describe_contact(demo, bare, "opening"), bare, "microwave")
 
 
+def test_a_part_that_is_not_larger_than_its_handle_is_refused() -> None:
+    demo, recorded = gripped_recording("microwave")
+    place = apply(demo.Ts_world_ee[demo.contact_frames[0]], demo.grasp_ee)
+    near = np.linalg.norm((recorded.moving_points_world - place)[:, :2], axis=1) < 0.02
+    small = replace(recorded, moving_points_world=recorded.moving_points_world[near])
+    with pytest.raises(EstimationError, match="not larger than its handle"):
+        fit_original(demo, describe_contact(demo, small, "opening"), small, "microwave")
+
+
 def test_an_object_that_was_scanned_open_is_refused() -> None:
     demo, recorded = gripped_recording("microwave")
     opened, closing = scanned_open(demo, recorded), closing_of(demo)
