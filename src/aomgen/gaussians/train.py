@@ -185,7 +185,8 @@ def without_floaters(
     for camera in cameras:
         nearest, _ = tree.query(camera.center)
         keep &= np.linalg.norm(gaussians.means - camera.center, axis=1) > near_share * nearest
-    # Isolated Gaussians have no neighbor within ten times the usual spacing, are faint, and are close to the cameras.
+    # The fifth neighbor of an isolated Gaussian is more than 20 times as far as the median; it is removed if it is faint
+    # and close to the cameras.
     distances, _ = cKDTree(gaussians.means).query(gaussians.means, k=6)
     alone = distances[:, -1] > 20 * np.median(distances[:, -1])
     inside = np.linalg.norm(gaussians.means - np.median(surface, 0), axis=1) < 2 * max(

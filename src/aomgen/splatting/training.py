@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import torch
@@ -118,7 +118,8 @@ def train(
     """Fit Gaussians to images; on a CPU, equal inputs and generator states give equal results on one machine.
 
     Args:
-        initial: Initial Gaussians, in the frame of the cameras; their SH degree is changed to `params.sh_degree`.
+        initial: Initial Gaussians, in the frame of the cameras; their SH degree is changed to `params.sh_degree`. If there are
+            more than `params.max_gaussians`, a part of them is used.
         cameras: Camera of each image, at the size of the image.
         images: Images (H, W, 3) uint8, sRGB.
         params: Parameters of the training.
@@ -161,14 +162,24 @@ def start_training(
     """Create the state before the first iteration; see `train` for the arguments."""
     extent = scene_extent(initial, cameras)
     middle = np.median(initial.means, axis=0)
-    reach = np.maximum(np.linalg.norm(initial.means - middle, axis=1) / extent, 1.0)
+    gaussians = limit_number(initial, params.max_gaussians)
+    reach = np.maximum(np.linalg.norm(gaussians.means - middle, axis=1) / extent, 1.0)
     return TrainingState(
-        parameters=parameters_of(initial, params.sh_degree, reach),
+        parameters=parameters_of(gaussians, params.sh_degree, reach),
         exposure=Exposure.neutral(len(cameras), params.exposure),
         poses=PoseIncrements.neutral(cameras, middle, extent, params.refine_poses),
         order=np.zeros(0, np.int64),
         rng=rng,
     )
+
+
+def limit_number(gaussians: Gaussians, limit: int) -> Gaussians:
+    """Select at most `limit` Gaussians, evenly in their order, and widen them so that they cover the same surfaces."""
+    count = len(gaussians)
+    if count <= limit:
+        return gaussians
+    kept = gaussians.select(np.arange(limit) * count // limit)
+    return replace(kept, scales=kept.scales * np.sqrt(count / limit))
 
 
 def learning(

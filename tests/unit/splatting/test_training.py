@@ -253,3 +253,16 @@ def test_schedules_without_a_size_for_each_iteration_are_refused(
 ) -> None:
     with pytest.raises(ConfigError, match="downsampling"):
         TrainingParams(downsampling=downsampling)
+
+
+def test_a_training_keeps_to_its_limit_from_the_start() -> None:
+    """Every third Gaussian is kept and widened, so that surface and shell keep their shares."""
+    scene, cameras = checkered(300, 0), ring(3)
+    initial = start(scene, 300)
+    params = replace(PARAMS, iterations=6, grow_every=2, max_gaussians=100)
+    state = start_training(initial, cameras, params, np.random.default_rng(0))
+    kept = gaussians_of(state.parameters)
+    assert np.allclose(kept.means, initial.means[::3])
+    assert np.allclose(kept.scales, np.sqrt(3) * initial.scales[::3], rtol=1e-4)
+    trained = train(initial, cameras, photograph(scene, cameras), params, silent, np.random.default_rng(0))
+    assert len(trained) <= 100
