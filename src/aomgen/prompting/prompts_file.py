@@ -1,13 +1,14 @@
 """Write prompts and other statements of a person into a capture.toml; all other bytes of the file remain unchanged."""
 
 from collections.abc import Mapping, Sequence
+from itertools import takewhile
 from pathlib import Path
 
 import tomlkit
 from tomlkit.exceptions import TOMLKitError
 
 from aomgen.capture.capture_schema import PromptSection
-from aomgen.capture.manifest_text import parse_manifest_text, read_manifest_text
+from aomgen.capture.manifest_text import parse_manifest_text, read_manifest_text, split_tables
 from aomgen.errors import MalformedFileError
 from aomgen.io.atomic import write_text
 from aomgen.io.schema import format_toml_value
@@ -52,14 +53,24 @@ def replace_prompts(text: str, prompts: Sequence[PromptSection], stated: Mapping
         box = [1.0, 2.0, 30.0, 40.0]
         <BLANKLINE>
     """
-    document = tomlkit.parse(text)
-    document.pop("prompts", None)
+    mark = "\ufeff" if text.startswith("\ufeff") else ""
+    blocks = split_tables(text.removeprefix(mark))
+    document = tomlkit.parse(
+        "".join(_comments_above(block) if name == "prompts" else block for name, block in blocks)
+    )
+    document.pop("prompts", None)  # prompts that are written as one value
     for key, value in stated.items():
         if document.get(key) != value:
             document[key] = value
-    kept = tomlkit.dumps(document).rstrip("\r\n")
+    kept = mark + tomlkit.dumps(document).rstrip("\r\n")
     newline = "\r\n" if "\r\n" in text else "\n"
     return newline.join([kept, *_format(prompts), ""])
+
+
+def _comments_above(block: str) -> str:
+    """Return the lines of a table above its header."""
+    lines = block.splitlines(keepends=True)
+    return "".join(takewhile(lambda line: line.lstrip().startswith("#"), lines))
 
 
 def _format(prompts: Sequence[PromptSection]) -> list[str]:

@@ -38,6 +38,28 @@ def test_comments_and_tables_after_prompts_stay(newline):
     ]
 
 
+def test_comments_of_a_person_stay():
+    lines = ["format = 1", "", "# by mouse", "[[prompts]]", 'part = "robot"', "", "# the door", "[[prompts]]",
+             'part = "moving"', "", "# measured on 3 May", "[scan]", "images = 'scan'"]  # fmt: skip
+    changed = replace_prompts("\n".join(lines), PROMPTS[1:], {})
+    assert changed.startswith(
+        "format = 1\n\n# by mouse\n# the door\n# measured on 3 May\n[scan]\nimages = 'scan'\n\n[[prompts]]\n"
+    )
+    assert replace_prompts(changed, PROMPTS[1:], {}) == changed
+
+
+def test_a_byte_order_mark_stays(tmp_path):
+    path = tmp_path / "capture.toml"
+    path.write_text("\ufeffformat = 1\n", "utf-8")
+    save_prompts(path, PROMPTS, {"category": "oven"})
+    assert path.read_bytes().startswith(b'\xef\xbb\xbfformat = 1\ncategory = "oven"\n\n[[prompts]]')
+
+
+def test_prompts_in_one_line_are_replaced():
+    changed = replace_prompts('prompts = [{part = "robot"}]\nformat = 1\n', PROMPTS[1:], {})
+    assert changed.startswith("format = 1\n\n[[prompts]]\n")
+
+
 def test_all_prompts_may_go(sample):
     changed = replace_prompts((sample / "capture.toml").read_text("utf-8"), [], {})
     assert "prompts" not in tomllib.loads(changed)
