@@ -11,8 +11,8 @@ import numpy as np
 from aomgen.core.plan import FittedAsset
 from aomgen.core.transforms import apply
 from aomgen.core.values import Array
-from aomgen.episodes.factory import GenerationParams
 from aomgen.episodes.ledger import Distribution, distributions, unit_of
+from aomgen.episodes.parameters import GenerationParams
 from aomgen.episodes.reach_map import LINE_M, REACH_MAP, ReachMap, scene_shapes
 from aomgen.episodes.variations import Ranges, inside
 from aomgen.io.artifact import load_artifact
@@ -118,14 +118,17 @@ def measure_coverage(
 
 
 def outline_request(ranges: Ranges, fitted: FittedAsset) -> Array:
-    """Compute the corners (N, 2) of the area in which the center of an object is requested, world frame, [m]."""
+    """Compute the corners (N, 2) of the area in which the center of an object is requested, world frame, [m].
+
+    The object has the middle of the range of sizes.
+    """
     if ranges.polygon:
         return np.array(ranges.polygon)
     (x0, x1), (y0, y1) = ranges.place_bounds
     corners = [(x0, y0), (x1, y0), (x1, y1), (x0, y1)]
-    return locate_draws(fitted, [{"x": x, "y": y, "yaw": 0.0, "frame": ranges.frame} for x, y in corners])[
-        :, :2
-    ]
+    scale = sum(ranges.scale) / 2
+    requested = [{"x": x, "y": y, "yaw": 0.0, "frame": ranges.frame, "scale": scale} for x, y in corners]
+    return locate_draws(fitted, requested)[:, :2]
 
 
 def find_holes(area: Array, episodes: Array) -> Iterator[tuple[Array, float]]:
@@ -179,11 +182,14 @@ def locate_draws(fitted: FittedAsset, variations: Sequence[Mapping[str, Any]]) -
     `reach_map.front_line` computes the same for one variation.
     """
     R, T = fitted.T_world_asset[:3, :3], fitted.T_world_asset
-    pivot, front = apply(T, fitted.middle_asset), R @ [0.0, -LINE_M, 0.0]
+    middle, held = apply(T, np.stack([fitted.middle_asset, fitted.contact_asset]))
+    # An object is scaled about its held point.
+    scales = np.array([item["scale"] for item in variations])[:, None]
+    pivots, front = middle + (1 - scales) * (held - middle), R @ [0.0, -LINE_M, 0.0]
     shifts = np.array([[item["x"], item["y"], 0.0] for item in variations]).reshape(-1, 3)
     frames = np.array([item["frame"] for item in variations])[:, None]
     shifts = np.where(frames == "object", shifts @ R.T, shifts)
-    middles = np.where(frames == "polygon", shifts, pivot + shifts)[:, :2]
+    middles = np.where(frames == "polygon", shifts, pivots + shifts)[:, :2]
     yaws = np.array([item["yaw"] for item in variations])
     cos, sin = np.cos(yaws), np.sin(yaws)
     turned = np.stack([cos * front[0] - sin * front[1], sin * front[0] + cos * front[1]], 1)

@@ -10,11 +10,11 @@ import numpy as np
 
 from aomgen.core.camera import CameraPath
 from aomgen.core.demonstration import SceneTrajectory
-from aomgen.core.lens import Lens, undistorter
+from aomgen.core.lens import Lens
 from aomgen.core.values import Array
 from aomgen.io.episode_folder import CommittedEpisode
 from aomgen.io.images import encode_jpeg
-from aomgen.io.video import decode_frames
+from aomgen.io.undistorted_video import decode_undistorted
 from aomgen.results import Results
 
 # Number of videos whose frames are cached as JPEG, so that switching between them is fast.
@@ -66,12 +66,10 @@ class ShownMotion:
 
 @lru_cache(KEPT_VIDEOS)
 def _read_frames_jpeg(file: Path, lens: Lens | None, changed_ns: int) -> tuple[Array, tuple[bytes, ...]]:
-    undistort = undistorter(lens) if lens else None
     times, frames = [], []
-    for time_s, frame in decode_frames(file):
-        image = np.asarray(frame.to_ndarray(format="rgb24"), np.uint8)
+    for time_s, image in decode_undistorted(file, lens):
         times.append(time_s)
-        frames.append(encode_jpeg(undistort(image) if undistort else image, halve_colors=False))
+        frames.append(encode_jpeg(image, halve_colors=False))
     return np.array(times), tuple(frames)
 
 

@@ -14,6 +14,7 @@ import numpy as np
 from aomgen.core.camera import Camera
 from aomgen.core.values import Array
 from aomgen.errors import AomgenError, MissingFileError
+from aomgen.evaluation.evaluate import place_side_by_side
 from aomgen.io.atomic import write_text
 from aomgen.io.episode_folder import episode_folder, read_episode
 from aomgen.io.images import encode_jpeg
@@ -126,8 +127,7 @@ def _embed_episode(folder: Path, draw: Draw) -> dict[str, Any]:
     """Embed all views of an episode side by side as one video."""
     committed = read_episode(episode_folder(folder, draw.number))
     videos = [read_video(path).frames_srgb for path in committed.videos.values()]
-    height = min(frames.shape[1] for frames in videos)
-    shown = np.concatenate([frames[:, :height] for frames in videos], axis=2)
+    shown = map(place_side_by_side, zip(*videos, strict=True))
     data = encode_video(shown, committed.episode.fps, crf=VIDEO_CRF)
     return {
         "number": draw.number,

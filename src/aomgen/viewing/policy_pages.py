@@ -2,6 +2,7 @@
 
 from collections import Counter
 from collections.abc import Mapping
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -92,7 +93,7 @@ class PolicyRoutes:
                 "trials": [
                     {
                         "asset": suite.assets[trial.asset],
-                        "place": place_words({name: getattr(trial.variation, name) for name in ("x", "y", "yaw")}),
+                        "place": place_words(asdict(trial.variation)),
                         "setting": trial.setting.name,
                     }
                     for trial in suite.trials

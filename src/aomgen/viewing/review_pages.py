@@ -3,13 +3,17 @@
 import hashlib
 import json
 from collections.abc import Mapping
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import Any, Final, Literal
 
+import numpy as np
+
+from aomgen.errors import AomgenError
 from aomgen.io.episode_folder import episode_folder
 from aomgen.io.review import Review, ReviewChange, change_review, read_reviews
-from aomgen.pipeline.stages import STAGES
+from aomgen.pipeline.runner import results_of
+from aomgen.pipeline.stages import STAGES, find_project
 from aomgen.report.episodes import place_words, reasons
 from aomgen.viewing.coverage_pages import CoverageRoutes
 from aomgen.viewing.draw_list import Draw, DrawList
@@ -96,7 +100,8 @@ class ReviewRoutes:
         """Send the data of the page of one sample."""
         draw = self.draws.find(request.parse(ShownDrawRequest).number)
         committed = draw.outcome == "committed"
-        shown = describe_episode(self._folder(draw)) if committed else describe_rejected(draw)
+        slides = self._slides
+        shown = describe_episode(self._folder(draw), slides) if committed else describe_rejected(draw, slides)
         return send_json(describe_draw(draw, read_reviews(self.out)) | shown)
 
     def send_thumbnail(self, request: PageRequest) -> Response:
@@ -122,6 +127,15 @@ class ReviewRoutes:
         asked = request.parse(ChangeRequest)
         draw = self.draws.find(asked.number)
         return send_json(describe_review(change_review(self.out, self._folder(draw), asked.change)))
+
+    @cached_property
+    def _slides(self) -> list[int]:
+        """Indices of the prismatic arm joints; all joints count as revolute where the capture cannot be read."""
+        try:
+            robot = results_of(find_project(self.out), STAGES).robot
+        except AomgenError:
+            return []
+        return np.flatnonzero(robot.slides).tolist()
 
     def _folder(self, draw: Draw) -> Path:
         return episode_folder(self.draws.episodes, draw.number)

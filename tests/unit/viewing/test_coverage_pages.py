@@ -16,9 +16,10 @@ AREA = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
 
 
 @pytest.mark.parametrize("frame", ["world", "object", "polygon"])
-def test_draws_are_placed_as_on_the_map_of_the_report(frame) -> None:
+@pytest.mark.parametrize("scale", [1.0, 0.6])
+def test_draws_are_placed_as_on_the_map_of_the_report(frame, scale) -> None:
     fitted = fitted_drawer()
-    variation = Variation(seed=0, index=0, x=0.3, y=-0.1, yaw=0.7, frame=frame)
+    variation = Variation(seed=0, index=0, x=0.3, y=-0.1, yaw=0.7, frame=frame, scale=scale)
     first, last = front_line(fitted, variation, "committed").points_world
     np.testing.assert_allclose(
         locate_draws(fitted, [asdict(variation)])[0], [*first, *(last - first)], atol=1e-12

@@ -1,8 +1,10 @@
 import base64
 import json
 import re
+from dataclasses import replace
 from io import BytesIO
 from pathlib import Path
+from types import SimpleNamespace
 
 import av
 import numpy as np
@@ -10,14 +12,17 @@ import pytest
 
 from aomgen.core.project import Project
 from aomgen.errors import MissingFileError
+from aomgen.io.episode_folder import commit_episode
 from aomgen.io.images import decode_image
 from aomgen.io.review import ReviewChange, change_review
+from aomgen.io.video import encode_video, read_video
 from aomgen.pipeline.project_file import write_project
 from aomgen.pipeline.rendering import render_twin
 from aomgen.pipeline.stages import PROJECT_FILE
-from aomgen.viewing.offline_page import draw_strip, write_offline_page
+from aomgen.viewing.offline_page import _embed_episode, draw_strip, write_offline_page
 from browser import needs_chromium, open_page
 from reviewed_run import FRAMES, write_reviewed_run
+from small_episodes import make_episode
 
 
 def read_content(page: Path) -> dict:
@@ -52,6 +57,21 @@ def test_a_page_holds_all_episodes_but_the_rejected_ones(tmp_path: Path) -> None
     with av.open(BytesIO(decode(content["players"][0]["video"]))) as video:
         shapes = [frame.to_ndarray(format="rgb24").shape for frame in video.decode(video=0)]
     assert shapes == [(64, 160, 3)] * FRAMES
+
+
+def test_views_of_several_heights_are_shown_completely(tmp_path: Path) -> None:
+    episode = make_episode(0, 6, cameras=("front", "wrist"))
+    cameras = {**episode.cameras, "wrist": episode.cameras["wrist"].resize(160, 128)}
+    front, wrist = np.full((6, 64, 80, 3), 40, np.uint8), np.full((6, 128, 160, 3), 90, np.uint8)
+    wrist[:, 64:] = 220
+    videos = {"front": encode_video(front, 10), "wrist": encode_video(wrist, 10)}
+    commit_episode(tmp_path, replace(episode, cameras=cameras), videos)
+    (tmp_path / "shown.mp4").write_bytes(
+        decode(_embed_episode(tmp_path, SimpleNamespace(number=0, asset="a"))["video"])
+    )
+    shown = read_video(tmp_path / "shown.mp4").frames_srgb
+    assert shown.shape == (6, 128, 240, 3)
+    assert shown[0, 96, 200] == pytest.approx(220, abs=6)
 
 
 @needs_chromium

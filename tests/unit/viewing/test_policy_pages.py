@@ -25,8 +25,9 @@ def make_record(
     ee[turned_at:, 1] = 0.05
     shares = np.linspace(0, 0.95, frames)
     return RolloutRecord(
-        trial=trial, fail_reason=reason, opening_share=0.95, frames=frames, opening_shares=shares, ee_world=ee
-    )
+        trial=trial, fail_reason=reason, opening_share=0.95, frames=frames, touched_obstacle=False,
+        opening_shares=shares, ee_world=ee,
+    )  # fmt: skip
 
 
 @pytest.fixture
