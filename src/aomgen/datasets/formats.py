@@ -29,9 +29,9 @@ from aomgen.datasets.selection import (
     require_replaceable,
     shard_name,
 )
-from aomgen.errors import ConfigError, MalformedFileError, MissingFileError, UnknownNameError
+from aomgen.errors import AomgenError, ConfigError, MalformedFileError, MissingFileError, UnknownNameError
 from aomgen.io.artifact import MAX_LIST_BYTES, read_json
-from aomgen.io.atomic import write_json
+from aomgen.io.atomic import write_bytes, write_json
 from aomgen.io.reuse import reuse
 from aomgen.io.review import read_content
 from aomgen.version import __version__
@@ -133,7 +133,7 @@ def export_shard(
     progress: Progress = silent,
     **options: Any,
 ) -> Selection | None:
-    """Build one of several datasets that together contain all episodes, `folder`/i-of-n.
+    """Build one of several datasets that together contain all episodes, `folder`/part_i_of_n.
 
     A shard that exists and was built from the same episodes with the same options is kept, so that an interrupted
     export continues.
@@ -153,14 +153,24 @@ def export_shard(
         AomgenError: See `export_dataset` and `selection.choose_shard`.
     """
     chosen, name = choose_shard(episode_folders, shard), shard_name(shard)
+    if folder.is_file():
+        raise ConfigError(folder, "is a file", "choose another folder")
     contents = {path.name: read_content(path) for path in chosen}
     request = {"version": __version__, "format": kind, "options": options, "episodes": contents}
     stated = folder / SHARDS_FOLDER / f"{name}.json"
     kept = (folder / name / MARK).is_file()
     if kept and reuse(stated, partial(read_json, stated, MAX_LIST_BYTES)) == request:
         return None
+    earlier = stated.read_bytes() if stated.is_file() else None
+    # If the process dies between the replacement of the dataset and the new request, the old one must not remain.
     stated.unlink(missing_ok=True)
-    made = export_dataset(chosen, folder / name, kind, progress, **options)
+    try:
+        made = export_dataset(chosen, folder / name, kind, progress, **options)
+    except AomgenError:
+        # An export that fails keeps the dataset.
+        if earlier is not None:
+            write_bytes(stated, earlier)
+        raise
     write_json(stated, request)
     return made
 

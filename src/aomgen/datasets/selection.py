@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from aomgen.datasets.features import ACTION_SPACES, TOLD_FEATURES, ActionSpace
 from aomgen.errors import ConfigError, MalformedFileError, MissingFileError
-from aomgen.io.atomic import stage_folder, write_json
+from aomgen.io.atomic import is_vacant, stage_folder, write_json
 from aomgen.io.episode_folder import CommittedEpisode, read_episode
 
 # Storage of images in a LeRobot dataset: compressed videos, or PNG in its tables, which requires no video decoder. With
@@ -128,14 +128,15 @@ def stage_dataset(folder: Path, selection: Selection) -> Iterator[Path]:
 
 
 def require_replaceable(folder: Path) -> None:
-    """Refuse a folder that is not a dataset of AOMGen.
+    """Refuse a folder that AOMGen did not write.
 
     Raises:
         ConfigError: The folder has other content.
     """
-    empty = not folder.exists() or (folder.is_dir() and not any(folder.iterdir()))
-    if not empty and not (folder / MARK).is_file():
-        raise ConfigError(folder, f"exists and is not a dataset of AOMGen ({MARK})", "choose another folder")
+    if not is_vacant(folder) and not (folder / MARK).is_file():
+        raise ConfigError(
+            folder, f"exists and was not written by AOMGen (no {MARK})", "choose another folder"
+        )
 
 
 def spread(count: int, wanted: int) -> set[int]:
@@ -168,8 +169,9 @@ def choose_shard(episode_folders: Sequence[Path], shard: str) -> list[Path]:
 
 
 def shard_name(shard: str) -> str:
-    """Return the name of the folder of a shard "i/n"."""
-    return shard.replace("/", "-of-")
+    """Return the name of the folder of a shard "i/n", which is valid in all formats; RLDS does not allow hyphens."""
+    number, _, count = shard.partition("/")
+    return f"part_{int(number)}_of_{int(count)}"
 
 
 def parse_size(text: str) -> tuple[int, int]:
@@ -274,11 +276,11 @@ def chosen_space(features: Mapping[str, Any], where: Path) -> ActionSpace:
     absent: list[ActionSpace] = [
         space for space in ACTION_SPACES if f"annotation.action.{space}" not in features
     ]
-    if len(absent) != 1:
-        known = (
-            ", ".join(f"annotation.action.{space}" for space in absent) or "no action space but annotations"
-        )
+    if not absent:
         raise MalformedFileError(
-            where, f"lacks the features {known}, of which only one may be 'action'", REMEDY
+            where, "states all action spaces as annotations, so `action` has no space", REMEDY
         )
+    if len(absent) > 1:
+        known = " and ".join(f"annotation.action.{space}" for space in absent)
+        raise MalformedFileError(where, f"lacks {known}; only the space of `action` may be missing", REMEDY)
     return absent[0]

@@ -13,12 +13,13 @@ import pytest
 from aomgen.core.keypoints import move_keypoints
 from aomgen.core.transforms import matrix_from_rotvec, transform
 from aomgen.datasets.audit import audit_dataset
+from aomgen.datasets.features import ACTION_SPACES
 from aomgen.datasets.formats import FORMATS, export_dataset
 from aomgen.datasets.lerobot_v3 import DATA_PATH, EPISODES_PATH
 from aomgen.datasets.lerobot_v21 import VIDEO_PATH
 from aomgen.datasets.rlds import openvla_columns, rpy_from_matrix
 from aomgen.datasets.robomimic import FILE, scale_actions, unscale_actions
-from aomgen.datasets.selection import default_val, spread
+from aomgen.datasets.selection import chosen_space, default_val, spread
 from aomgen.errors import ConfigError, CorruptArtifactError, MalformedFileError, MissingFileError
 from small_episodes import commit, make_episode
 
@@ -218,11 +219,11 @@ def test_a_dataset_of_ours_is_replaced_and_a_foreign_folder_is_not(folders, expo
     shutil.rmtree(foreign)
     (foreign / "meta").mkdir(parents=True)
     (foreign / "meta" / "info.json").write_text("{}")
-    with pytest.raises(ConfigError, match="not a dataset of AOMGen"):
+    with pytest.raises(ConfigError, match="not written by AOMGen"):
         export_dataset(folders, foreign, "lerobot-v3")
     file = tmp_path / "notes"
     file.write_text("mine")
-    with pytest.raises(ConfigError, match="not a dataset of AOMGen"):
+    with pytest.raises(ConfigError, match="not written by AOMGen"):
         export_dataset(folders, file, "lerobot-v3")
     assert [p.name for p in foreign.rglob("*")] == ["meta", "info.json"]
     assert file.read_text() == "mine"
@@ -325,8 +326,12 @@ def test_two_action_spaces_without_a_note_are_ambiguous(exported, folders, tmp_p
     info = json.loads(path.read_text())
     del info["features"]["annotation.action.ee_delta"]
     path.write_text(json.dumps(info))
-    with pytest.raises(MalformedFileError, match=r"annotation\.action\.ee_delta"):
+    said = r"lacks annotation\.action\.joint and annotation\.action\.ee_delta; only the space of `action` may be missing"
+    with pytest.raises(MalformedFileError, match=said):
         audit_dataset(dataset, folders)
+    every = {f"annotation.action.{space}" for space in ACTION_SPACES}
+    with pytest.raises(MalformedFileError, match="`action` has no space"):
+        chosen_space(dict.fromkeys(every), path)
 
 
 @pytest.mark.parametrize(
