@@ -5,7 +5,7 @@ import os
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cache, cached_property, lru_cache, partial
 from itertools import islice
 from pathlib import Path
@@ -23,13 +23,14 @@ from aomgen.episodes.grasp_choice import DRAWS, GRASPS_FOLDER, GraspChoice, choo
 from aomgen.episodes.grasps import Grasp
 from aomgen.episodes.ik import IkSolver, ik_solver
 from aomgen.episodes.ledger import Unit, object_folder, write_rejection
-from aomgen.episodes.planning import Planner, PlanParams, plan_episode
+from aomgen.episodes.parameters import GenerationParams
+from aomgen.episodes.planning import Planner, plan_episode
 from aomgen.episodes.pushes import push_joints
 from aomgen.episodes.reach_map import ReachMap, map_reach
 from aomgen.episodes.record import episode_of, store_episode
-from aomgen.episodes.render import ImageParams, render_episode, static_layers
+from aomgen.episodes.render import render_episode, static_layers
 from aomgen.episodes.screening import Place
-from aomgen.episodes.variations import Ranges, draw, scale_fit
+from aomgen.episodes.variations import draw, scale_fit
 from aomgen.executors import Work
 from aomgen.io.artifact import file_digest, load_artifact
 from aomgen.io.atomic import stage_folder
@@ -46,33 +47,8 @@ from aomgen.twin.variation import change_appearance, light_gains, scale_object
 
 # Number of assets that a worker keeps open: the current and the next one.
 OPEN_ASSETS: Final = 2
-# Number of sizes of an asset whose scenes a worker keeps: the recorded one, and that of the episode.
-OPEN_SIZES: Final = 2
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class GenerationParams:
-    """Parameters of the stage "episodes".
-
-    Attributes:
-        ranges: Ranges of the variations.
-        plan: Parameters of the planning; its rate is the recording's.
-        bolted: The object is fixed to its support; False lets it stand by friction.
-        attempts_per_episode: Largest number of samples that are planned for each requested episode.
-        cameras: Names of the scene's cameras that are used; empty for all.
-        free_cameras: Number of added cameras, placed by `ranges.free`.
-        images: Kinds of images that are stored, and whether the robot's cameras are rendered.
-        timeout_s: A unit that takes longer is given up, [s].
-    """
-
-    ranges: Ranges = field(default_factory=Ranges)
-    plan: PlanParams = field(default_factory=PlanParams)
-    bolted: bool = True
-    attempts_per_episode: int = 5
-    cameras: tuple[str, ...] = ()
-    free_cameras: int = 0
-    images: ImageParams = field(default_factory=ImageParams)
-    timeout_s: float = 600.0
+# Number of scenes that it keeps: one for the recorded size and one for that of the episode, of each asset.
+OPEN_SCENES: Final = 2 * OPEN_ASSETS
 
 
 class EpisodeFactory:
@@ -82,14 +58,23 @@ class EpisodeFactory:
         results: Results of the run.
         folder: Folder of all episodes.
         cameras: Cameras to use instead of the scene's.
+        fitted: Assets to plan for instead of those of the run; they have no twins.
     """
 
-    def __init__(self, results: Results, folder: Path, cameras: Mapping[str, Camera] | None = None) -> None:
+    def __init__(
+        self,
+        results: Results,
+        folder: Path,
+        cameras: Mapping[str, Camera] | None = None,
+        fitted: Sequence[FittedAsset] | None = None,
+    ) -> None:
         self.results, self.folder, self._cameras = results, folder, cameras
+        self.fitted_assets = results.fitted_assets if fitted is None else fitted
         self.params = results.params("episodes", GenerationParams())
         self.plan_params = replace(self.params.plan, fps=results.fps)
         # Methods cannot be cached per instance otherwise without keeping the instance alive.
         self.asset = lru_cache(OPEN_ASSETS)(self._open_asset)
+        self.sized = lru_cache(OPEN_SCENES)(self._resize)
         self.usual_grasp = cache(self._usual_grasp)
         self._seconds: dict[str, float] = {}
 
@@ -116,7 +101,7 @@ class EpisodeFactory:
         """Reach maps of all assets."""
         return tuple(
             map_reach(fitted, self.results.demonstration, self.params.ranges, self.solver, self.plan_params)
-            for fitted in self.results.fitted_assets
+            for fitted in self.fitted_assets
         )
 
     @cached_property
@@ -129,7 +114,7 @@ class EpisodeFactory:
     def screen(self, unit: Unit) -> tuple[Variation, Rejection | None]:
         """Compute the variation of a draw, and the reason why it is not worth trying, if there is one."""
         variation = self.variation(unit)
-        fitted = scale_fit(self.results.fitted_assets[unit.asset], variation.scale)
+        fitted = scale_fit(self.fitted_assets[unit.asset], variation.scale)
         return variation, self.place.screen(variation, fitted)
 
     def variation(self, unit: Unit) -> Variation:
@@ -139,7 +124,7 @@ class EpisodeFactory:
             unit.asset,
             unit.index,
             self.params.ranges,
-            arm_joints=len(self.results.robot.joint_names),
+            slides=self.results.robot.slides.tolist(),
             cameras=len(self.place.cameras),
             free=self.place.free,
         )
@@ -183,7 +168,7 @@ class EpisodeFactory:
         chosen = self.folder / GRASPS_FOLDER
         if known := reuse(chosen / f"{category}.json", partial(load_artifact, chosen, category, GraspChoice)):
             return known
-        assets = enumerate(self.results.fitted_assets)
+        assets = enumerate(self.fitted_assets)
         alike = [number for number, fitted in assets if fitted.asset.category == category]
         # A planner holds a copy of its scene, so only those of one object's draws are kept.
         planner = lru_cache(DRAWS)(self._open_planner)
@@ -205,7 +190,7 @@ class EpisodeFactory:
 
     def _open_planner(self, unit: Unit) -> Planner:
         variation = self.variation(unit)
-        fitted, scene = self.asset(unit.asset).sized(variation.scale)
+        fitted, scene = self.sized(unit.asset, variation.scale)
         demo = self.results.demonstration
         return Planner(fitted, demo, variation, scene, self.solver, self.plan_params)
 
@@ -276,12 +261,17 @@ class EpisodeFactory:
         return OpenAsset(
             factory=self,
             number=number,
-            fitted=self.results.fitted_assets[number],
+            fitted=self.fitted_assets[number],
             twin=load_artifact(home, "twin", TwinModel),
             usd=home / ASSET_USD,
             digests=self.digests
             | {"asset": file_digest(home / ASSET_USD), "twin": file_digest(home / "twin.npz")},
         )
+
+    def _resize(self, number: int, scale: float) -> tuple[FittedAsset, Scene]:
+        """Return an asset at a size and the scene to plan and verify it in."""
+        fitted = scale_fit(self.fitted_assets[number], scale)
+        return fitted, self.build_scene(fitted)
 
     @contextmanager
     def _measure_time(self, part: str) -> Iterator[None]:
@@ -306,14 +296,9 @@ class OpenAsset:
         """Usual grasp, which plans approximate."""
         return self.factory.usual_grasp(self.fitted.asset.category).usual
 
-    @cached_property
-    def sized(self) -> Callable[[float], tuple[FittedAsset, Scene]]:
-        """Cached function from a size to the asset and the scene to plan and verify it in."""
-        return lru_cache(OPEN_SIZES)(self._resize)
-
-    def _resize(self, scale: float) -> tuple[FittedAsset, Scene]:
-        fitted = scale_fit(self.fitted, scale)
-        return fitted, self.factory.build_scene(fitted)
+    def sized(self, scale: float) -> tuple[FittedAsset, Scene]:
+        """See `EpisodeFactory.sized`."""
+        return self.factory.sized(self.number, scale)
 
     def show_variation(
         self, variation: Variation, cameras: Mapping[str, Camera]

@@ -13,10 +13,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import solveh_banded
 
-from aomgen.core.plan import Rejection, measure_excess
+from aomgen.core.plan import Rejection
 from aomgen.core.transforms import cross, interpolate, path_steps, skew, transform
 from aomgen.core.values import Array, Matrix4, freeze_arrays
-from aomgen.episodes.joint_limits import IkLimits
+from aomgen.episodes.joint_limits import IkLimits, check_margins, list_margins
 from aomgen.robots.robot import RobotModel
 
 # Damping of the least-squares step, [m^2]; carries the arm across singular poses instead of around them.
@@ -199,29 +199,19 @@ def _solve_banded(hessians: Array, bending: Array, gradient: Array) -> Array:
 def _judge(solver: IkSolver, Ts_world_ee: Array, joints: Array, limits: IkLimits) -> Array | Rejection:
     """Check joints (T, J) and return them, or a Rejection at the first pose that breaks a limit."""
     residuals_mm, residuals_deg = path_residuals(solver, Ts_world_ee, joints)
-    low, high = solver.robot.joint_limits.T
-    keep = np.where(solver.robot.slides, limits.slide_margin, limits.limit_margin)
-    margins = np.minimum(joints - low, high - joints)
     missed = ~((residuals_mm <= limits.residual_mm) & (residuals_deg <= limits.residual_deg))
-    broken = np.flatnonzero(missed | ~np.all(margins >= keep, axis=1))
-    if not len(broken):
+    row = int(np.argmax(missed)) if missed.any() else len(joints)
+    near_limit = check_margins(solver.robot, joints[:row], list_margins(solver.robot, limits))
+    if near_limit is not None:
+        return near_limit
+    if row == len(joints):
         return joints
-    row = int(broken[0])
-    if missed[row]:
-        mm, deg = float(residuals_mm[row]), float(residuals_deg[row])
-        return Rejection(
-            reason="unreachable",
-            detail=f"{mm:.1f} mm and {deg:.1f} deg from the requested pose",
-            metrics={"residual_mm": mm, "residual_deg": deg, "sample": float(row)},
-            excess=max(mm / limits.residual_mm, deg / limits.residual_deg) - 1.0,
-        )
-    worst = int(np.argmin(margins[row] / keep))
-    margin, name = float(margins[row, worst]), solver.robot.joint_names[worst]
+    mm, deg = float(residuals_mm[row]), float(residuals_deg[row])
     return Rejection(
-        reason="joint_limit",
-        detail=f"{name} is {margin:.3f} from its limit, need at least {keep[worst]}",
-        metrics={"limit_margin": margin, "sample": float(row)},
-        excess=measure_excess(margin, float(keep[worst])),
+        reason="unreachable",
+        detail=f"{mm:.1f} mm and {deg:.1f} deg from the requested pose",
+        metrics={"residual_mm": mm, "residual_deg": deg, "sample": float(row)},
+        excess=max(mm / limits.residual_mm, deg / limits.residual_deg) - 1.0,
     )
 
 

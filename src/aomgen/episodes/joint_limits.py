@@ -1,13 +1,18 @@
 """Limits of the arm's joints along a path: position, speed, acceleration and jerk."""
 
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from aomgen.core.episode import PHASES
-from aomgen.core.plan import Rejection
+from aomgen.core.plan import Rejection, measure_excess
 from aomgen.core.values import Array
+from aomgen.robots.robot import RobotModel
+
+# Tolerance of a measured distance to a limit, [rad] or [m].
+ROUNDING: Final = 1e-9
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -40,6 +45,34 @@ class IkLimits:
     iterations: int = 12
 
 
+def list_margins(robot: RobotModel, limits: IkLimits) -> Array:
+    """Return the distance (J,) that each joint keeps from its limits, [rad] or [m]."""
+    return np.where(robot.slides, limits.slide_margin, limits.limit_margin)
+
+
+def keep_margins(robot: RobotModel, measured: Array, limits: IkLimits) -> Array:
+    """Return the distances (J,) that joints keep from their limits, or less where measured joints (N, J) are closer."""
+    closest = _measure_margins(robot, measured).min(0)
+    return np.minimum(list_margins(robot, limits), closest - ROUNDING)
+
+
+def check_margins(robot: RobotModel, joints: Array, required: Array) -> Rejection | None:
+    """Return a Rejection "joint_limit" for the first of joints (T, J) closer to a limit than required (J,)."""
+    margins = _measure_margins(robot, joints)
+    broken = ~np.all(margins >= required, axis=1)
+    if not broken.any():
+        return None
+    row = int(np.argmax(broken))
+    worst = int(np.argmin(margins[row] - required))
+    margin, needed = float(margins[row, worst]), float(required[worst])
+    return Rejection(
+        reason="joint_limit",
+        detail=f"{robot.joint_names[worst]} is {margin:.3f} from its limit, need at least {needed:.3g}",
+        metrics={"limit_margin": margin, "sample": float(row)},
+        excess=measure_excess(margin, needed),
+    )
+
+
 def check_speed(
     joints: Array,
     fps: float,
@@ -52,8 +85,9 @@ def check_speed(
     A jump counts as too fast. `slides` marks the prismatic joints (J,).
 
     Returns:
-        Metrics `joint_speed`, `joint_acceleration`, `joint_jerk` in [rad/s] and so on; or a Rejection
-        "too_fast" or "too_jerky" with the factor by which the duration of each phase would have to grow.
+        Metrics `joint_speed`, `joint_acceleration`, `joint_jerk` in [rad/s] and so on; or a Rejection: "too_fast"
+        if a speed is too large, else "too_jerky" for an acceleration or jerk. Its metrics `<phase>_share` are the
+        factors by which each phase must be slowed down (at most 1: the phase is slow enough).
     """
     at_rest = np.pad(joints, ((2, 2), (0, 0)), mode="edge")
     needed, figures, reason, detail, excess = np.zeros(len(joints)), {}, "", "", 0.0
@@ -86,3 +120,9 @@ def check_speed(
         for index, phase in enumerate(PHASES)
     }
     return Rejection(reason=reason, detail=detail, metrics={**figures, **by_phase}, excess=excess)
+
+
+def _measure_margins(robot: RobotModel, joints: Array) -> Array:
+    """Compute the distances (N, J) of joints (N, J) to their nearer limits, [rad] or [m]; negative beyond a limit."""
+    low, high = robot.joint_limits.T
+    return np.minimum(joints - low, high - joints)

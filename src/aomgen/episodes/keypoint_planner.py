@@ -9,10 +9,10 @@ from aomgen.core.camera import Camera
 from aomgen.core.plan import EpisodePlan, FittedAsset, Rejection, Variation
 from aomgen.core.values import Array
 from aomgen.episodes.factory import EpisodeFactory
+from aomgen.episodes.grasps import Grasp
 from aomgen.episodes.keypoint_fit import fit_known_objects
 from aomgen.episodes.planning import plan_episode
 from aomgen.episodes.screening import stands_in
-from aomgen.errors import ConfigError
 from aomgen.results import Results
 from aomgen.simulation.episode_scene import episode_scene
 from aomgen.simulation.scene import Scene
@@ -27,17 +27,14 @@ class KeypointPlanner:
     """Planner that transfers the demonstration of a run to another object of the same category.
 
     Args:
-        results: Results of a run up to the stage "replacement"; its assets are the known objects.
-
-    Raises:
-        ConfigError: The run demonstrates a closing; keypoints are known of closed objects only.
+        results: Results of a run up to the stage "replacement", which demonstrates an opening.
+        known: Closed objects that were fitted to the demonstration.
+        usual_grasp: Grasp that is preferred to grasps like the demonstrated one.
     """
 
-    def __init__(self, results: Results) -> None:
-        if any(fitted.target_theta < fitted.start_theta for fitted in results.fitted_assets):
-            raise ConfigError(results.out, "demonstrates a closing", "name a run of an opening")
+    def __init__(self, results: Results, known: Sequence[FittedAsset], usual_grasp: Grasp | None) -> None:
         self._factory = EpisodeFactory(results, results.folders["episodes"])
-        self._known = results.fitted_assets
+        self._known, self._usual_grasp = known, usual_grasp
         plan = replace(self._factory.plan_params, search=True)
         self._params = [replace(plan, clearance_m=clearance) for clearance in CLEARANCES_M]
 
@@ -58,8 +55,9 @@ class KeypointPlanner:
         )
         placed = [(*shape, self._build_scene(*shape)) for shape in shapes[:SHAPES]]
         for params, (fitted, variation, scene) in product(self._params, placed):
-            usual = factory.usual_grasp(fitted.asset.category).usual
-            plan = plan_episode(fitted, demo, variation, scene, factory.solver, params, usual, joints)
+            plan = plan_episode(
+                fitted, demo, variation, scene, factory.solver, params, self._usual_grasp, joints
+            )
             if isinstance(plan, EpisodePlan):
                 break
         return plan

@@ -320,8 +320,10 @@ def _quantities(
     yield "brightness", "", ranges.brightness, [item["brightness"] for item in material]
     yield "push", "m", ranges.push_m, [v["push_m"] for v in variations]
     if variations and any(ranges.start_deg):
-        first = [v["start_offset"][0] for v in variations]
-        yield "start of joint 1", "deg", ranges.start_deg, [degrees * value for value in first]
+        offsets = degrees * np.array([v["start_offset"] for v in variations])
+        # Prismatic joints have no offset.
+        joint = int(np.argmax(offsets.any(0)))
+        yield f"start of joint {joint + 1}", "deg", ranges.start_deg, offsets[:, joint].tolist()
     cameras = len(variations[0]["orbits"]) if variations else 0
     for number in range(cameras):
         orbits = [v["orbits"][number] for v in variations]

@@ -20,7 +20,7 @@ from aomgen.episodes.candidates import WAYS, Candidate, Way, follow_contact, fol
 from aomgen.episodes.free_motion import find_free_path
 from aomgen.episodes.grasps import Grasp, between, difference
 from aomgen.episodes.ik import IkSolver, find_arms, path_residuals, solve_smoothly
-from aomgen.episodes.joint_limits import IkLimits, check_speed
+from aomgen.episodes.joint_limits import IkLimits, check_margins, check_speed, keep_margins
 from aomgen.episodes.rejections import locate, rank
 from aomgen.episodes.retarget import CONTACT, INTERVAL_PHASES, DemonstratedMotion, RetargetedMotion, ease
 from aomgen.episodes.start import find_start
@@ -119,6 +119,8 @@ class Planner:
         self.params = replace(params, kinematic=kinematic)
         self.is_free = make_collision_test(self.scene, float(demo.gripper[0]), fitted.start_theta, kinematic)
         self.start = self._find_start(demo.Ts_world_ee[0], demo.joints[0]) if start is None else start
+        measured = demo.joints if start is None else np.vstack([demo.joints, start])
+        self.margins = keep_margins(self.robot, measured, params.ik)
         grip = float(np.median(demo.gripper[demo.contact_frames]))
         self._held_tests = [
             make_collision_test(self.scene, grip, theta, kinematic, holding=True)
@@ -164,6 +166,10 @@ class Planner:
         self, motions: Sequence[RetargetedMotion], ways: Sequence[Way]
     ) -> Iterator[tuple[Candidate, EpisodePlan] | Rejection]:
         """Evaluate all candidates, the best first; a grasp that cannot hold is evaluated once."""
+        near_limit = None if self.start is None else check_margins(self.robot, self.start[None], self.margins)
+        if near_limit is not None:
+            yield near_limit
+            return
         for number, arm in enumerate(self._arms(ways)):
             contacts = dict[int, Array]()
             for k, contact in enumerate(follow_contact(motions, arm, self.solver, self.params.ik)):
@@ -218,7 +224,11 @@ class Planner:
             mm, deg = path_residuals(self.solver, poses, joints)
             # The smoothed path does not begin exactly at the first knot.
             goal = candidate.joints[0, 0] + joints[0] - guesses[0]
-            joints = np.concatenate([self._free_joints(times[:first], start, goal, path), joints])
+            free_joints = self._free_joints(times[:first], start, goal, path)
+            near_limit = check_margins(self.robot, free_joints, self.margins)
+            if near_limit is not None:
+                return locate(near_limit, shown.phases(times))
+            joints = np.concatenate([free_joints, joints])
             rates = check_speed(joints, params.fps, params.ik, self.robot.slides, shown.phases(times))
             if not isinstance(rates, Rejection):
                 break
@@ -295,7 +305,8 @@ class Planner:
         is_free = make_collision_test(
             self.scene, opened, self.fitted.start_theta, self.params.kinematic, grip_clearance=True
         )
-        path = find_free_path(start, goal, self.robot.joint_limits, is_free, self.seed)
+        limits = self.robot.joint_limits + self.margins[:, None] * [1.0, -1.0]
+        path = find_free_path(start, goal, limits, is_free, self.seed)
         if path is None:
             return Rejection(
                 reason="no_path", detail="no path of the arm leads to the handle without a collision"

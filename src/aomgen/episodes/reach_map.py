@@ -84,8 +84,7 @@ def map_reach(
     Where none reaches, other configurations are tried with some of the grasps.
 
     Args:
-        fitted: Asset, whose size is the center of the range of sizes.
-        fitted: Its size is the middle of the range of sizes.
+        fitted: The asset at its fitted size; the map is computed for the middle of `ranges.scale`.
 
     Not checked: collisions, the motion to the handle and back, joint margins, speed.
     """
@@ -192,6 +191,7 @@ def draw_map(shapes: Iterable[Shape]) -> str:
 
 def front_line(fitted: FittedAsset, variation: Variation, outcome: str) -> Shape:
     """Make a line from the center of an object to before its front, in the color of its draw's outcome."""
+    fitted = scale_fit(fitted, variation.scale)
     ends = np.stack([fitted.middle_asset, fitted.middle_asset - [0.0, LINE_M, 0.0]])
     return Shape(
         points_world=apply(variation.place_at(fitted), ends)[:, :2], color=OUTCOMES[outcome], dot=True

@@ -197,9 +197,10 @@ class RetargetedMotion:
         return self.at(times.ravel()).reshape(*times.shape, 4, 4)
 
     def stretches(self, free: Array) -> Array:
-        """Compute the factor 1..4 on the duration of each interval (6,) from the ratio of path lengths.
+        """Compute by which factor (1 to 4) each of the six intervals must last longer, because its path is longer.
 
-        The approach counts as a whole. Poses `free` (N, 4, 4) are those of the free motion.
+        The paths are compared with the demonstrated ones. The free motion and the approach near the handle share
+        one factor. Poses `free` (N, 4, 4) are those of the free motion.
         """
         marks, demonstrated = self.shown.marks, self.shown.lengths
         new = np.append(path_steps(free, TURN_WEIGHT_M).sum(), path_steps(self.knots, TURN_WEIGHT_M).sum(1))

@@ -29,7 +29,7 @@ from aomgen.episodes.ledger import (
 )
 from aomgen.episodes.reach_map import REACH_MAP, ReachMap, draw_map, front_line, map_reach, scene_shapes
 from aomgen.episodes.stored_units import RUN_FILE, StoredUnits, share_inputs
-from aomgen.episodes.variations import Ranges
+from aomgen.episodes.variations import Ranges, scale_fit
 from aomgen.errors import ConfigError, NotEnoughEpisodesError
 from aomgen.executors import Done, Executor, Opener, Processes
 from aomgen.io.artifact import read_json, save_artifact
@@ -146,7 +146,7 @@ def check_ranges(factory: EpisodeFactory, folder: Path) -> None:
 
 
 def _reason(factory: EpisodeFactory, variation: Variation, fitted: FittedAsset, found: ReachMap) -> str:
-    rejection = factory.place.find_obstruction(variation, fitted)
+    rejection = factory.place.find_obstruction(variation, scale_fit(fitted, variation.scale))
     if rejection is not None:
         return rejection.reason
     return "" if found.may_reach(variation) else "out_of_reach"

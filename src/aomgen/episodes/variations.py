@@ -60,11 +60,11 @@ class Ranges:
             spread over it, and x_m and y_m are ignored; empty for none.
         scale: Factor on the asset's size.
         speed: Factor on the demonstrated speed.
-        start_deg: Offset of every arm joint at the start, [deg].
+        start_deg: Offset of every revolute arm joint at the start, [deg]; prismatic joints have none.
         light_turn_deg, light_intensity, light_temperature_k: See `LightChange`.
         hue_deg, saturation, brightness: See `MaterialChange`.
-        push_m: Largest displacement of the end effector off its plan before the grasp, [m];
-            actions stay the plan's.
+        push_m: Largest displacement of the simulated end effector from its planned path before the grasp, [m];
+            the recorded actions are still the planned targets.
         around: Motion of every camera of the scene.
         free: Motion of the added cameras, about the object at its pose.
 
@@ -152,7 +152,14 @@ class Ranges:
 
 
 def draw(
-    seed: int, asset: int, index: int, ranges: Ranges, *, arm_joints: int = 0, cameras: int = 0, free: int = 0
+    seed: int,
+    asset: int,
+    index: int,
+    ranges: Ranges,
+    *,
+    slides: Sequence[bool] = (),
+    cameras: int = 0,
+    free: int = 0,
 ) -> Variation:
     """Draw sample `index` of the sequence of an asset.
 
@@ -162,29 +169,29 @@ def draw(
         seed: Seed of the generation.
         asset: Number of the asset; each has a separate sequence.
         index: Index in the sequence, from 0.
-        arm_joints: Number of joints with an offset at the start.
+        slides: Whether each arm joint (J,) is prismatic; the others have an offset at the start.
         cameras: Number of cameras moved by `ranges.around`.
         free: Number of cameras moved by `ranges.free`.
     """
     orbits = [ranges.around] * cameras + [ranges.free] * free
-    bounds = _bounds(ranges, arm_joints, orbits)
+    bounds = _bounds(ranges, slides, orbits)
     sequence = qmc.Halton(len(bounds), scramble=True, rng=np.random.default_rng([seed, asset]))
-    return _variation(sequence.fast_forward(index).random(1)[0], bounds, ranges, seed, index, arm_joints)
+    return _variation(sequence.fast_forward(index).random(1)[0], bounds, ranges, seed, index, len(slides))
 
 
 def draw_independently(rng: np.random.Generator, seed: int, index: int, ranges: Ranges) -> Variation:
     """Draw a variation with uniform values, independent of all others; arm and cameras begin as recorded."""
-    bounds = _bounds(ranges, 0, [])
+    bounds = _bounds(ranges, (), [])
     return _variation(rng.random(len(bounds)), bounds, ranges, seed, index, 0)
 
 
-def _bounds(ranges: Ranges, arm_joints: int, orbits: Sequence[OrbitRanges]) -> Array:
+def _bounds(ranges: Ranges, slides: Sequence[bool], orbits: Sequence[OrbitRanges]) -> Array:
     """Return the lowest and highest values (D, 2) of a draw."""
     return np.array([
         *ranges.place_bounds, ranges.yaw_deg, ranges.scale, ranges.speed,
         ranges.light_turn_deg, ranges.light_intensity, ranges.light_temperature_k,
         ranges.hue_deg, ranges.saturation, ranges.brightness, ranges.push_m,
-        *[ranges.start_deg] * arm_joints,
+        *[(0.0, 0.0) if slide else ranges.start_deg for slide in slides],
         *[bound for orbit in orbits for bound in (orbit.turn_deg, orbit.tilt_deg, orbit.distance)],
     ])  # fmt: skip
 

@@ -9,9 +9,9 @@ import numpy as np
 
 from aomgen.assets.mjcf import GRAVITY
 from aomgen.core.plan import Variation
-from aomgen.episodes.factory import GenerationParams
 from aomgen.episodes.joint_limits import IkLimits
 from aomgen.episodes.ledger import DRAWS_FILE, Distribution, distributions, read_draws
+from aomgen.episodes.parameters import GenerationParams
 from aomgen.episodes.reach_map import OUTCOMES, REACH_MAP, ReachMap, Shape, draw_map, front_line, scene_shapes
 from aomgen.executors import LOST
 from aomgen.io.artifact import load_artifact
@@ -64,9 +64,11 @@ def episodes_section(results: Results) -> list[str]:
 
 
 def place_words(variation: Mapping[str, Any]) -> str:
-    """Format the displacement of an object from the recorded pose, from a stored `Variation`."""
+    """Format x, y and yaw of a stored `Variation`; a position in the world, not a displacement, begins with "at"."""
     place = (100 * variation["x"], 100 * variation["y"], np.degrees(variation["yaw"]))
     x, y, yaw = (round(float(value)) for value in place)
+    if variation.get("frame") == "polygon":
+        return f"at {x} cm, {y} cm, {yaw:+d} deg"
     return f"{x:+d} cm, {y:+d} cm, {yaw:+d} deg"
 
 
@@ -100,7 +102,7 @@ def _card(item: CommittedEpisode) -> str:
     )
     return (
         f'<figure class="card"><div class="views">{players}</div><figcaption><b>{item.folder.name}</b> '
-        f'{text(episode.asset)}, opened {opened} <span class="dim">moved {text(place_words(episode.verdict["variation"]))}; '
+        f'{text(episode.asset)}, opened {opened} <span class="dim">object {text(place_words(episode.verdict["variation"]))}; '
         f"{text(' and '.join(item.videos))}, {len(episode.thetas) / episode.fps:.1f} s</span></figcaption></figure>"
     )
 
@@ -128,7 +130,7 @@ def _verdicts(made: list[CommittedEpisode]) -> str:
             ]
         )
     titles = [read_figure("verdict", name, 0.0).title for name in WORST]
-    return table(["episode", "asset", "displacement: x, y, yaw", *titles], rows)
+    return table(["episode", "asset", "object: x, y, yaw", *titles], rows)
 
 
 def rejects_section(results: Results) -> list[str]:
@@ -147,9 +149,7 @@ def rejects_section(results: Results) -> list[str]:
     for reason, count in Counter(item["reason"] for item in failed).most_common():
         found = [item for item in failed if item["reason"] == reason]
         parts.append(heading(f"{count} {reason.replace('_', ' ')}: {meanings.get(reason, reason)}"))
-        parts.append(
-            table(["asset", "displacement: x, y, yaw", "result"], [_row(item) for item in found[:LISTED]])
-        )
+        parts.append(table(["asset", "object: x, y, yaw", "result"], [_row(item) for item in found[:LISTED]]))
         if len(found) > LISTED:
             parts.append(paragraph(f"{len(found) - LISTED} more in {folder.name}/{DRAWS_FILE}."))
     return parts
@@ -254,5 +254,5 @@ def _map(results: Results, draws: list[dict[str, Any]]) -> str:
 
 def _line(results: Results, draw: Mapping[str, Any]) -> Shape:
     stored = draw["variation"]
-    place = {name: stored[name] for name in ("seed", "index", "x", "y", "yaw", "frame")}
+    place = {name: stored[name] for name in ("seed", "index", "x", "y", "yaw", "frame", "scale")}
     return front_line(results.fitted_assets[draw["asset"]], Variation(**place), draw["outcome"])

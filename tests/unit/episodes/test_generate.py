@@ -15,7 +15,7 @@ from aomgen.assets.usd_write import REPLAY_SCRIPT
 from aomgen.core.boxes import OrientedBox
 from aomgen.core.plan import Rejection, Variation
 from aomgen.core.transforms import transform
-from aomgen.episodes.factory import EpisodeFactory, GenerationParams
+from aomgen.episodes.factory import EpisodeFactory
 from aomgen.episodes.generate import generate
 from aomgen.episodes.grasp_choice import GRASPS_FOLDER, GraspChoice
 from aomgen.episodes.ledger import (
@@ -29,6 +29,7 @@ from aomgen.episodes.ledger import (
     read_rejection,
     write_rejection,
 )
+from aomgen.episodes.parameters import GenerationParams
 from aomgen.episodes.stage import run
 from aomgen.episodes.variations import Ranges
 from aomgen.errors import ConfigError, MalformedFileError, NotEnoughEpisodesError

@@ -68,6 +68,19 @@ def test_the_shape_and_the_pose_of_a_stretched_object_are_recovered(
     assert best.asset.name == known[2].asset.name
 
 
+@pytest.mark.parametrize("size", [0.6, 1.5])
+def test_an_object_of_another_size_is_recovered(
+    known: list[FittedAsset], cameras: list[Camera], size: float
+) -> None:
+    shape = stretch(known[2], size * STRETCH)
+    T = VARIATION.place_at(shape)
+    truth = apply(T, find_keypoints(shape.asset))
+    rough = truth + np.random.default_rng(0).normal(0, 0.03, truth.shape)
+    best, variation = fit_known_objects(known, cameras, *detect(cameras, truth), rough)[0]
+    found = apply(variation.place_at(best), find_keypoints(best.asset))
+    assert np.linalg.norm(found - truth, axis=1).max() < 0.008
+
+
 def test_an_outlier_and_detections_without_information_change_little(
     known: list[FittedAsset], cameras: list[Camera]
 ) -> None:

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import replace
+from typing import Literal
 
 import numpy as np
 import pytest
@@ -14,7 +15,7 @@ from aomgen.core.transforms import apply, invert, matrix_from_rotvec, transform
 from aomgen.episodes.grasps import Grasp, grasps, orientations
 from aomgen.episodes.ik import IkSolver
 from aomgen.episodes.joint_limits import IkLimits
-from aomgen.episodes.planning import PlanParams, plan_episode
+from aomgen.episodes.planning import Planner, PlanParams, plan_episode
 from aomgen.episodes.retarget import CONTACT, NEAR_M, ROOM, DemonstratedMotion, RetargetedMotion
 from aomgen.robots.robot import RobotModel
 from aomgen.simulation.collision_check import KinematicLimits, check_kinematics
@@ -171,6 +172,51 @@ def test_a_plan_keeps_the_asked_speed_and_start(
     back = len(usual) - int(np.argmax(usual.phases == CONTACT))
     assert len(elsewhere) - first == pytest.approx(back, abs=1)
     np.testing.assert_allclose(elsewhere.joints[first:][:40], usual.joints[-back:][:40], atol=0.03)
+
+
+@pytest.mark.parametrize("free", ["demonstrated", "searched"])
+def test_the_free_motion_keeps_the_joint_limits(
+    robot: RobotModel, fitted: FittedAsset, solver: IkSolver, free: Literal["demonstrated", "searched"]
+) -> None:
+    demo = opening(solver, fitted, before=(0.28, -0.4, 0.0))
+    furthest, margin = demo.joints[:, 0].max(), IkLimits().limit_margin
+    assert furthest == demo.joints[0, 0]
+
+    def planned(room: float, offset: float) -> EpisodePlan | Rejection:
+        limits = np.array(robot.joint_limits)
+        limits[0, 1] = furthest + room
+        narrow = replace(robot, joint_limits=limits)
+        scene = build_scene(narrow, fitted.asset, fitted.T_world_asset, SUPPORT)
+        here = Variation(seed=0, index=0, x=0.0, y=0.0, yaw=0.0, start_offset=(offset, *np.zeros(5)))
+        planner = Planner(fitted, demo, here, scene, replace(solver, robot=narrow), PlanParams())
+        found = planner.search(planner.list_motions(), [("straight", free)])
+        return found if isinstance(found, Rejection) else found[1]
+
+    for room, offset in ((margin + 0.03, 0.025), (0.5 * margin, 0.0)):
+        plan = planned(room, offset)
+        assert isinstance(plan, EpisodePlan), plan
+        assert plan.joints[:, 0].max() <= furthest + offset + 1e-6
+    for room, offset in ((margin + 0.03, 0.035), (0.5 * margin, 0.001), (0.03, 0.05)):
+        refused = planned(room, offset)
+        assert isinstance(refused, Rejection), (room, offset)
+        assert refused.reason == "joint_limit"
+
+
+def test_a_free_motion_past_a_limit_is_refused(
+    robot: RobotModel, solver: IkSolver, demo: Demonstration, fitted: FittedAsset
+) -> None:
+    """Both ends of the demonstrated free motion keep the limit, and its middle does not."""
+    limits = np.array(robot.joint_limits)
+    middle = demo.joints.copy()
+    middle[4:8, 0] += 0.5
+    limits[0, 1] = demo.joints[:, 0].max() + 0.1
+    narrow, there = replace(robot, joint_limits=limits), Variation(seed=0, index=0, x=0.0, y=0.0, yaw=0.0)
+    scene = build_scene(narrow, fitted.asset, fitted.T_world_asset, SUPPORT)
+    planner = Planner(fitted, demo, there, scene, replace(solver, robot=narrow), PlanParams())
+    planner.shown = DemonstratedMotion(replace(demo, joints=middle))
+    found = planner.search(planner.list_motions()[:1], [("demonstrated", "demonstrated")])
+    assert isinstance(found, Rejection)
+    assert found.reason == "joint_limit"
 
 
 def test_the_way_leads_around_what_stands_there(

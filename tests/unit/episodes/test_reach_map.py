@@ -6,11 +6,12 @@ import numpy as np
 import pytest
 
 from aomgen.core.demonstration import Demonstration
-from aomgen.core.plan import EpisodePlan, FittedAsset, Variation
+from aomgen.core.plan import EpisodePlan, FittedAsset, Variation, VariationFrame
+from aomgen.core.transforms import apply
 from aomgen.episodes.ik import IkSolver
 from aomgen.episodes.planning import PlanParams, plan_episode
-from aomgen.episodes.reach_map import MAX_NODES, ReachMap, map_reach
-from aomgen.episodes.variations import Ranges, draw
+from aomgen.episodes.reach_map import LINE_M, MAX_NODES, ReachMap, front_line, map_reach
+from aomgen.episodes.variations import Ranges, draw, scale_fit
 from aomgen.robots.robot import RobotModel
 from aomgen.simulation.scene import build_scene
 from toy_drawer import SUPPORT
@@ -51,6 +52,16 @@ def test_the_map_covers_the_ranges_and_is_coarse(found: ReachMap, fitted: Fitted
     # A draw that lies beside the map is left to planning.
     assert found.may_reach(replace(here, x=2.0))
     assert not found.may_reach(replace(here, x=0.6))
+
+
+@pytest.mark.parametrize("frame", ["world", "object", "polygon"])
+def test_a_line_begins_at_the_center_of_the_scaled_object(fitted: FittedAsset, frame: VariationFrame) -> None:
+    there = Variation(seed=0, index=0, x=0.3, y=-0.1, yaw=0.7, frame=frame, scale=0.6)
+    small = scale_fit(fitted, there.scale)
+    center = apply(there.place_at(small), small.middle_asset)
+    first, last = front_line(fitted, there, "rejected").points_world
+    np.testing.assert_allclose(first, center[:2], atol=1e-12)
+    assert np.linalg.norm(last - first) == pytest.approx(LINE_M)
 
 
 def test_a_single_place_has_a_map(solver: IkSolver, fitted: FittedAsset, demo: Demonstration) -> None:

@@ -19,6 +19,8 @@ from aomgen.simulation.judge import PassRule
 from toy_drawer import SUPPORT
 
 HERE = Variation(seed=0, index=0, x=0.0, y=0.0, yaw=0.0)
+# A rail carries an arm with six hinges.
+SLIDES = (True, *[False] * 6)
 SQUARE = ((0.5, -0.5), (1.2, -0.5), (1.2, 0.3), (0.5, 0.3))
 
 
@@ -60,9 +62,11 @@ def test_a_draw_depends_on_seed_asset_and_index_alone() -> None:
     # More joints and cameras, or wider ranges of something else, move no object.
     wide = Ranges(scale=(0.6, 1.0), start_deg=(-5, 5), around=OrbitRanges(turn_deg=(-9, 9)))
     for index in (0, 7, 39):
-        other = draw(3, 0, index, wide, arm_joints=7, cameras=2, free=3)
+        other = draw(3, 0, index, wide, slides=SLIDES, cameras=2, free=3)
         assert (other.x, other.y, other.yaw) == (drawn[index].x, drawn[index].y, drawn[index].yaw)
         assert (len(other.start_offset), len(other.orbits)) == (7, 5)
+        turning = draw(3, 0, index, wide, slides=[False] * 7, cameras=2, free=3)
+        assert other == replace(turning, start_offset=(0.0, *turning.start_offset[1:]))
 
 
 def test_draws_fill_their_ranges_evenly() -> None:
@@ -214,6 +218,15 @@ def test_reach_of_the_arm(robot: RobotModel) -> None:
     reach = longest_reach(robot)
     np.testing.assert_allclose(reach.shoulder_world[:2], 0, atol=0.05)
     assert 0.9 < reach.reach_m < 1.3
+
+
+def test_starts_are_counted_for_the_first_joint_with_an_offset() -> None:
+    ranges = Ranges(start_deg=(-5.0, 5.0))
+    drawn = [asdict(draw(0, 0, index, ranges, slides=SLIDES)) for index in range(16)]
+    found = distributions([{"variation": item, "outcome": "committed"} for item in drawn], ranges, free=0)
+    start = next(item for item in found if item.name.startswith("start"))
+    assert (start.name, start.unit) == ("start of joint 2", "deg")
+    assert start.drawn.max() < 16 == start.drawn.sum()
 
 
 def test_moved_and_added_cameras_are_counted_over_their_own_ranges() -> None:

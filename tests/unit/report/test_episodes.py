@@ -3,24 +3,30 @@
 import inspect
 import json
 import re
+from dataclasses import asdict
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 
+from aomgen.core.plan import Variation
 from aomgen.core.project import Project
+from aomgen.episodes.reach_map import front_line
 from aomgen.errors import MalformedFileError
 from aomgen.io.episode_folder import commit_episode
 from aomgen.io.video import encode_video, read_frames
 from aomgen.pipeline.stages import STAGES
 from aomgen.report import episodes
-from aomgen.report.episodes import episodes_section, reasons, rejects_section
+from aomgen.report.episodes import episodes_section, place_words, reasons, rejects_section
 from aomgen.report.page import provenance_table
 from aomgen.results import Results
 from aomgen.simulation.judge import judge
 from aomgen.simulation.replay import simulate
 from aomgen.simulation.verify import verify_plan
 from drawer_episode import corner_camera, drawer_episode
+from toy_drawer import fitted_drawer
 
 FRAMES, SIZE = 6, (64, 48)
 OUTCOME = {
@@ -84,6 +90,13 @@ def test_both_cameras_play_side_by_side_and_load_nothing_before(results: Results
     assert "+2 cm, +0 cm, +20 deg" in card
 
 
+def test_a_position_in_the_world_is_not_shown_as_a_displacement() -> None:
+    place = {"x": 0.62, "y": -0.13, "yaw": 0.0}
+    assert place_words({**place, "frame": "polygon"}) == "at 62 cm, -13 cm, +0 deg"
+    for stored in (place, {**place, "frame": "world"}, {**place, "frame": "object"}):
+        assert place_words(stored) == "+62 cm, -13 cm, +0 deg"
+
+
 def test_the_verdicts_show_the_worst_setting_and_the_limits(results: Results, video: bytes) -> None:
     commit(results, 1, video)
     page = "".join(episodes_section(results))
@@ -108,6 +121,15 @@ def test_many_episodes_are_listed_and_only_the_first_decoded(
     assert page.count('href="08_episodes/') == 60
     assert "The first 24 of 30 are shown" in page
     assert "<details><summary>all 30 episodes" in page
+
+
+def test_the_map_shows_objects_at_their_size() -> None:
+    fitted = fitted_drawer()
+    there = Variation(seed=0, index=0, x=0.1, y=0.0, yaw=0.3, scale=0.6)
+    results: Any = SimpleNamespace(fitted_assets=[fitted])
+    shown = episodes._line(results, {"asset": 0, "variation": asdict(there), "outcome": "committed"})
+    expected = front_line(fitted, there, "committed")
+    np.testing.assert_array_equal(shown.points_world, expected.points_world)
 
 
 def test_rejects_are_grouped_by_reason_with_pair_and_limit(results: Results) -> None:
