@@ -4,6 +4,7 @@ import io
 import json
 import tarfile
 import tempfile
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -26,7 +27,7 @@ from lerobot_policy_aomgen.lifting import Views, lift_points, project_points
 from PIL import Image
 
 from aomgen.core.keypoints import KEYPOINTS
-from aomgen.errors import MalformedFileError
+from aomgen.errors import ConfigError, MalformedFileError
 from aomgen.exports.image_dataset import DATASET_FILE
 
 SIZE, FOCAL_PX, DEPTH_M = 128, 160.0, 1.4
@@ -111,6 +112,15 @@ with tempfile.TemporaryDirectory() as scratch:
     write_images(folder / "images", 24)
     images = read_images(folder / "images")
     check(len(images) == 24 and len(read_images(folder / "images", 5)) == 5, "all images, or the first")
+    both = images + read_images(folder / "images", 5)
+    check(len(both) == 29 == len(both.visible), "images of several folders")
+    check(np.array_equal(both.points_px[24:], images.points_px[:5], equal_nan=True), "with their points")
+    check(np.array_equal(both.decode([24]), images.decode([0])), "in their order")
+    try:
+        images + replace(images, size=(9, 9))
+        print("failed: images of different sizes are refused")
+    except ConfigError as error:
+        check("9" in str(error), "the sizes are named")
     check(np.isnan(images.points_px[0, 4]).all() and images.inside.sum() == 119, "what is behind is outside")
     levels = images.decode(np.arange(1, 24))
     rows, cells = np.arange(23)[:, None], images.points_px[1:, :1].astype(int)

@@ -7,6 +7,7 @@ import logging
 import sys
 import tempfile
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import torch
@@ -17,6 +18,7 @@ from lerobot_policy_aomgen.finder import Finder, FinderErrors, FinderSettings, s
 from lerobot_policy_aomgen.geometry import describe_geometry, pose_end_effector, pose_views
 from lerobot_policy_aomgen.lifting import project_points
 from lerobot_policy_aomgen.modeling_handle_plan import HandlePlanPolicy
+from lerobot_policy_aomgen.planned_motion import GAIN, PlannedMotion
 
 from aomgen.core.camera import Camera, look_at
 from aomgen.core.keypoints import find_keypoints
@@ -43,6 +45,8 @@ cameras = {
 with tempfile.TemporaryDirectory() as scratch:
     folder = Path(scratch)
     results = toy_run(folder / "run")
+    vars(results)["motion"] = SimpleNamespace(direction="opening")
+    vars(results)["recorded"] = SimpleNamespace(instruction="open the drawer", category="drawer")
     geometry = describe_geometry(cameras, results.robot)
     known = FinderErrors(cameras=("front", "side"), offsets=torch.zeros(2, 5, 2), spreads=torch.ones(2, 5))
     save_finder(folder / "finder.safetensors", Finder(FinderSettings(pretrained=False, crops_px=())), known)
@@ -52,9 +56,10 @@ with tempfile.TemporaryDirectory() as scratch:
     def make_config(**changed: object) -> HandlePlanConfig:
         given = {
             "device": "cpu",
-            "finder": str(folder / "finder.safetensors"),
+            "finders": [str(folder / "finder.safetensors")],
             "suite": "suite.json",
-            "library": str(folder / "run"),
+            "libraries": [str(folder / "run")],
+            "known": 0,
             "output_features": {"action": PolicyFeature(FeatureType.ACTION, (7,))},
         }
         return HandlePlanConfig(**{**given, **changed})
@@ -64,8 +69,11 @@ with tempfile.TemporaryDirectory() as scratch:
     T = Variation(seed=0, index=0, x=0.02, y=0.03, yaw=0.1).place_at(fitted)
     truth = torch.from_numpy(apply(T, find_keypoints(fitted.asset))).float()
 
+    used = list[Finder]()
+
     def detect(finder: Finder, geometry: object, batch: dict[str, torch.Tensor]) -> tuple[object, ...]:
-        """Return the projections of the true points."""
+        """Return the projections of the true points, and remember the finder."""
+        used.append(finder)
         joints = batch["observation.state"][:, :-1]
         views = pose_views(policy._geometry, ["front", "side"], pose_end_effector(policy._geometry, joints))
         pixels, _ = project_points(views, shown.expand(len(joints), -1, -1))
@@ -74,7 +82,7 @@ with tempfile.TemporaryDirectory() as scratch:
     seen = {f"observation.images.{name}": torch.rand(1, 3, SIZE[1], SIZE[0]) for name in cameras}
     seen["observation.state"] = torch.tensor([[*start, 0.0]], dtype=torch.float32)
     check(set(policy.config.image_features) == {f"observation.images.{name}" for name in cameras}, "images")
-    found = detection.detect_points(policy.finder, geometry, seen)
+    found = detection.detect_points(policy.finders[0], geometry, seen)
     check(found[1].shape == (1, 2, 5, 2) and found[2].shape == (1, 2, 5), "pixels and standard deviations")
 
     modeling_handle_plan.detect_points, shown = detect, truth[None]
@@ -86,9 +94,27 @@ with tempfile.TemporaryDirectory() as scratch:
     check((path - truth[0]).norm(dim=-1).min() < 0.03, "it leads to the handle")
     check(chunk[0, :, -1].max() == 1 and chunk[0, -1, -1] < 0.5, "the gripper closes and opens")
     policy.reset()
-    actions = [policy.select_action(seen if step == 0 else {}) for step in range(chunk.shape[1] + 2)]
-    check(torch.equal(torch.stack(actions[:-2], 1), chunk), "the plan of the first images is executed")
-    check(torch.equal(actions[-1], chunk[:, -1]), "its last action is repeated")
+    actions, with_images = list[torch.Tensor](), 0
+    for _ in range(chunk.shape[1] + 2):
+        with_images += policy.uses_images
+        # The arm follows its commands exactly.
+        actions.append(policy.select_action({**seen, "observation.state": actions[-1] if actions else state}))
+    check(torch.allclose(torch.stack(actions[:-2], 1), chunk), "the plan of the first images is executed")
+    check(with_images == 1, "only the first images are used")
+    check(torch.equal(actions[-1], actions[-2]), "its last action is repeated")
+
+    plan = policy._motions[0].plan
+    moving = int(np.argmax(np.diff(plan.thetas) != 0)) + 2
+    direction = np.gradient(plan.joints, axis=0)[moving]
+    across = np.cross(direction[:3], [1.0, 0.0, 0.0])
+    across = np.append(0.01 * across / np.linalg.norm(across), np.zeros(len(direction) - 3))
+    for frame, deviation, shift in ((moving, across, GAIN * across), (moving, direction, 0), (0, across, 0)):
+        shifted = PlannedMotion(plan)
+        for _ in range(frame):
+            shifted.next_action()
+        shifted.correct(plan.joints[frame] + deviation)
+        found = shifted.next_action()[:-1] - plan.joints[frame + 1]
+        check(np.allclose(found, shift, atol=1e-9), "the arm yields across the motion during the contact")
 
     logging.disable(logging.WARNING)
     policy.reset()
@@ -97,6 +123,19 @@ with tempfile.TemporaryDirectory() as scratch:
     check(torch.equal(rest, state), "without a plan, the arm rests")
 
     shown = truth[None]
+    runs = {"run": results, "other": toy_run(folder / "other")}
+    vars(runs["other"])["recorded"] = SimpleNamespace(instruction="open the lid", category="drawer")
+    vars(runs["other"])["motion"] = results.motion
+    modeling_handle_plan.open_results = lambda path: runs[path.name]
+    libraries, finders = [str(folder / name) for name in runs], 2 * [str(folder / "finder.safetensors")]
+    both = HandlePlanPolicy(make_config(libraries=libraries, finders=finders))
+    for task, number in ((results.recorded.instruction, 0), ("open the lid", 1)):
+        told = both.predict_action_chunk({**seen, "task": [task]})
+        check(torch.allclose(told, chunk, atol=1e-6), "each run can be selected")
+        check(used.pop() is both.finders[number], "the instruction selects the finder")
+    untold = both.predict_action_chunk(seen)
+    check(torch.equal(untold[:, 0], state) and untold.shape[1] == 1, "without one, the arm rests")
+
     policy.reset()
     policy.save_pretrained(folder / "policy")
     (folder / "finder.safetensors").unlink()
@@ -116,8 +155,9 @@ with tempfile.TemporaryDirectory() as scratch:
             print("failed: a training is refused")
         except (NotImplementedError, ValueError) as error:
             check("not trained" in str(error), "the reason is named")
-    try:
-        HandlePlanPolicy(make_config(output_features={}))
-        print("failed: a policy without actions is refused")
-    except ValueError as error:
-        check("feature action" in str(error), "the missing feature is named")
+    for changed, named in (({"output_features": {}}, "feature action"), ({"finders": []}, "as many finders")):
+        try:
+            HandlePlanPolicy(make_config(**changed))
+            print(f"failed: {changed} is refused")
+        except ValueError as error:
+            check(named in str(error), "what is missing is named")

@@ -107,12 +107,13 @@ def test_a_policy_with_a_finder_is_trained_and_evaluated(tmp_path: Path) -> None
     assert ours["finder_error_mm"]["grasp"]["median_mm"] > 20
     assert ours["finder_error_mm"]["grasp"]["number"] >= TRIALS
     call(tmp_path, "aomgen", "evaluate", "suite", run, "joint.json", "--trials", str(TRIALS), *size)
-    create = ("-m", "lerobot_policy_aomgen.create_handle_plan", "finder/finder.safetensors", "joint.json")
+    create = ("-m", "lerobot_policy_aomgen.create_handle_plan", "joint.json", "trained")
+    create = (*create, "--library", run, "finder/finder.safetensors", "--known", "1")
     shutil.rmtree(tmp_path / "trained")
-    words = [BIN / "python", *create, run, "trained", "--cameras", "front", "nowhere"]
+    words = [BIN / "python", *create, "--cameras", "front", "nowhere"]
     refused = subprocess.run(words, cwd=tmp_path, capture_output=True, text=True, check=False)
     assert (refused.returncode, (tmp_path / "trained").exists()) == (2, False)
     assert "cameras ['nowhere'] are unknown" in refused.stderr
-    call(tmp_path, "python", *create, run, "trained")
+    call(tmp_path, "python", *create)
     planned = evaluate(tmp_path, "joint.json")
     assert (planned["trials"], planned["finder_error_mm"]["grasp"]["number"]) == (TRIALS, TRIALS)

@@ -26,11 +26,13 @@ class HandleACTConfig(ChunkConfig, DetectorConfig):
     The demonstrations may have no images. Further settings are those of `ChunkConfig` and `DetectorConfig`.
 
     Attributes:
+        finder: File of the finder; required to create a policy. Afterwards the policy contains the finder.
         hidden_dim, n_layers: Width and number of the hidden layers of the network.
         pose_noise_m, pose_noise_rad: Standard deviations of the noise of the end effector's pose in training, which teaches
             the policy to return to the path after a deviation.
     """
 
+    finder: str = ""
     hidden_dim: int = 384
     n_layers: int = 3
     pose_noise_m: float = 0.005

@@ -1,36 +1,44 @@
 """Settings of the policy `handle_plan`."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from lerobot.configs.policies import PreTrainedConfig
 from lerobot.optim.optimizers import OptimizerConfig
 
+from aomgen.evaluation.known_objects import KNOWN
 from lerobot_policy_aomgen.detector_configuration import DetectorConfig
 
 
 @PreTrainedConfig.register_subclass("handle_plan")
 @dataclass
 class HandlePlanConfig(DetectorConfig):
-    """Settings of a policy in which a finder locates handle and joint axis, and AOMGen's planner plans the motion.
+    """Settings of a policy in which finders locate handle and joint axis, and AOMGen's planner plans the motion.
 
     The policy is created by `lerobot_policy_aomgen.create_handle_plan`; it is not trained with `lerobot-train`.
 
     Attributes:
-        library: Folder of the run whose demonstration is transferred, and whose assets are the known objects.
-        n_action_steps: Largest number of actions of an episode; the images of the first frame are used for all of them.
+        libraries: Folders of runs. The demonstration of the run whose instruction is the most similar to that of an episode is
+            transferred; the assets of this run and parametric objects of its category are the known objects.
+        finders: File of the finder for the objects of each run; required to create a policy, which then contains the finders.
+        known: Number of these parametric objects.
+        n_action_steps: Number of actions between two observations of the joints, by which the motion is corrected.
     """
 
-    library: str = ""
-    n_action_steps: int = 1000
+    libraries: list[str] = field(default_factory=list)
+    finders: list[str] = field(default_factory=list)
+    known: int = KNOWN
+    n_action_steps: int = 2
 
     def validate_features(self) -> None:
-        """Check the actions.
+        """Check the actions and the finders.
 
         Raises:
-            ValueError: The policy has no actions.
+            ValueError: The policy has no actions, or not one finder for each run.
         """
         if self.action_feature is None:
             raise ValueError("handle_plan needs the feature action: joint targets and the gripper value")
+        if len(self.finders) != len(self.libraries):
+            raise ValueError(f"{len(self.libraries)} runs need as many finders, not {len(self.finders)}")
 
     def get_optimizer_preset(self) -> OptimizerConfig:
         """Refuse a training.

@@ -1,6 +1,7 @@
-"""Detection of keypoints in the images of a policy, by a finder that the policy contains."""
+"""Detection of keypoints in the images of a policy, by finders that the policy contains."""
 
 import json
+from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 
@@ -10,8 +11,7 @@ from lerobot.utils.constants import OBS_IMAGES, OBS_STATE
 from torch import Tensor
 
 from lerobot_policy_aomgen.detector_configuration import DetectorConfig
-from lerobot_policy_aomgen.finder import Finder, FinderSettings, load_finder
-from lerobot_policy_aomgen.finder_noise import TABLE_SHAPE, tabulate_errors
+from lerobot_policy_aomgen.finder import Finder, FinderErrors, FinderSettings, load_finder
 from lerobot_policy_aomgen.geometry import Geometry, pose_end_effector, pose_views, read_geometry
 from lerobot_policy_aomgen.lifting import Views
 
@@ -33,15 +33,15 @@ def detect_points(
     return views, pixels.unflatten(0, shape), spreads.unflatten(0, shape)
 
 
-def begin_finder(config: DetectorConfig) -> tuple[Finder, Tensor]:
-    """Load the finder and its errors for a new policy, and complete the settings from suite and finder.
+def open_finders(config: DetectorConfig, files: Sequence[str]) -> tuple[list[Finder], list[FinderErrors]]:
+    """Read the finders of a new policy and their errors, and complete its settings from suite and finders.
 
     The images of the cameras become inputs of the policy instead of the keypoints, which only demonstrations contain.
     """
     geometry = read_geometry(Path(config.suite), config.cameras)
-    finder, errors = load_finder(Path(config.finder))
+    finders, errors = zip(*(load_finder(Path(file)) for file in files), strict=True)
     config.geometry = json.dumps(geometry)
-    config.finder_settings = json.dumps(asdict(finder.settings))
+    config.finder_settings = json.dumps([asdict(finder.settings) for finder in finders])
     width, height = geometry["size"]
     image = PolicyFeature(FeatureType.VISUAL, (3, height, width))
     state = PolicyFeature(FeatureType.STATE, (len(geometry["screws"]) + 1,))
@@ -49,11 +49,9 @@ def begin_finder(config: DetectorConfig) -> tuple[Finder, Tensor]:
         OBS_STATE: state,
         **{f"{OBS_IMAGES}.{name}": image for name in geometry["K"]},
     }
-    return finder, tabulate_errors(errors, list(geometry["K"]))
+    return list(finders), list(errors)
 
 
-def continue_finder(config: DetectorConfig) -> tuple[Finder, Tensor]:
-    """Create a finder and a table of errors, whose values are then loaded from a checkpoint."""
-    cameras = len(json.loads(config.geometry)["K"])
-    finder = Finder(FinderSettings(**json.loads(config.finder_settings)))
-    return finder, torch.zeros(cameras, *TABLE_SHAPE)
+def create_finders(config: DetectorConfig) -> list[Finder]:
+    """Create the finders of a stored policy, whose weights are then loaded from its checkpoint."""
+    return [Finder(FinderSettings(**settings)) for settings in json.loads(config.finder_settings)]

@@ -19,15 +19,16 @@ from safetensors.torch import save
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from aomgen.core.keypoints import KEYPOINTS
+from aomgen.core.keypoints import KEYPOINTS, MOVING_POINTS
 from aomgen.errors import MalformedFileError, MissingFileError
 from aomgen.io.atomic import write_bytes
 from lerobot_policy_aomgen.lite0 import CHANNELS, MEAN, SPREAD, Lite0
 
 # Indices of the keypoints that share a crop of the second look, whose center is the weighted mean of their first estimates; in
 # further looks, each point has its own crop.
-GROUPS: Final = ((0, 1, 2), (3, 4))
-SINGLE: Final = tuple((point,) for point in range(len(KEYPOINTS)))
+POINTS: Final = tuple(range(len(KEYPOINTS)))
+GROUPS: Final = (POINTS[:MOVING_POINTS], POINTS[MOVING_POINTS:])
+SINGLE: Final = tuple((point,) for point in POINTS)
 # Side of the network's input, [px].
 SIDE: Final = 96
 # Channels of the feature pyramid.

@@ -15,7 +15,7 @@ from PIL import Image
 from aomgen.core.keypoints import KEYPOINTS
 from aomgen.core.transforms import apply, invert
 from aomgen.core.values import Array
-from aomgen.errors import MalformedFileError
+from aomgen.errors import ConfigError, MalformedFileError
 from aomgen.exports.image_dataset import DATASET_FILE, read_shard
 from aomgen.io.artifact import read_json
 
@@ -54,6 +54,26 @@ class LabelledImages:
     def inside(self) -> NDArray[np.bool_]:
         """Mask (N, P) of the points inside their image, visible or occluded."""
         return ((self.points_px >= 0) & (self.points_px < self.size)).all(-1)
+
+    def __add__(self, other: "LabelledImages") -> "LabelledImages":
+        """Return the images of both.
+
+        Raises:
+            ConfigError: They have different sizes.
+        """
+        if self.size != other.size:
+            what = f"have {self.size} and {other.size} px"
+            raise ConfigError("images", what, "export all of them with the same --size")
+        return LabelledImages(
+            jpegs=self.jpegs + other.jpegs,
+            cameras=self.cameras + other.cameras,
+            assets=self.assets + other.assets,
+            focal_px=np.concatenate([self.focal_px, other.focal_px]),
+            points_px=np.concatenate([self.points_px, other.points_px]),
+            depths=np.concatenate([self.depths, other.depths]),
+            visible=np.concatenate([self.visible, other.visible]),
+            size=self.size,
+        )
 
     def decode(self, rows: Sequence[int] | NDArray[np.int64]) -> NDArray[np.uint8]:
         """Decode the images (M, H, W, 3) uint8 of some rows."""

@@ -41,7 +41,8 @@ def lift_points(views: Views, pixels: Tensor, spreads: Tensor) -> tuple[Tensor, 
             deviation in meters at the distance of the point.
 
     Returns:
-        Points (B, P, 3), world frame, [m], and their standard deviations (B, P), [m], which follow from `spreads`.
+        Points (B, P, 3), world frame, [m], and their standard deviations (B, P), [m]: the square root of the sum of the three
+        variances that follow from `spreads`.
     """
     homogeneous = torch.cat([pixels, torch.ones_like(pixels[..., :1])], -1)
     rays = torch.einsum("cij,bcpj->bcpi", torch.linalg.inv(views.K), homogeneous)

@@ -21,8 +21,8 @@ from lerobot_policy_aomgen.action_network import (
 )
 from lerobot_policy_aomgen.blending import ChunkBlender
 from lerobot_policy_aomgen.configuration_handle_act import HandleACTConfig
-from lerobot_policy_aomgen.detection import begin_finder, continue_finder, detect_points
-from lerobot_policy_aomgen.finder_noise import add_errors
+from lerobot_policy_aomgen.detection import create_finders, detect_points, open_finders
+from lerobot_policy_aomgen.finder_noise import TABLE_SHAPE, add_errors, tabulate_errors
 from lerobot_policy_aomgen.geometry import (
     Geometry,
     disturb_poses,
@@ -52,11 +52,15 @@ class HandleACTPolicy(PreTrainedPolicy):
         super().__init__(config)
         config.validate_features()
         self.config = config
-        self.finder, errors = continue_finder(config) if config.geometry else begin_finder(config)
+        if config.geometry:
+            (self.finder,), measured = create_finders(config), None
+        else:
+            (self.finder,), (measured,) = open_finders(config, [config.finder])
         self.finder.requires_grad_(False)
-        self.register_buffer("errors", errors)
         self._geometry: Geometry = json.loads(config.geometry)
         self._cameras = list(self._geometry["K"])
+        empty = torch.zeros(len(self._cameras), *TABLE_SHAPE)
+        self.register_buffer("errors", tabulate_errors(measured, self._cameras) if measured else empty)
         self.network = ActionNetwork(config.chunk_size, config.hidden_dim, config.n_layers)
         self.reset()
 

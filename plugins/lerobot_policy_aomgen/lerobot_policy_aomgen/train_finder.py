@@ -1,4 +1,4 @@
-"""Training of the finder of `handle_act`: `python -m lerobot_policy_aomgen.train_finder IMAGES OUT --validation IMAGES`.
+"""Training of the finder of `handle_act`: `python -m lerobot_policy_aomgen.train_finder IMAGES... OUT --validation IMAGES...`.
 
 The same command continues an interrupted training. `OUT/finder.safetensors` contains the finder and its errors on the
 validation images.
@@ -8,6 +8,8 @@ import argparse
 import sys
 import time
 from collections import deque
+from functools import reduce
+from operator import add
 from pathlib import Path
 
 import torch
@@ -29,9 +31,11 @@ def main(arguments: list[str] | None = None) -> int:
         prog="python -m lerobot_policy_aomgen.train_finder",
         description="Train a finder on labelled images and print its errors on others.",
     )
-    parser.add_argument("images", type=Path, help="folder of `aomgen export --format images`")
+    parser.add_argument("images", type=Path, nargs="+", help="folder of `aomgen export --format images`")
     parser.add_argument("out", type=Path, help="gets finder.safetensors")
-    parser.add_argument("--validation", type=Path, required=True, help="images of other objects")
+    parser.add_argument(
+        "--validation", type=Path, nargs="+", required=True, metavar="IMAGES", help="images of other objects"
+    )
     parser.add_argument("--steps", type=int, default=3000, help="number of steps of 32 images (3000)")
     parser.add_argument("--seed", type=int, default=0, help="seed of weights and samples (0)")
     parser.add_argument("--threads", type=int, default=1, help="number of threads of PyTorch (1)")
@@ -59,7 +63,9 @@ def main(arguments: list[str] | None = None) -> int:
             sys.stdout.flush()
 
     try:
-        images, others = read_images(given.images), read_images(given.validation)
+        images, others = (
+            reduce(add, map(read_images, folders)) for folders in (given.images, given.validation)
+        )
         finder = train_finder(images, settings, given.steps, given.seed, given.out, report)
         errors = measure_errors(finder, others)
         save_finder(given.out / "finder.safetensors", finder, errors)

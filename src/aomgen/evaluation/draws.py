@@ -16,7 +16,8 @@ from aomgen.core.plan import Rejection, Variation, VerifiedEpisode
 from aomgen.core.progress import Progress
 from aomgen.datasets.features import ActionSpace
 from aomgen.datasets.selection import require_smaller
-from aomgen.episodes.factory import EpisodeFactory, GenerationParams
+from aomgen.episodes.factory import EpisodeFactory
+from aomgen.episodes.parameters import GenerationParams
 from aomgen.episodes.variations import draw_independently
 from aomgen.errors import ConfigError, NotEnoughEpisodesError, suggest
 from aomgen.evaluation.suite import (
@@ -110,7 +111,7 @@ def make_suite(
         fps=round(results.fps),
         action_space=request.action_space,
         cameras={name: camera.resize(*(request.size or sizes[name])) for name, camera in cameras.items()},
-        drawn_size=sizes[next(iter(fixed_cameras(cameras, results.robot) or cameras))],
+        drawn_size=sizes[next(iter(fixed_cameras(cameras, results.robot)))],
         max_frames=math.ceil(PATIENCE * max(item.frames for item in drawn)),
         seed=request.seed,
         trials=tuple(item.trial for item in drawn),

@@ -16,7 +16,7 @@ from aomgen.core.progress import Progress
 from aomgen.core.values import Array, freeze_arrays
 from aomgen.datasets.features import ActionSpace
 from aomgen.evaluation.finder_errors import summarize_points
-from aomgen.evaluation.policies import Policy, open_policy, policy_digest
+from aomgen.evaluation.policies import Policy, open_policy
 from aomgen.evaluation.rollout import World
 from aomgen.evaluation.suite import TRIAL_S, Suite, require_apart
 from aomgen.evaluation.views import Visuals
@@ -55,6 +55,7 @@ class RolloutRecord:
         fail_reason: Reason of a failure; empty after a success.
         opening_share: Final travel of the object's joint divided by the planned travel.
         frames: Number F of executed actions.
+        touched_obstacle: Whether the robot touched an obstacle, which is anything but object and table.
         opening_shares: Opening share after each action (F,).
         ee_world: Position of the end effector after each action (F, 3), world frame, [m].
         finder_mm: Errors (L, 5) of the keypoints that the policy located in each of its L observations with images;
@@ -65,6 +66,7 @@ class RolloutRecord:
     fail_reason: str
     opening_share: float
     frames: int
+    touched_obstacle: bool
     opening_shares: Annotated[Array, "F"]
     ee_world: Annotated[Array, "F 3"]
     finder_mm: Annotated[Array, "L 5"] = field(default_factory=lambda: np.zeros((0, len(KEYPOINTS))))
@@ -74,7 +76,7 @@ class RolloutRecord:
     @property
     def figures(self) -> dict[str, Any]:
         """Return the values of the trial except those of single frames."""
-        names = ("trial", "fail_reason", "opening_share", "frames")
+        names = ("trial", "fail_reason", "opening_share", "frames", "touched_obstacle")
         return {name: getattr(self, name) for name in names}
 
 
@@ -92,7 +94,7 @@ def evaluate(
 
     Returns:
         `policy`, `suite` and `twin` (digests), `action_space`, `visuals`, `trials`, `successes`, `success_rate`,
-        `interval_95` (Wilson's), `failures` by reason, `redrawn` (skipped samples by reason), `nearest_mm` and
+        `interval_95` (Wilson's), `failures` by reason, `touched_obstacle` (number of trials), `redrawn` (skipped samples by reason), `nearest_mm` and
         `nearest_deg` (smallest distance between a trial and a training episode), all `rollouts`, and `finder_error_mm`
         of each keypoint if the policy locates keypoints.
 
@@ -101,12 +103,12 @@ def evaluate(
         AomgenError: Any error of the policy.
     """
     nearest = require_apart(suite, results)
-    identity = {"suite": suite.digest, **asdict(request), "weights": policy_digest(request.policy)}
+    identity = {"suite": suite.digest, **asdict(request)}
     suite = replace(suite, action_space=request.action_space or suite.action_space)
     # A copy without cached results.
     opener = partial(_open_rollouts, suite, replace(results), request)
     # A policy that cannot be opened is refused before processes are started.
-    open_policy(request.policy, World(suite, results, request.visuals))
+    identity["weights"] = open_policy(request.policy, World(suite, results, request.visuals)).digest
     parts = SavedUnits(out / ROLLOUTS_FOLDER, identity, RolloutRecord)
     rows = parts.make(range(len(suite.trials)), Processes(opener, workers, TRIAL_S), progress)
     failed = [row.trial for row in rows if row.fail_reason][:FILMED]
@@ -126,6 +128,7 @@ def evaluate(
         "success_rate": successes / len(rows),
         "interval_95": interval_95(successes, len(rows)),
         "failures": dict(Counter(row.fail_reason for row in rows if row.fail_reason).most_common()),
+        "touched_obstacle": sum(row.touched_obstacle for row in rows),
         "redrawn": dict(suite.redrawn),
         "nearest_mm": nearest and nearest.mm,
         "nearest_deg": nearest and nearest.deg,
@@ -170,6 +173,7 @@ def roll_out(world: World, policy: Policy, number: int, film: Path | None = None
         fail_reason=rollout.fail_reason,
         opening_share=rollout.opening_share,
         frames=rollout.frame,
+        touched_obstacle=rollout.touched_obstacle,
         opening_shares=np.array(openings),
         ee_world=world.factory.results.robot.ee_poses(np.stack(joints))[:, :3, 3],
         finder_mm=np.reshape(finder_mm, (-1, len(KEYPOINTS))),

@@ -13,6 +13,7 @@ from aomgen.datasets.selection import MARK
 from aomgen.errors import BackendError, ConfigError, MalformedFileError, MissingFileError
 from aomgen.evaluation.suite import Suite
 from aomgen.io.artifact import read_json
+from aomgen.pipeline.manifest import files_digest
 
 if TYPE_CHECKING:
     from aomgen.evaluation.rollout import Rollout
@@ -20,6 +21,9 @@ if TYPE_CHECKING:
 # Folder of the newest weights and training settings in the output folder of `lerobot-train`.
 LAST: Final = "checkpoints/last/pretrained_model"
 WEIGHTS, SETTINGS, TRAINING = "model.safetensors", "config.json", "train_config.json"
+# Size of the object's pose, which policies trained with `--media none` observe; the keypoints of `--media keypoints` are not
+# given to any policy.
+POSE_SIZE: Final = 7
 STATE, IMAGES = "observation.state", "observation.images."
 
 
@@ -35,6 +39,11 @@ def checkpoint_folder(folder: Path) -> Path:
     raise MissingFileError(
         folder, f"holds no {WEIGHTS} with {SETTINGS}", "name a folder that lerobot-train wrote"
     )
+
+
+def checkpoint_digest(place: Path) -> str:
+    """Return the SHA-256 of the weights and settings in a folder that `checkpoint_folder` found."""
+    return files_digest([place / WEIGHTS, place / SETTINGS])
 
 
 class LerobotPolicy:
@@ -63,6 +72,7 @@ class LerobotPolicy:
                 "make policy-env; .venv-policy/bin/aomgen evaluate ...",
             ) from error
         self._torch, self._task, place = torch, suite.task, checkpoint_folder(folder)
+        self._place = place
         register_third_party_plugins()
         try:
             config: Any = PreTrainedConfig.from_pretrained(place)
@@ -91,6 +101,11 @@ class LerobotPolicy:
         points = getattr(self._policy, "points_world", None)
         return None if points is None else np.asarray(points, np.float64)
 
+    @property
+    def digest(self) -> str:
+        """Return the SHA-256 of weights and settings."""
+        return checkpoint_digest(self._place)
+
     def reset(self, rollout: "Rollout") -> None:
         """Discard the rest of the last chunk, and read the object pose if the policy was trained with it."""
         if self._told is not None:
@@ -100,7 +115,8 @@ class LerobotPolicy:
 
     def looks(self, frame: int) -> bool:
         """Return whether the policy uses images and its last chunk is used up."""
-        return bool(self._images) and not self._left
+        # Policies of our plug-in that plan whole motions use few images.
+        return bool(self._images) and not self._left and getattr(self._policy, "uses_images", True)
 
     def act(self, observation: Mapping[str, Any]) -> Array:
         """Return the next action (D,)."""
@@ -125,7 +141,7 @@ class LerobotPolicy:
         seen: dict[str, Any] = {STATE: torch.from_numpy(observation["agent_pos"]), "task": self._task}
         if self._told is not None:
             seen[TOLD] = torch.from_numpy(self._told)
-        for name in self._images:
+        for name in self._images if "pixels" in observation else ():
             picture = torch.from_numpy(observation["pixels"][name.removeprefix(IMAGES)])
             seen[name] = picture.permute(2, 0, 1).float() / 255
         return self._before(seen)
@@ -146,6 +162,9 @@ def require_fit(config: Any, suite: Suite, place: Path) -> None:
     joints = len(suite.joint_names) + 1
     if config.robot_state_feature is not None and tuple(config.robot_state_feature.shape) != (joints,):
         problems.append(f"state is {tuple(config.robot_state_feature.shape)}, the suite has ({joints},)")
+    told = config.env_state_feature
+    if told is not None and tuple(told.shape) != (POSE_SIZE,):
+        problems.append(f"environment state is {tuple(told.shape)}, the object's pose has ({POSE_SIZE},)")
     learned = _dataset_of(place)
     for name, mine, theirs in (
         ("rate", suite.fps, learned.get("fps")),

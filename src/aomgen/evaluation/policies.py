@@ -12,12 +12,13 @@ from aomgen.core.values import Array
 from aomgen.datasets.features import ActionSpace, ee_deltas, feature_columns
 from aomgen.datasets.lerobot_tables import SOURCE
 from aomgen.errors import MissingFileError, UnknownNameError
-from aomgen.evaluation.lerobot_policy import SETTINGS, WEIGHTS, LerobotPolicy, checkpoint_folder
+from aomgen.evaluation.lerobot_policy import LerobotPolicy
 from aomgen.evaluation.remote import SCHEMES, open_remote
 from aomgen.evaluation.rollout import Rollout, World
 from aomgen.evaluation.suite import nearest_pose, open_results, training_poses
-from aomgen.io.episode_folder import read_episode
-from aomgen.pipeline.manifest import files_digest
+from aomgen.io.artifact import file_digest
+from aomgen.io.episode_folder import EPISODE_FILE, read_episode
+from aomgen.pipeline.manifest import text_digest
 
 ORACLE, NEAREST = "oracle_replay", "nearest_replay"
 LEROBOT: Final = "lerobot:"
@@ -37,6 +38,14 @@ class Policy(Protocol):
         """Return the keypoints (5, 3) that the policy located last, world frame, [m]; None if it locates none."""
         ...
 
+    @property
+    def digest(self) -> str:
+        """Return the SHA-256 of what determines the actions besides name and suite: weights or demonstrations.
+
+        It is empty if nothing else does, or if a server does not state what it serves.
+        """
+        ...
+
     def reset(self, rollout: Rollout) -> None:
         """Begin a trial. Only oracle baselines may read the true state of the rollout."""
         ...
@@ -54,6 +63,7 @@ class OracleReplay:
     """Replay of the plan for the true pose of the trial."""
 
     points_world: Array | None = None
+    digest = ""
 
     def __init__(self, world: World) -> None:
         self._world = world
@@ -116,6 +126,13 @@ class NearestReplay:
             raise MissingFileError(training or self._folder, "holds no episode", "finish the run first")
         self._actions, self._frame = np.zeros((0, 0)), 0
 
+    @property
+    def digest(self) -> str:
+        """Return the SHA-256 of the names and contents of the training episodes."""
+        # The file of an episode contains the digests of its other files.
+        files = {name: self._folder / name / EPISODE_FILE for name in self._poses}
+        return text_digest("\n".join(f"{name} {file_digest(path)}" for name, path in files.items()))
+
     def reset(self, rollout: Rollout) -> None:
         """Find the nearest episode."""
         found = nearest_pose(rollout.T_world_object, self._poses)
@@ -152,11 +169,3 @@ def open_policy(name: str, world: World) -> Policy:
     if kind == NEAREST:
         return NearestReplay(world, Path(argument) if argument else None)
     raise UnknownNameError("--policy", name, POLICIES)
-
-
-def policy_digest(name: str) -> str:
-    """Return the SHA-256 of a policy's weights and settings; empty if they are not on this machine."""
-    if not name.startswith(LEROBOT):
-        return ""
-    folder = checkpoint_folder(Path(name.removeprefix(LEROBOT)))
-    return files_digest([folder / WEIGHTS, folder / SETTINGS])

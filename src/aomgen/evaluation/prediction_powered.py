@@ -80,9 +80,11 @@ def correlate(real: Sequence[float], twin: Sequence[float]) -> float | None:
 
 
 def mean_maximum_rank_violation(real: ArrayLike, twin: ArrayLike) -> float:
-    """Compute the mean over policies of the largest difference of real rates to a policy that the twin ranks inversely.
+    """Compute the mean over all policies of the largest rank violation of each policy (MMRV).
 
-    The result is 0 if both rankings are equal, and at most the largest difference of real rates.
+    For each policy, find the policies that the twin and the real robot rank in opposite order, and take the largest
+    difference of real success rates to one of them (0 if there is none). The mean is 0 if both rankings are equal, and at
+    most the largest difference of real rates.
 
     Args:
         real, twin: Success rates of the policies (P,).

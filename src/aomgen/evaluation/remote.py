@@ -17,6 +17,7 @@ from aomgen.datasets.features import ee_deltas, ee_targets
 from aomgen.errors import ConfigError, PolicyServerError, UnknownNameError
 from aomgen.evaluation.policy_servers import NUMBERS, OpenpiServer, OpenvlaServer
 from aomgen.evaluation.suite import Suite
+from aomgen.pipeline.manifest import text_digest
 
 SCHEMES: Final = ("openpi", "openvla")
 _NAME: Final = re.compile(r"([a-z]+)://([\w.-]+|\[[0-9a-fA-F:.]+\]):([0-9]{1,5})(?:/([\w.+-]+))?")
@@ -35,12 +36,13 @@ class RemotePolicy:
         ask: Returns a chunk (T, D) for an observation.
         conversion: Creates for each trial a function that converts an action of a chunk and the measured state into the
             environment's action.
+        digest: SHA-256 of what the server states about its policy; empty if it states nothing.
     """
 
     points_world: Array | None = None
 
-    def __init__(self, ask: Ask, conversion: Callable[[], Convert]) -> None:
-        self._ask, self._conversion = ask, conversion
+    def __init__(self, ask: Ask, conversion: Callable[[], Convert], digest: str = "") -> None:
+        self._ask, self._conversion, self.digest = ask, conversion, digest
         self._convert, self._left = conversion(), deque[Array]()
 
     def reset(self, rollout: object) -> None:
@@ -110,7 +112,7 @@ def _open_openpi(address: str, suite: Suite) -> RemotePolicy:
         answer = server.infer({"images": images, "state": observation["agent_pos"], "prompt": suite.task})
         return _chunk(where, answer.get("actions"), len(observation["agent_pos"]))
 
-    return RemotePolicy(ask, lambda: lambda action, _: action)
+    return RemotePolicy(ask, lambda: lambda action, _: action, text_digest(repr(server.metadata)))
 
 
 def _open_openvla(address: str, dataset: str | None, suite: Suite, robot: Kinematics) -> RemotePolicy:

@@ -136,6 +136,12 @@ class Rollout:
         """Return the signed travel of the object's joint divided by the planned travel."""
         return float((self.reached.thetas[0] - self.fitted.start_theta) / self.fitted.travel)
 
+    @property
+    def touched_obstacle(self) -> bool:
+        """Return whether the robot has touched an obstacle, which is anything but object and table."""
+        touched = self._simulation.run().touches.other_geoms
+        return bool(self._scene.roles.obstacle[touched].any())
+
     @cached_property
     def _closed_keypoints(self) -> Array:
         return find_keypoints(self.fitted.asset)

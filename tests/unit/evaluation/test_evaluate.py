@@ -96,6 +96,19 @@ def test_the_nearest_episode_is_replayed(world: World, toy: ToyResults) -> None:
     np.testing.assert_array_equal(again.opening_shares, record.opening_shares)
 
 
+def test_other_demonstrations_are_another_policy(world: World, toy: ToyResults) -> None:
+    first = open_policy("nearest_replay", world).digest
+    assert open_policy("nearest_replay", world).digest == first
+    assert open_policy("oracle_replay", world).digest == ""
+    path = toy.folders["episodes"] / "000000" / "episode.json"
+    content = path.read_bytes()
+    path.write_bytes(content + b"\n")
+    try:
+        assert open_policy("nearest_replay", world).digest not in ("", first)
+    finally:
+        path.write_bytes(content)
+
+
 def test_policies_that_do_not_exist_are_refused(
     suite: Suite, toy: ToyResults, world: World, tmp_path: Path
 ) -> None:

@@ -7,8 +7,13 @@ from types import SimpleNamespace
 import pytest
 
 from aomgen.errors import BackendError, ConfigError, MissingFileError
-from aomgen.evaluation.lerobot_policy import LAST, LerobotPolicy, checkpoint_folder, require_fit
-from aomgen.evaluation.policies import policy_digest
+from aomgen.evaluation.lerobot_policy import (
+    LAST,
+    LerobotPolicy,
+    checkpoint_digest,
+    checkpoint_folder,
+    require_fit,
+)
 from aomgen.evaluation.suite import Suite
 from aomgen.io.atomic import write_json
 
@@ -24,7 +29,7 @@ def config_for(suite: Suite, **changed: tuple[int, ...]) -> SimpleNamespace:
     shapes = {name: (3, camera.height, camera.width) for name, camera in suite.cameras.items()} | changed
     features = {f"observation.images.{name}": SimpleNamespace(shape=shape) for name, shape in shapes.items()}
     state = SimpleNamespace(shape=(len(suite.joint_names) + 1,))
-    return SimpleNamespace(image_features=features, robot_state_feature=state)
+    return SimpleNamespace(image_features=features, robot_state_feature=state, env_state_feature=None)
 
 
 def test_weights_are_found_by_themselves_and_below_their_training(tmp_path: Path) -> None:
@@ -36,12 +41,11 @@ def test_weights_are_found_by_themselves_and_below_their_training(tmp_path: Path
 
 def test_other_weights_or_settings_are_another_policy(tmp_path: Path) -> None:
     one, other = (weights_in(tmp_path / name, name.encode()) for name in ("one", "other"))
-    assert policy_digest(f"lerobot:{one}") != policy_digest(f"lerobot:{other}")
+    assert checkpoint_digest(one) != checkpoint_digest(other)
     (other / "model.safetensors").write_bytes(b"one")
-    assert policy_digest(f"lerobot:{one}") == policy_digest(f"lerobot:{other}")
+    assert checkpoint_digest(one) == checkpoint_digest(other)
     (other / "config.json").write_text('{"library": "other"}')
-    assert policy_digest(f"lerobot:{one}") != policy_digest(f"lerobot:{other}")
-    assert policy_digest("oracle_replay") == ""
+    assert checkpoint_digest(one) != checkpoint_digest(other)
 
 
 def test_where_lerobot_is_not_installed_its_environment_is_named(suite: Suite, tmp_path: Path) -> None:
@@ -53,6 +57,15 @@ def test_where_lerobot_is_not_installed_its_environment_is_named(suite: Suite, t
 
 def test_a_policy_that_fits_is_taken(suite: Suite, tmp_path: Path) -> None:
     require_fit(config_for(suite), suite, tmp_path)
+
+
+def test_a_policy_that_observes_keypoints_is_refused(suite: Suite, tmp_path: Path) -> None:
+    config = config_for(suite)
+    config.env_state_feature = SimpleNamespace(shape=(7,))
+    require_fit(config, suite, tmp_path)
+    config.env_state_feature = SimpleNamespace(shape=(15,))
+    with pytest.raises(ConfigError, match=r"environment state is \(15,\), the object's pose has \(7,\)"):
+        require_fit(config, suite, tmp_path)
 
 
 def test_every_difference_is_named(suite: Suite, tmp_path: Path) -> None:

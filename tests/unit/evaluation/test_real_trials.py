@@ -131,6 +131,14 @@ def test_the_command(folder: Path) -> None:
     assert "MMRV           0.000" in done.stdout
 
 
+@pytest.mark.parametrize("words", [("--real=trials.csv", "0.4.json"), ("0.4.json", "--real", "trials.csv")])
+def test_the_option_is_accepted_in_all_forms(folder: Path, words: tuple[str, ...]) -> None:
+    (folder / "trials.csv").write_text("policy,success\nnearest_replay,1\n")
+    done = aomgen("evaluate", *words, folder=folder)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert "over 1 policies" in done.stdout
+
+
 def test_trials_without_numbers(folder: Path) -> None:
     (folder / "trials.csv").write_text("policy,success\nlerobot:act,1\nlerobot:act,0\n")
     done = aomgen("evaluate", "trials.csv", "--real", folder=folder)

@@ -96,6 +96,16 @@ def test_openpi_is_asked_by_the_names_of_the_recipe_and_again_when_the_chunk_is_
     assert asked[0]["prompt"] == "open the microwave"
 
 
+def test_a_server_that_states_another_config_is_another_policy():
+    digests = set()
+    for config in ("first", "second", "second"):
+        stated = {"action_space": "joint", "cameras": ["front"], "config": config}
+        with openpi_server(lambda _: None, stated) as served:
+            digests.add(open_remote(f"openpi://{served.address}", *task_in("joint")).digest)
+    assert len(digests) == 2
+    assert "" not in digests
+
+
 def test_a_new_trial_forgets_the_last_chunk():
     with openpi_server(lambda _: {"actions": msgpack_array(CHUNK)}) as served:
         policy = open_remote(f"openpi://{served.address}", *task_in("joint"))

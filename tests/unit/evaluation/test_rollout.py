@@ -1,16 +1,20 @@
 """A trial in closed loop is the certificate's simulation, one action at a time, and is judged by the same rule."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+from aomgen.core.boxes import OrientedBox
+from aomgen.core.transforms import transform
 from aomgen.datasets.features import ACTION_SPACES
 from aomgen.errors import ConfigError
 from aomgen.evaluation.evaluate import roll_out
 from aomgen.evaluation.policies import OracleReplay, choose_planned_action
 from aomgen.evaluation.rollout import Rollout, Targets, World
 from aomgen.simulation.replay import SimulatedRun, simulate
+from toy_run import toy_run
 
 
 def played(world: World, number: int, actions: np.ndarray) -> Rollout:
@@ -110,6 +114,17 @@ def test_the_plan_of_another_pose_fails(world: World) -> None:
     actions = np.column_stack([plan.joints, plan.gripper])[1:]
     rollout = played(world, other, np.concatenate([actions, np.tile(actions[-1], (300, 1))]))
     assert rollout.fail_reason not in (None, "")
+
+
+def test_an_obstacle_in_the_path_is_touched(world: World, tmp_path: Path) -> None:
+    plan = world.plan(0)
+    box = OrientedBox(
+        T_world_box=transform(np.eye(3), plan.Ts_world_ee[30, :3, 3]), half_extents=np.full(3, 0.06)
+    )
+    blocked = World(world.suite, toy_run(tmp_path, obstacles=(box,)))
+    actions = np.column_stack([plan.joints, plan.gripper])[1:]
+    assert not played(world, 0, actions[:30]).touched_obstacle
+    assert played(blocked, 0, actions[:30]).touched_obstacle
 
 
 @pytest.mark.parametrize("space", ACTION_SPACES)
