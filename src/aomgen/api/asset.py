@@ -6,7 +6,7 @@ from pathlib import Path
 
 from aomgen.api.arguments import require_count
 from aomgen.api.run import Run
-from aomgen.assets.choice import load_asset, make_asset, require_usable
+from aomgen.assets.choice import load_asset, make_asset, require_usable, resolve_asset
 from aomgen.assets.doctor import Finding, examine
 from aomgen.assets.import_model import import_model
 from aomgen.assets.usd_read import SUFFIXES
@@ -24,7 +24,8 @@ class Asset:
 
     Attributes:
         model: Content of the asset, asset frame: front towards -y, support plane z = 0.
-        source: Name of the asset in projects, `category:seed` or FILE#JOINT; empty before `save`.
+        source: Name of the asset in projects: `category:seed` for a parametric asset, FILE or FILE#JOINT for an unchanged
+            USD file; otherwise empty.
 
     Example:
         >>> asset = ag.Asset.make("drawer", seed=3)
@@ -51,9 +52,10 @@ class Asset:
         Args:
             file: The model; OBJ needs an `articulation.json`, see `docs/assets.md`.
             joint: Name of the joint that opens, if the file has several.
-            scale: Scale factor.
+            scale: Factor on all lengths; `limits` and `handle` refer to the unscaled file.
             category: Category, for example "microwave"; if empty, the one in the file.
-            limits: Lower and upper limit of the joint, [rad] or [m]; they replace those of the file.
+            limits: Lower and upper joint limit relative to the pose in the file, [rad] or [m]; they replace the limits in
+                the file.
             handle: Corners x0, y0, z0, x1, y1, z1 of a box around the handle, in the pose of the file, [m], z up.
 
         Raises:
@@ -154,7 +156,7 @@ def fit_asset(asset: Asset, run: Run) -> FittedAsset:
 
 
 def asset_source(asset: "Asset | str | Path") -> str:
-    """Return the name of an asset in a project.
+    """Return the name of an asset in a project, with an absolute path.
 
     Raises:
         ConfigError: The asset is neither parametric nor a USD file.
@@ -165,4 +167,4 @@ def asset_source(asset: "Asset | str | Path") -> str:
         return asset.source
     spec = str(asset)
     load_asset(spec)
-    return spec
+    return resolve_asset(spec)

@@ -26,8 +26,9 @@ COLORS = {"good": "green", "poor": "yellow", "": ""}
 class _StageLines(ABC):
     """A line for each stage that is kept or finished, and the remaining time of the run.
 
-    That follows from the stages' weights and the seconds of those that are finished, or from the pace of the running
-    stage where that is slower: hundreds of episodes take longer than the weight of their stage.
+    The remaining time is the larger of two estimates: from the duration of the finished stages and the weights of the
+    others, and from the progress of the running stage. The second one is needed because many episodes take longer than
+    the weight of their stage suggests.
     """
 
     def __init__(self, stages: Sequence[Stage]) -> None:

@@ -11,6 +11,7 @@ from typing import Any
 
 from aomgen.api.arguments import require_count
 from aomgen.api.asset import Asset, asset_source
+from aomgen.api.display import CallbackDisplay
 from aomgen.api.run import Run, bring_up_to_date, change_project
 from aomgen.core.plan import EpisodePlan, FittedAsset, Rejection, Variation
 from aomgen.core.progress import Progress, silent
@@ -24,7 +25,7 @@ from aomgen.episodes.variations import Ranges
 from aomgen.errors import ConfigError
 from aomgen.io.episode_folder import CommittedEpisode, list_committed, read_episode
 from aomgen.io.review import leave_out_rejected
-from aomgen.pipeline.runner import results_of, share_stages
+from aomgen.pipeline.runner import Stage, results_of, share_stages
 from aomgen.pipeline.stages import PROJECT_FILE, STAGES, check_params, find_project
 from aomgen.simulation.scene import Scene
 from aomgen.simulation.verify import verify_plan
@@ -39,6 +40,19 @@ POLL_S = 0.2
 
 class _Stopped(Exception):
     """The caller of `generate` has closed the iterator."""
+
+
+class _EpisodesDisplay(CallbackDisplay):
+    """Passes the progress to a function; `accepted` is set when all episodes in the folder belong to the request."""
+
+    def __init__(self, callback: Progress) -> None:
+        super().__init__(callback)
+        self.accepted = threading.Event()
+
+    def begin(self, stage: Stage, *, fresh: bool) -> None:
+        super().begin(stage, fresh=fresh)
+        if stage.name == "episodes":
+            self.accepted.set()
 
 
 def generate(
@@ -75,6 +89,7 @@ def generate(
 
     Raises:
         ConfigError, AssetError: An argument is wrong; the generation has not started.
+        LockedError: Another process uses the folder of the new run.
         NotEnoughEpisodesError: No sample of any asset passes verification.
 
     Example:
@@ -133,9 +148,11 @@ def _generate(
             raise _Stopped
         progress(share, text)
 
+    shown = _EpisodesDisplay(notify)
+
     def work() -> None:
         try:
-            bring_up_to_date(project, until="episodes", progress=notify, **machine)
+            bring_up_to_date(project, until="episodes", progress=shown, **machine)
         except _Stopped:
             pass
         except BaseException as error:
@@ -150,7 +167,8 @@ def _generate(
         while not over:
             worker.join(POLL_S)
             over = not worker.is_alive()
-            for path in list_committed(folder):
+            # Until the pipeline accepts the folder, it may hold episodes of an earlier request.
+            for path in list_committed(folder) if shown.accepted.is_set() else ():
                 asset = unit_of(path.name).asset
                 if path not in yielded and made[asset] < wanted:
                     made[asset] += 1

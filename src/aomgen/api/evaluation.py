@@ -70,7 +70,7 @@ def evaluate(
         action_space=actions,
         size=size,
     )
-    name = f"{trials}-{seed}-{actions}"
+    name = "-".join([str(trials), str(seed), actions, *([f"{size[0]}x{size[1]}"] if size else [])])
     suite = make_suite(run.results, folder / f"{name}.json", request, count, progress)
     judged = EvaluationRequest(policy=policy, visuals=visuals)
     rollouts = folder / "-".join([name, re.sub(r"\W+", "-", policy), visuals])

@@ -245,14 +245,14 @@ def change_project(project: Project, choices: Mapping[str, Any]) -> Project:
 
 
 def bring_up_to_date(
-    project: Project, *, until: str = "", progress: ProgressOption = True, **machine: Any
+    project: Project, *, until: str = "", progress: ProgressOption | CallbackDisplay = True, **machine: Any
 ) -> list[str]:
     """Run the stages of a project that are not up to date, and write the report of a whole run.
 
     Args:
         project: Settings of the run.
         until: Last stage to run; all stages are run if it is empty.
-        progress: See `reconstruct`.
+        progress: See `reconstruct`; or the display that receives the progress.
         machine: Execution of the episodes, see `Results`: `workers`, `ray`, `store`.
 
     Returns:
@@ -289,7 +289,9 @@ def _describe_command() -> str:
     return shlex.join([*program, *sys.argv[1:]])
 
 
-def _open_display(progress: ProgressOption) -> AbstractContextManager[Display]:
+def _open_display(progress: ProgressOption | CallbackDisplay) -> AbstractContextManager[Display]:
     if progress is True:
         return display()
+    if isinstance(progress, CallbackDisplay):
+        return nullcontext(progress)
     return nullcontext(CallbackDisplay(progress or None))

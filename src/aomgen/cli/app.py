@@ -67,7 +67,7 @@ def demo(
     """Reconstruct the bundled recording and generate episodes.
 
     The command writes a dataset and a report and needs no GPU. It can be stopped at any time; the same command
-    continues where it stopped. The weights of the segmentation network are downloaded (40 MB) if they are missing.
+    continues where it stopped. The weights of the segmentation network are downloaded (45 MB) if they are missing.
     """
     from aomgen.core.project import Project
     from aomgen.pipeline.runner import stage_states
@@ -96,13 +96,15 @@ def check(
 ) -> None:
     """Check a capture, a project or an asset.
 
-    The command explains each problem and changes no file. It also matches the scan images of a capture at a small
-    size, which takes about ten seconds, and lists images that overlap with no other image and images with a different
-    exposure.
+    The command explains each problem and changes no file. It also matches the scan images of a capture at a small size,
+    which takes about ten seconds, and lists images that overlap with no other image or have a different exposure.
     """
     from aomgen.assets.choice import asset_file, open_asset
 
-    if asset_file(str(path)) is not None:
+    is_asset, is_project = asset_file(str(path)), path.suffix == ".toml" and path.name != "capture.toml"
+    if html is not None and (is_asset or is_project):
+        raise ConfigError("--html", "shows the images of a capture", "give the folder of the capture")
+    if is_asset:
         joint = open_asset(str(path)).joint
         print(f"{path}: ok; {joint.type} joint, range {joint.lower:.3f} to {joint.upper:.3f}")
         return
@@ -112,7 +114,7 @@ def check(
     from aomgen.pipeline.project_file import read_project
     from aomgen.pipeline.stages import check_params
 
-    if path.suffix == ".toml" and path.name != "capture.toml":
+    if is_project:
         project = read_project(path)
         check_params(project)
         capture = read_capture(project.capture)

@@ -41,7 +41,7 @@ def corpus(
     """
     from aomgen.api.arguments import require_name
     from aomgen.api.corpus import CAPTURE_S, CORPUS_FILE, FAILED, list_captures, open_corpus, run_corpus
-    from aomgen.assets.choice import asset_file
+    from aomgen.assets.choice import resolve_asset
     from aomgen.executors import Processes
     from aomgen.pipeline.stages import STAGES
     from aomgen.ray_cluster import RayCluster
@@ -50,7 +50,7 @@ def corpus(
         require_name("--until", until, [stage.name for stage in STAGES])
     captures, out = captures.resolve(), out.resolve()
     names = list_captures(captures)
-    given = tuple(str(Path(item).resolve()) if asset_file(item) else item for item in assets or ())
+    given = tuple(map(resolve_asset, assets or ()))
     opener = partial(open_corpus, captures, out, until, given)
     slots = min(workers or len(os.sched_getaffinity(0)), len(names))
     executor = RayCluster(opener, ray, CAPTURE_S) if ray else Processes(opener, slots, CAPTURE_S)

@@ -1,7 +1,7 @@
 """`aomgen evaluate`: evaluation of policies in the twin, and comparison with trials on the real robot."""
 
-import json
 import re
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -13,14 +13,22 @@ DEFAULT_COMMAND = "policy"
 REAL_OPTION = "--real"
 
 
+def _split_real(arg: str) -> list[str]:
+    """Split `--real=FILE` into option and value."""
+    return arg.split("=", 1) if arg.startswith(f"{REAL_OPTION}=") else [arg]
+
+
 class _PolicyByDefault(typer.core.TyperGroup):
     """`aomgen evaluate SUITE` means `aomgen evaluate policy SUITE`, and `--real FILE` means `real FILE`."""
 
     def parse_args(self, ctx: typer.Context, args: list[str]) -> list[str]:
         if not args or args[0] in self.commands:
             return super().parse_args(ctx, args)
-        if REAL_OPTION in args:
-            args = [REAL_OPTION.strip("-"), *(arg for arg in args if arg != REAL_OPTION)]
+        words = [word for arg in args for word in _split_real(arg)]
+        if REAL_OPTION in words:
+            # The file after the option precedes all others.
+            at = words.index(REAL_OPTION)
+            args = [REAL_OPTION.strip("-"), *words[at + 1 :], *words[:at]]
         elif any(not arg.startswith("-") for arg in args):
             args = [DEFAULT_COMMAND, *args]
         return super().parse_args(ctx, args)
@@ -72,9 +80,7 @@ def evaluate_suite(
     suite = make_suite(results, file, request, workers or results.workers, _tell)
     nearest = suite.nearest
     apart = f"{nearest.mm:.1f} mm and {nearest.deg:.2f} deg" if nearest else "the run has no episodes"
-    print(
-        f"{file}: {len(suite.trials)} trials, {sum(suite.redrawn.values())} samples skipped {suite.redrawn}"
-    )
+    print(f"{file}: {len(suite.trials)} trials, skipped samples: {_list_counts(suite.redrawn)}")
     print(f"smallest distance of a trial to an episode of the run: {apart}")
 
 
@@ -197,6 +203,10 @@ def _share(figures: dict[str, Any]) -> str:
     return f"{figures['success_rate']:.1%} ({low:.1%} to {high:.1%})"
 
 
+def _list_counts(counts: Mapping[str, int]) -> str:
+    return ", ".join(f"{count} {reason}" for reason, count in counts.items()) or "none"
+
+
 def _table(figures: dict[str, Any]) -> str:
     from aomgen.evaluation.finder_errors import format_errors
 
@@ -204,7 +214,8 @@ def _table(figures: dict[str, Any]) -> str:
         ("policy", f"{figures['policy']}, {figures['action_space']}, {figures['visuals']}"),
         ("success", f"{_share(figures)}, {figures['successes']} of {figures['trials']}"),
         *((f"  {reason}", str(count)) for reason, count in figures["failures"].items()),
-        ("skipped", json.dumps(figures["redrawn"])),
+        ("touched", f"an obstacle in {figures['touched_obstacle']} trials"),
+        ("skipped", _list_counts(figures["redrawn"])),
     ]
     text = "\n".join(f"{name:14} {value}" for name, value in lines)
     finder = figures.get("finder_error_mm")

@@ -58,8 +58,8 @@ def export(
     shard: Annotated[
         str,
         typer.Option(
-            help="Only a part of the episodes, i/n with i from 1 to n: every n-th one from the i-th on. Its dataset is the "
-            "folder i-of-n of the target; a complete one is kept."
+            help="Write part i of n (for example 2/8): episodes i, i+n, i+2n and so on. The part is a folder inside the "
+            "target. A part that is already complete is not written again."
         ),
     ] = "",
     episode: Annotated[

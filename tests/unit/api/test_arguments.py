@@ -1,12 +1,14 @@
 """Public functions refuse wrong arguments with typed errors that carry the values."""
 
 import pickle
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 import aomgen as ag
 from aomgen.api.arguments import require_count, require_poses, require_times
+from aomgen.api.asset import asset_source
 from aomgen.errors import (
     ConfigError,
     NonFiniteError,
@@ -41,6 +43,16 @@ def test_a_pose_needs_its_last_row() -> None:
     poses[0, 3] = [1, 0, 0, 1]
     with pytest.raises(PoseError):
         require_poses("poses", poses)
+
+
+def test_a_relative_file_becomes_absolute_in_a_project(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("aomgen.api.asset.load_asset", lambda spec: None)
+    assert asset_source("box.usda") == asset_source(Path("box.usda")) == str(tmp_path.resolve() / "box.usda")
+    assert asset_source("box.usda#lid") == str(tmp_path.resolve() / "box.usda#lid")
+    assert asset_source("toolbox:1") == "toolbox:1"
 
 
 def test_nan_is_named_by_its_place() -> None:

@@ -7,7 +7,12 @@ from pathlib import Path
 import pytest
 
 from aomgen.core.project import Project
+from aomgen.datasets.audit import audit_dataset
+from aomgen.datasets.formats import export_shard
+from aomgen.datasets.selection import MARK
 from aomgen.episodes.ledger import ACCOUNTS, Account
+from aomgen.errors import ConfigError
+from aomgen.io.episode_folder import list_committed
 from aomgen.io.review import ReviewChange, change_review
 from aomgen.pipeline.manifest import write_manifest
 from aomgen.pipeline.project_file import write_project
@@ -62,17 +67,17 @@ def test_shards_contain_every_episode_once_and_are_kept(run, tmp_path):
     words = ("export", reviewed, "parts", "--format", "lerobot-v3", "--media", "none", "--shard")
     first = aomgen(*words, "1/2", folder=tmp_path)
     assert (first.returncode, first.stderr) == (0, "")
-    assert first.stdout == "wrote parts/1-of-2: 2 training and 0 validation episodes, 27 frames\n"
+    assert first.stdout == "wrote parts/part_1_of_2: 2 training and 0 validation episodes, 27 frames\n"
     second = aomgen(*words, "2/2", folder=tmp_path)
-    assert second.stdout == "wrote parts/2-of-2: 1 training and 0 validation episodes, 9 frames\n"
-    found = aomgen("audit", "parts/1-of-2", "run", "--shard", "1/2", folder=tmp_path)
+    assert second.stdout == "wrote parts/part_2_of_2: 1 training and 0 validation episodes, 9 frames\n"
+    found = aomgen("audit", "parts/part_1_of_2", "run", "--shard", "1/2", folder=tmp_path)
     assert (found.returncode, found.stderr) == (0, "")
     assert "2 train of 2, 27 frames" in found.stdout
-    assert aomgen(*words, "1/2", folder=tmp_path).stdout == "kept parts/1-of-2: it is complete\n"
+    assert aomgen(*words, "1/2", folder=tmp_path).stdout == "kept parts/part_1_of_2: it is complete\n"
     # Without its request, a shard is as if its process had been killed; with other episodes, it is out of date.
-    (tmp_path / "parts" / "shards" / "2-of-2.json").unlink()
+    (tmp_path / "parts" / "shards" / "part_2_of_2.json").unlink()
     assert aomgen(*words, "2/2", folder=tmp_path).stdout == second.stdout
-    (tmp_path / "parts" / "shards" / "1-of-2.json").write_text("{")
+    (tmp_path / "parts" / "shards" / "part_1_of_2.json").write_text("{")
     damaged = started(*words, "1/2", folder=tmp_path)
     assert (damaged.returncode, damaged.stdout) == (0, first.stdout)
     assert damaged.stderr.startswith("warning: ")
@@ -80,9 +85,35 @@ def test_shards_contain_every_episode_once_and_are_kept(run, tmp_path):
     assert damaged.stderr.count("\n") == 1
     change_review(reviewed, reviewed / "08_episodes" / "000002", ReviewChange(decision="rejected"))
     assert (
-        "wrote parts/1-of-2: 1 training and 0 validation episodes, 12 frames"
+        "wrote parts/part_1_of_2: 1 training and 0 validation episodes, 12 frames"
         in aomgen(*words, "1/2", folder=tmp_path).stdout
     )
+
+
+@pytest.mark.parametrize("format", ["rlds", "hdf5", "lerobot-v3"])
+def test_every_format_has_shards(run, tmp_path, format):
+    folders = list_committed(run / "08_episodes")
+    made = export_shard(folders, tmp_path / "parts", format, "1/1")
+    assert made is not None
+    assert audit_dataset(tmp_path / "parts" / "part_1_of_1", folders).faults == []
+
+
+def test_wrong_options_keep_a_complete_shard(run, tmp_path):
+    folders = list_committed(run / "08_episodes")
+    export_shard(folders, tmp_path, "hdf5", "1/1")
+    stated = tmp_path / "shards" / "part_1_of_1.json"
+    written = stated.read_bytes()
+    for wrong in ({"size": "wide"}, {"size": "800x600"}, {"actions": "ee"}):
+        with pytest.raises(ConfigError):
+            export_shard(folders, tmp_path, "hdf5", "1/1", **wrong)
+    assert stated.read_bytes() == written
+    assert export_shard(folders, tmp_path, "hdf5", "1/1") is None
+
+
+def test_a_file_is_not_a_folder_of_shards(run, tmp_path):
+    (tmp_path / "notes").write_text("mine")
+    with pytest.raises(ConfigError, match="is a file"):
+        export_shard(list_committed(run / "08_episodes"), tmp_path / "notes", "hdf5", "1/1")
 
 
 @pytest.mark.parametrize(
@@ -106,12 +137,8 @@ def test_wrong_options_leave_nothing(run, tmp_path, words, code, said):
 def test_a_foreign_folder_is_kept(run, tmp_path):
     (tmp_path / "photos").mkdir()
     (tmp_path / "photos" / "cat.jpg").write_bytes(b"cat")
-    one_sentence(
-        aomgen("export", run, "photos", "--format", "hdf5", folder=tmp_path), 2, "not a dataset of AOMGen"
-    )
-    one_sentence(
-        aomgen("export", run, run, "--format", "hdf5", folder=tmp_path), 2, "not a dataset of AOMGen"
-    )
+    one_sentence(aomgen("export", run, "photos", "--format", "hdf5", folder=tmp_path), 2, "photos: ", MARK)
+    one_sentence(aomgen("export", run, run, "--format", "hdf5", folder=tmp_path), 2, f"{run}: ", MARK)
     assert (tmp_path / "photos" / "cat.jpg").read_bytes() == b"cat"
     assert (run / PROJECT_FILE).is_file()
 

@@ -202,6 +202,13 @@ def test_check_of_a_capture_tells_of_its_category(small_copy):
     assert "did you mean 'toolbox'?" in aomgen("check", small_copy)[0]
 
 
+@pytest.mark.parametrize("name", ["project.toml", "cabinet.usda"])
+def test_check_writes_a_page_of_a_capture_only(tmp_path, name):
+    _, error = aomgen("check", tmp_path / name, "--html", tmp_path / "page.html")[:2]
+    assert "--html: shows the images of a capture; give the folder of the capture" in error
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_check_refuses_a_usd_that_a_run_would_refuse(tmp_path):
     write_tight_usd(tmp_path / "tight.usda")
     assert "opens by 0.1 only" in aomgen("check", tmp_path / "tight.usda")[1]
