@@ -196,7 +196,7 @@ def scale(
 ) -> None:
     """Measure status, continuation and completion of runs with many episodes, and their export in shards.
 
-    The episodes are links to one small episode. `docs/dataset.md` explains the metrics.
+    The episodes are links to one small episode. `docs/episodes.md` explains the metrics.
     """
     from benchmarks.scale import run_scale
     from benchmarks.table import as_table

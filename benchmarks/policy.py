@@ -148,6 +148,7 @@ def table_figures(rows: Iterator[tuple[Row, list[dict[str, Any]]]]) -> list[dict
                 "nearest_mm": tried[0]["nearest_mm"],
                 "nearest_deg": tried[0]["nearest_deg"],
                 "failures": tried[0]["failures"],
+                "touched_obstacle": sum(item["touched_obstacle"] for item in tried),
                 "beats": beaten,
             }
         )

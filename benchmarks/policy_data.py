@@ -1,7 +1,7 @@
 """Training data and trials of policies: runs of the pipeline, datasets, and suites, each made once."""
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Final, Literal
@@ -16,9 +16,11 @@ from aomgen.datasets.formats import export_dataset
 from aomgen.datasets.selection import MARK
 from aomgen.evaluation.draws import SuiteRequest, make_suite
 from aomgen.evaluation.suite import open_results, open_suite, write_suite
+from aomgen.io.atomic import stage_folder
 from aomgen.io.episode_folder import list_committed
 from aomgen.pipeline.runner import results_of, share_stages
-from aomgen.pipeline.stages import STAGES
+from aomgen.pipeline.stages import PROJECT_FILE, STAGES
+from benchmarks.policy_neighbors import add_neighbor
 from benchmarks.policy_visuals import redraw
 from synthetic.world import make_capture
 
@@ -34,8 +36,8 @@ DRAWN_SIZE: Final = (192, 192)
 SEEN_SIZE: Final = (96, 96)
 # The finder crops larger images, which are rendered at this size, [px].
 FINDER_SIZE: Final = (240, 240)
-# Seed of the synthetic capture, unseen while the policy was chosen.
-DRAWER_SEED: Final = 9100
+# Seed of the synthetic captures, unseen while the policies were chosen.
+CAPTURE_SEED: Final = 9100
 # Seed of the trials, none of which was seen while grasps and policy were chosen.
 SUITE_SEED: Final = 3
 # Stages from here on differ between worlds that share their objects.
@@ -47,11 +49,12 @@ class World:
     """A run of the pipeline: a recording, objects, and the variation of their demonstrations.
 
     Attributes:
-        recording: Category of the recorded object: "microwave" of the bundled recording, or "drawer" of a synthetic one.
+        recording: Category of the recorded object: "microwave" of the bundled recording, or another one of a synthetic capture.
         assets: As in a project.
         demonstrations: Number over all objects; 0 where policies are only tested.
         episodes: Parameters of the stage that are not at their defaults.
         like: Name of a world with the same recording, whose results are reused as far as they are equal.
+        neighbor: Object of another category that is added to the results, see `policy_neighbors`.
     """
 
     recording: str
@@ -59,13 +62,40 @@ class World:
     demonstrations: int = FULL
     episodes: Mapping[str, Any] = field(default_factory=dict)
     like: str = ""
+    neighbor: str = ""
 
 
 # Seeds of objects for training, and approximate share of them that fits on the recorded table.
 LEARNED: Final = range(101, 161)
 WITH_ROOM: Final = 0.65
-# Names of the worlds whose objects are in no training, by category.
-UNSEEN: Final = {"microwave": "unseen_microwaves", "drawer": "unseen_drawers"}
+# Names of the worlds of objects that are in no training, by category.
+UNSEEN: Final = {
+    "microwave": "unseen_microwaves",
+    "drawer": "unseen_drawers",
+    "cabinet": "unseen_cabinets",
+    "toolbox": "unseen_toolboxes",
+    "laptop": "unseen_laptops",
+}
+# Seeds of these objects. The fifth microwave of the committed metrics is an asset of the user. The cabinets are the first five that
+# have a free location in the recorded room.
+TESTED_SEEDS: Final[Mapping[str, Sequence[int]]] = {
+    "microwave": range(22, 26),
+    "drawer": range(22, 27),
+    "cabinet": (22, 26, 27, 28, 30),
+    "toolbox": range(22, 27),
+    "laptop": range(22, 27),
+}
+# Worlds with the same objects and one object of another category next to them.
+WITH_NEIGHBOR: Final = {category: f"{name}_with_neighbor" for category, name in UNSEEN.items()}
+NEIGHBORS: Final = {
+    "microwave": "drawer:24",
+    "drawer": "microwave:22",
+    "cabinet": "toolbox:22",
+    "toolbox": "drawer:22",
+    "laptop": "drawer:22",
+}
+# Seeds of five further microwaves, the first with room on the recorded table, on which nothing was chosen.
+FURTHER_SEEDS: Final = (38, 40, 43, 44, 45)
 # Drawers of scale 0.6 are opened too rarely if that is the smallest size in training.
 SIZES: Final = {"microwave": {"ranges": {"scale": [0.6, 1.0]}}, "drawer": {"ranges": {"scale": [0.5, 1.0]}}}
 VIEWS: Final = {
@@ -74,17 +104,24 @@ VIEWS: Final = {
 PUSHES: Final = {"ranges": {"push_m": [0.0, 0.02]}}
 # A camera on the end effector shows when the gripper misses the handle.
 HAND: Final = {"images": {"robot_cameras": True}}
+
+
+def _tested(category: str, seeds: Sequence[int], neighbor: str = "") -> World:
+    """Describe a world in which policies are only tested."""
+    assets = tuple(f"{category}:{seed}" for seed in seeds)
+    return World(
+        recording=category, assets=assets, demonstrations=0, episodes=HAND, like=category, neighbor=neighbor
+    )
+
+
 WORLDS: Final = {
-    "microwave": World(recording="microwave", assets=("microwave:1",)),
-    "microwave_sizes": World(
-        recording="microwave", assets=("microwave:1",), episodes=SIZES["microwave"], like="microwave"
-    ),
-    "microwave_views": World(
-        recording="microwave", assets=("microwave:1",), episodes=VIEWS, like="microwave"
-    ),
-    "microwave_recovery": World(
-        recording="microwave", assets=("microwave:1",), episodes=PUSHES, like="microwave"
-    ),
+    **{category: World(recording=category, assets=(f"{category}:1",)) for category in UNSEEN},
+    **{name: _tested(category, TESTED_SEEDS[category]) for category, name in UNSEEN.items()},
+    **{
+        name: _tested(category, TESTED_SEEDS[category], NEIGHBORS[category])
+        for category, name in WITH_NEIGHBOR.items()
+    },
+    "further_microwaves": _tested("microwave", FURTHER_SEEDS),
     "microwaves": World(
         recording="microwave",
         assets=tuple(f"microwave:{seed}" for seed in LEARNED),
@@ -92,28 +129,17 @@ WORLDS: Final = {
         episodes=PUSHES | HAND,
         like="microwave",
     ),
-    UNSEEN["microwave"]: World(
-        recording="microwave",
-        assets=tuple(f"microwave:{seed}" for seed in range(22, 26)),
-        demonstrations=0,
-        episodes=HAND,
-        like="microwave",
+    **{
+        f"{category}_sizes": World(
+            recording=category, assets=(f"{category}:1",), episodes=sizes, like=category
+        )
+        for category, sizes in SIZES.items()
+    },
+    "microwave_views": World(
+        recording="microwave", assets=("microwave:1",), episodes=VIEWS, like="microwave"
     ),
-    "drawer": World(recording="drawer", assets=("drawer:1",)),
-    "drawer_sizes": World(recording="drawer", assets=("drawer:1",), episodes=SIZES["drawer"], like="drawer"),
-    "drawers": World(
-        recording="drawer",
-        assets=tuple(f"drawer:{seed}" for seed in LEARNED),
-        demonstrations=MANY,
-        episodes=PUSHES | HAND,
-        like="drawer",
-    ),
-    UNSEEN["drawer"]: World(
-        recording="drawer",
-        assets=tuple(f"drawer:{seed}" for seed in range(22, 27)),
-        demonstrations=0,
-        episodes=HAND,
-        like="drawer",
+    "microwave_recovery": World(
+        recording="microwave", assets=("microwave:1",), episodes=PUSHES, like="microwave"
     ),
 }
 
@@ -165,10 +191,21 @@ class PolicyData:
     def run(self, name: str, until: Literal["episodes", "replacement"] = "episodes") -> Path:
         """Return the folder of a world's run, finished up to a stage; a world without demonstrations ends with the replacement."""
         world, home = WORLDS[name], self.folder / "runs" / name
+        if not world.neighbor:
+            self._run(name, home, until)
+        elif not home.exists():
+            with stage_folder(home) as staging:
+                self._run(name, staging, until)
+                add_neighbor(staging, world.neighbor)
+        return home
+
+    def _run(self, name: str, home: Path, until: Literal["episodes", "replacement"]) -> None:
+        """Finish a world's run in a folder."""
+        world = WORLDS[name]
         wanted = min(world.demonstrations, self.demonstrations)
         own = self.user_assets(world.recording) if name in UNSEEN.values() else []
         assets = (*world.assets, *own)
-        if world.like and not home.exists():
+        if world.like and not (home / PROJECT_FILE).exists():
             like = self.run(world.like, until="replacement")
             share_stages((like / stage.folder for stage in STAGES if stage.name not in OWN_STAGES), home)
         project = Project(
@@ -182,7 +219,6 @@ class PolicyData:
         )
         self.notify(f"run {name}")
         self.run_project(project, until=until if wanted else "replacement", workers=self.workers)
-        return home
 
     def user_assets(self, category: str) -> list[str]:
         """List the user's assets of a category."""
@@ -240,7 +276,7 @@ class PolicyData:
         home = self.folder / "captures" / recording
         if not home.is_dir():
             self.notify(f"capture {recording}")
-            make_capture(home, category=recording, seed=DRAWER_SEED)
+            make_capture(home, category=recording, seed=CAPTURE_SEED)
         return home
 
 

@@ -1,4 +1,4 @@
-"""Errors of the finder of a category in labelled images: of its training, of other scenes, and of other objects."""
+"""Errors of a finder in labelled images: of its training, of other scenes, and of other objects."""
 
 from dataclasses import replace
 from importlib import import_module
@@ -37,17 +37,10 @@ def train_finder(data: PolicyData, category: str) -> Path:
     home = data.folder / "finders" / category
     if not (home / WEIGHTS).is_file():
         main = import_plugin("train_finder").main
-        learned = _export_set(data, category, "learned")
+        learned, others = (str(_export_set(data, category, name)) for name in ("learned", "objects"))
         data.notify(f"training finder {category}")
-        words = [
-            str(learned),
-            str(home),
-            "--validation",
-            str(_export_set(data, category, "objects")),
-            f"--steps={STEPS}",
-            "--crop",
-            *map(str, CROPS),
-        ]
+        words = [learned, str(home), "--validation", others, f"--threads={data.workers}"]
+        words += [f"--steps={STEPS}", "--crop", *map(str, CROPS)]
         if main(words):
             raise BackendError("train_finder", "failed", "see its message above")
     return home / WEIGHTS
@@ -96,6 +89,7 @@ def import_plugin(module: str) -> ModuleType:
 
 
 def _export_set(data: PolicyData, category: str, name: str) -> Path:
+    """Return the folder of a set of images of generated objects."""
     seeds, seed = IMAGE_SETS[name]
     return _export(data, category, name, [f"{category}:{number}" for number in seeds], seed)
 

@@ -6,9 +6,20 @@ from typing import Any, Final, Literal
 
 from aomgen.datasets.features import ActionSpace
 from aomgen.errors import UnknownNameError
+from aomgen.evaluation.known_objects import KNOWN
 from aomgen.evaluation.policies import NEAREST, ORACLE
 from aomgen.evaluation.views import VISUALS, Visuals
-from benchmarks.policy_data import FULL, MANY, UNSEEN, WORLDS, Sight, Trials
+from benchmarks.policy_data import (
+    FULL,
+    MANY,
+    NEIGHBORS,
+    UNSEEN,
+    WITH_NEIGHBOR,
+    WORLDS,
+    Sight,
+    Trials,
+)
+from benchmarks.policy_neighbors import SCALE
 
 SEEDS: Final = (0, 1, 2)
 SCALES: Final = (0.6, 0.7, 0.8, 0.9)
@@ -33,6 +44,8 @@ class Training:
         kind: Network of the policy.
         fixed_camera: Whether it uses only the camera of the recorded video.
         wrist_camera: Whether a policy with a finder uses the cameras on the robot.
+        others: Further worlds of `handle_plan`, whose demonstrations the instruction selects.
+        known: Number of parametric objects that `handle_plan` knows besides those of the world.
     """
 
     world: str
@@ -42,6 +55,13 @@ class Training:
     kind: Kind = "small_act"
     fixed_camera: bool = False
     wrist_camera: bool = True
+    others: tuple[str, ...] = ()
+    known: int = KNOWN
+
+    @property
+    def worlds(self) -> tuple[str, ...]:
+        """Names of all worlds."""
+        return (self.world, *self.others)
 
     @property
     def category(self) -> str:
@@ -68,7 +88,8 @@ class Training:
         """Name in files."""
         own = [self.sees] * (self.sees != "splat") + [self.kind] * (self.kind != "small_act")
         seen = ["front"] * self.fixed_camera + ["no_wrist"] * (not self.wrist_camera)
-        return "-".join([self.world, str(self.demonstrations), str(self.seed), *own, *seen])
+        known = [f"known{self.known}"] * (self.known != KNOWN)
+        return "-".join([*self.worlds, str(self.demonstrations), str(self.seed), *own, *seen, *known])
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -116,30 +137,66 @@ def _scales(world: str) -> list[Row]:
     ]
 
 
-def _planned(world: str, wrist_camera: bool = True, moved_m: float = 0.0) -> Row:
-    """Describe `handle_plan` with the objects of a world as known objects."""
+def _planned(
+    category: str,
+    known: int = KNOWN,
+    wrist_camera: bool = True,
+    moved_m: float = 0.0,
+    objects: str = "",
+) -> Row:
+    """Describe `handle_plan` with the recording of a category, tested with its unseen objects or with those of another world."""
+    world = objects or UNSEEN[category]
     policy = Training(
-        world=world, demonstrations=0, sees="keypoints", kind="handle_plan", wrist_camera=wrist_camera
+        world=category,
+        demonstrations=0,
+        sees="keypoints",
+        kind="handle_plan",
+        wrist_camera=wrist_camera,
+        known=known,
     )
     return Row(
         label={
             "policy": "handle_plan",
-            "known_objects": len(WORLDS[world].assets),
+            "objects": world,
+            "known_objects": known,
             "wrist_camera": wrist_camera,
             "moved_m": moved_m,
         },
         policies=(policy,),
-        test=Trials(world=UNSEEN[policy.category], moved_m=moved_m),
+        test=Trials(world=world, moved_m=moved_m),
     )
 
 
 def _planner_table(category: str) -> list[Row]:
-    many = f"{category}s"
     return [
-        *(_planned(many, moved_m=moved_m) for moved_m in MOVED_M),
-        _planned(many, wrist_camera=False),
-        _planned(category),
+        *(_planned(category, moved_m=moved_m) for moved_m in MOVED_M),
+        _planned(category, wrist_camera=False),
+        _planned(category, known=0),
     ]
+
+
+def _five_categories() -> list[Row]:
+    """Describe one policy `handle_plan` that is tested with objects of all categories; the instruction selects the category.
+
+    In further trials, an object of another category is next to the named one.
+    """
+    first, *others = UNSEEN
+    policy = Training(
+        world=first, others=tuple(others), demonstrations=0, sees="keypoints", kind="handle_plan"
+    )
+    alone = [
+        Row(label={"category": category}, policies=(policy,), test=Trials(world=unseen))
+        for category, unseen in UNSEEN.items()
+    ]
+    beside = [
+        Row(
+            label={"category": category, "neighbor": NEIGHBORS[category]},
+            policies=(policy,),
+            test=Trials(world=world, scale=SCALE),
+        )
+        for category, world in WITH_NEIGHBOR.items()
+    ]
+    return [*alone, *beside]
 
 
 def _on_gpu(kind: Kind) -> list[Row]:
@@ -190,9 +247,14 @@ TABLES: Final = {
             ),
             test=Trials(world=UNSEEN["microwave"]),
         ),
-        _planned("microwaves"),
+        _planned("microwave"),
     ],
     **{f"planner_table.{category}": _planner_table(category) for category in UNSEEN},
+    "planner_table.microwave": [
+        *_planner_table("microwave"),
+        _planned("microwave", objects="further_microwaves"),
+    ],
+    "five_categories": _five_categories(),
     "renderer_table": [
         Row(
             label={"trained_on": learned, "tested_on": seen},

@@ -17,7 +17,7 @@ from aomgen.evaluation.lerobot_policy import IMAGES, LAST, STATE, TRAINING, WEIG
 from aomgen.evaluation.suite import fixed_cameras, open_suite
 from aomgen.io.artifact import read_json
 from aomgen.io.atomic import remove_folder
-from benchmarks.policy_data import UNSEEN, PolicyData, Trials
+from benchmarks.policy_data import UNSEEN, WORLDS, PolicyData, Trials
 from benchmarks.policy_finder import import_plugin, train_finder
 from benchmarks.policy_tables import Kind, Training
 
@@ -105,30 +105,29 @@ class Trainer:
         return home
 
     def create_planning_policy(self, training: Training) -> Path:
-        """Create the policy `handle_plan` with the objects of a world and return its folder; an existing one is kept."""
+        """Create the policy `handle_plan` with the objects of its worlds and return its folder; an existing one is kept."""
         home = self.home(training)
         if not (home / WEIGHTS).is_file():
             create = import_plugin("create_handle_plan").create_policy
-            finder, suite = self._find_inputs(training)
-            library = self.data.run(training.world, until="replacement")
-            create(finder, suite, library, home, list_cameras(training, suite))
+            suite = self._find_suite(training)
+            libraries = [
+                (self.data.run(world, until="replacement"), train_finder(self.data, WORLDS[world].recording))
+                for world in training.worlds
+            ]
+            create(suite, home, libraries, list_cameras(training, suite), training.known)
         return home
 
     def list_finder_options(self, training: Training) -> list[str]:
         """Return the options of a policy with a finder, after making finder and suite; none for other policies."""
         if not training.finds:
             return []
-        finder, suite = self._find_inputs(training)
+        finder, suite = train_finder(self.data, training.category), self._find_suite(training)
         cameras = json.dumps(list_cameras(training, suite))
         return [f"--policy.finder={finder}", f"--policy.suite={suite}", f"--policy.cameras={cameras}"]
 
-    def _find_inputs(self, training: Training) -> tuple[Path, Path]:
-        """Return the files of finder and suite of a policy, after making them.
-
-        The suite only gives cameras and arm, which are those of all worlds with this recording.
-        """
-        suite = self.data.finder_suite(Trials(world=UNSEEN[training.category]), training.actions)
-        return train_finder(self.data, training.category), suite
+    def _find_suite(self, training: Training) -> Path:
+        """Return the file of a suite whose cameras and arm are those of all worlds with the policy's recording."""
+        return self.data.finder_suite(Trials(world=UNSEEN[training.category]), training.actions)
 
 
 def list_cameras(training: Training, suite: Path) -> list[str]:

@@ -186,4 +186,4 @@ def _variation(unit: Any) -> Any:
     """Compute a variation of the size that a run with six joints and two cameras has."""
     from aomgen.episodes.variations import Ranges, draw
 
-    return draw(0, unit.asset, unit.index, Ranges(), arm_joints=6, cameras=2, free=0)
+    return draw(0, unit.asset, unit.index, Ranges(), slides=[False] * 6, cameras=2, free=0)

@@ -24,6 +24,8 @@ def test_there_is_one_version():
     assert changed
     assert cited[1] == changed[1] == __version__
     assert "version" in PROJECT["project"]["dynamic"]
+    plugins = [tomllib.loads(path.read_text("utf-8")) for path in REPOSITORY.glob("plugins/*/pyproject.toml")]
+    assert [plugin["project"]["version"] for plugin in plugins] == [__version__] * 2
 
 
 def test_the_workflow_runs_targets_that_ci_runs():

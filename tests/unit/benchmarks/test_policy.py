@@ -1,7 +1,7 @@
 """The bench of trained policies counts rightly, and makes what is missing once."""
 
 import json
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from importlib.util import find_spec
 from pathlib import Path
 from types import SimpleNamespace
@@ -14,17 +14,28 @@ from pyarrow.parquet import write_table
 
 from aomgen.core.camera import Camera
 from aomgen.core.project import Project
-from aomgen.episodes.factory import GenerationParams
+from aomgen.episodes.parameters import GenerationParams
 from aomgen.errors import BackendError, ConfigError, NotEnoughEpisodesError
+from aomgen.evaluation.known_objects import FIRST_SEED, KNOWN
 from aomgen.evaluation.lerobot_policy import WEIGHTS
 from aomgen.evaluation.suite import Suite
+from aomgen.exports.image_dataset import ImageSetRequest
 from aomgen.io.artifact import load_artifact
 from aomgen.io.schema import override
 from aomgen.pipeline.runner import LOCK_FILE
-from benchmarks import policy_data, policy_training, policy_video
+from benchmarks import policy_data, policy_finder, policy_training, policy_video
 from benchmarks.policy import PolicyBench, beats, folder_digest, table_figures
-from benchmarks.policy_data import MANY, UNSEEN, WORLDS, PolicyData, Trials, moved_cameras
-from benchmarks.policy_finder import LEARNED, OTHERS, TESTED, measure_finder
+from benchmarks.policy_data import (
+    MANY,
+    NEIGHBORS,
+    UNSEEN,
+    WITH_NEIGHBOR,
+    WORLDS,
+    PolicyData,
+    Trials,
+    moved_cameras,
+)
+from benchmarks.policy_finder import LEARNED, OTHERS, TESTED, measure_finder, train_finder
 from benchmarks.policy_tables import FILMED, FINDERS, QUICK, TABLES, VIDEO, Row, Training, chosen_tables
 from benchmarks.policy_training import ASSET, Trainer, first_draws, front_features, list_cameras
 from benchmarks.policy_video import mean_trajectory_error, video_error
@@ -39,6 +50,7 @@ def tried(successes: list[bool]) -> dict[str, Any]:
         "successes": sum(successes),
         "success_rate": sum(successes) / len(successes),
         "rollouts": rollouts,
+        "touched_obstacle": 1,
         **dict.fromkeys(FROM_EVALUATION),
     }
 
@@ -70,6 +82,7 @@ def test_seeds_are_counted_together_and_others_only_in_the_same_trials() -> None
     assert (learned["name"], learned["trials"], learned["success_rate"]) == ("learned", 20, 0.5)
     assert (learned["seeds"], learned["by_seed"]) == ([3, 4], [1.0, 0.0])
     assert learned["beats"] == [{"name": "floor"}]
+    assert (learned["touched_obstacle"], floor["touched_obstacle"]) == (2, 1)
     assert (floor["seeds"], floor["beats"]) == ([], [])
     assert learned["interval_95"][0] < 0.5 < learned["interval_95"][1]
 
@@ -92,7 +105,7 @@ def test_worlds_ask_for_what_a_project_understands() -> None:
 
 
 def test_who_learned_with_a_hand_camera_is_tried_with_one() -> None:
-    for world in (WORLDS[name] for category in UNSEEN for name in (f"{category}s", UNSEEN[category])):
+    for world in (WORLDS[name] for name in ("microwaves", *UNSEEN.values())):
         assert override(GenerationParams(), dict(world.episodes), "episodes").images.robot_cameras
 
 
@@ -104,7 +117,8 @@ def test_every_cell_has_its_worlds() -> None:
                 assert isinstance(policy, str) or WORLDS[policy.world].demonstrations > 0
                 assert isinstance(policy, str) or policy.demonstrations <= WORLDS[policy.world].demonstrations
     for category, unseen in UNSEEN.items():
-        learned = {*WORLDS[category].assets, *WORLDS[f"{category}s"].assets}
+        known = {f"{category}:{FIRST_SEED + number}" for number in range(KNOWN)}
+        learned = {*WORLDS[category].assets, *known}
         assert not learned & set(WORLDS[unseen].assets)
         assert {name.partition(":")[0] for name in (*learned, *WORLDS[unseen].assets)} == {category}
 
@@ -136,6 +150,27 @@ def test_objects_of_the_user_are_opened_but_not_learned_from(
     # Both may be worked on at the same time.
     locks = [tmp_path / "runs" / name / LOCK_FILE for name in made]
     assert len({lock.stat().st_ino for lock in locks}) == 2
+
+
+def test_a_neighbor_is_added_to_a_run_of_its_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    added = list[tuple[str, str]]()
+
+    def run_project(project: Project, **_: Any) -> None:
+        project.out.mkdir(parents=True, exist_ok=True)
+        (project.out / "scene").write_text("empty")
+
+    def add(run: Path, spec: str) -> None:
+        added.append(((run / "scene").read_text(), spec))
+        (run / "scene").write_text("full")
+
+    monkeypatch.setattr(policy_data, "add_neighbor", add)
+    data = PolicyData(
+        folder=tmp_path, capture=tmp_path, run_project=run_project, workers=1, notify=lambda _: None
+    )
+    homes = {data.run(WITH_NEIGHBOR["microwave"]) for _ in range(2)}
+    assert added == [("empty", NEIGHBORS["microwave"])]
+    assert (homes.pop() / "scene").read_text() == "full"
+    assert (data.run("microwave") / "scene").read_text() == "empty"
 
 
 def test_cameras_move_by_the_asked_way_the_same_way_for_all_lengths() -> None:
@@ -271,8 +306,9 @@ def test_a_policy_with_a_planner_is_created_once_from_the_run_of_its_objects(
 ) -> None:
     made = list[tuple[Any, ...]]()
 
-    def create(finder: Path, suite: Path, library: Path, out: Path, cameras: list[str]) -> None:
-        made.append((finder, suite, library, out, cameras))
+    def create(*arguments: Any) -> None:
+        _, out, *_ = arguments
+        made.append(arguments)
         out.mkdir(parents=True)
         (out / WEIGHTS).touch()
 
@@ -286,10 +322,50 @@ def test_a_policy_with_a_planner_is_created_once_from_the_run_of_its_objects(
         run=lambda world, until: tmp_path / world / until,
     )
     trainer = Trainer(data=data, steps=20, command=tmp_path / "absent")
-    policy = Training(world=f"{category}s", demonstrations=0, sees="keypoints", kind="handle_plan")
+    policy = Training(
+        world=category,
+        demonstrations=0,
+        sees="keypoints",
+        kind="handle_plan",
+        others=("laptop",),
+    )
     homes = {trainer.train(policy) for _ in range(2)}
-    suite, library = tmp_path / f"{UNSEEN[category]}-joint", tmp_path / f"{category}s" / "replacement"
-    assert made == [(tmp_path / category, suite, library, homes.pop(), [])]
+    suite = tmp_path / f"{UNSEEN[category]}-joint"
+    runs = [tmp_path / world / "replacement" for world in policy.worlds]
+    finders = [tmp_path / category, tmp_path / "laptop"]
+    assert made == [(suite, homes.pop(), list(zip(runs, finders, strict=True)), [], policy.known)]
+
+
+@dataclass(frozen=True)
+class Known:
+    workers: int
+
+
+def test_a_finder_learns_from_images_of_its_category(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    given, asked = list[str](), dict[str, ImageSetRequest]()
+
+    def export(results: Any, folder: Path, request: ImageSetRequest, progress: Any) -> None:
+        asked[f"{folder.parent.name}/{folder.name}"] = request
+
+    def train(words: list[str]) -> int:
+        given.extend(words)
+        return 0
+
+    monkeypatch.setattr(policy_finder, "import_plugin", lambda module: SimpleNamespace(main=train))
+    monkeypatch.setattr(policy_finder, "open_results", lambda path: Known(workers=1))
+    monkeypatch.setattr(policy_finder, "export_images", export)
+    data: Any = SimpleNamespace(
+        folder=tmp_path, workers=1, run=lambda world, until: tmp_path, notify=lambda text: None
+    )
+    train_finder(data, "drawer")
+    images = tmp_path / "images" / "drawer"
+    assert given[:4] == [
+        str(images / "learned"), str(tmp_path / "finders" / "drawer"), "--validation", str(images / "objects"),
+    ]  # fmt: skip
+    assert {name: len(request.assets) for name, request in asked.items()} == {
+        "drawer/learned": 300,
+        "drawer/objects": 30,
+    }
 
 
 def test_a_policy_without_wrist_camera_uses_the_fixed_cameras(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -424,7 +500,7 @@ def test_the_mean_trajectory_is_of_demonstrations_that_stay_where_they_end(
 def test_kept_rollouts_need_neither_lerobot_nor_data(tmp_path: Path) -> None:
     small = [f"{name}-0" for name in ("microwave-150", "microwaves-150", f"microwaves-{MANY}")]
     located = [f"microwaves-{MANY}-{seed}-keypoints-handle_act" for seed in range(3)]
-    for name in (*small, *located, "microwaves-0-0-keypoints-handle_plan"):
+    for name in (*small, *located, "microwave-0-0-keypoints-handle_plan"):
         figures = json.dumps(tried([True] * 5 + [False] * 5))
         kept = tmp_path / "rollouts" / f"{name}-on-unseen_microwaves-1-0mm-splat.json"
         kept.parent.mkdir(exist_ok=True)
