@@ -1,5 +1,7 @@
 """Sphinx configuration of the documentation; `make docs` builds it into build/docs."""
 
+from typing import Any
+
 from aomgen.version import __version__
 
 project = "AOMGen"
@@ -27,3 +29,13 @@ napoleon_use_rtype = False
 # Names of other packages and of private modules have no page here.
 nitpick_ignore_regex = [("py:.*", r".*")]
 suppress_warnings = ["myst.strikethrough"]
+
+
+def omit_return_type(app: Any, kind: str, name: str, *_: object) -> None:
+    """Omit the return type "None" of an exception, which Sphinx omits only for other classes."""
+    if kind == "exception":
+        app.env.current_document.autodoc_annotations.get(name, {}).pop("return", None)
+
+
+def setup(app: Any) -> None:
+    app.connect("autodoc-process-signature", omit_return_type, priority=900)
