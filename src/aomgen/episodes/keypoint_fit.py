@@ -12,6 +12,7 @@ import numpy as np
 
 from aomgen.core.asset import AssetLink
 from aomgen.core.camera import Camera
+from aomgen.core.joint import LIMIT_SHARE
 from aomgen.core.keypoints import find_keypoints
 from aomgen.core.least_squares import Kernel, ResidualTerm, add, solve
 from aomgen.core.plan import FittedAsset, Variation
@@ -78,14 +79,23 @@ def fit_known_objects(
 def stretch(fitted: FittedAsset, factors: Array) -> FittedAsset:
     """Scale the colliders of an object by factors (3,) along the axes of the asset frame; meshes are omitted.
 
-    The planned joint values are kept. A box that is not aligned with the axes becomes a box of the same orientation.
+    The planned joint values are kept, unless the range of a stretched slide is too short for them. A box that is not aligned with
+    the axes becomes a box of the same orientation.
     """
     asset = fitted.asset
     axis = asset.joint.axis * factors
     handle_axis = asset.handle_axis * factors
-    joint = replace(asset.joint, origin=asset.joint.origin * factors, axis=axis / np.linalg.norm(axis))
+    unit = float(np.linalg.norm(axis)) if asset.joint.type == "prismatic" else 1.0
+    joint = replace(
+        asset.joint,
+        origin=asset.joint.origin * factors,
+        axis=axis / np.linalg.norm(axis),
+        lower=unit * asset.joint.lower,
+        upper=unit * asset.joint.upper,
+    )
     return replace(
         fitted,
+        thetas=fitted.thetas * min(1.0, LIMIT_SHARE * joint.upper / fitted.travel),
         asset=replace(
             asset,
             static=_stretch_link(asset.static, factors),

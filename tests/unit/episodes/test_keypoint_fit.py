@@ -1,12 +1,14 @@
 """Shape and pose of an unknown object follow from its keypoints in images."""
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from aomgen.core.asset import ArticulatedAsset
 from aomgen.core.camera import Camera, look_at
+from aomgen.core.joint import LIMIT_SHARE
 from aomgen.core.keypoints import find_keypoints
 from aomgen.core.plan import FittedAsset, Variation
 from aomgen.core.transforms import apply, matrix_from_rotvec, transform
@@ -112,3 +114,16 @@ def test_stretched_colliders_have_the_scaled_corners(known: list[FittedAsset]) -
     np.testing.assert_allclose(after.contact_asset, before.contact_asset * STRETCH)
     np.testing.assert_allclose(find_keypoints(after.asset), find_keypoints(before.asset) * STRETCH, atol=1e-6)
     assert after.asset.static.mass == pytest.approx(before.asset.static.mass * STRETCH.prod())
+
+
+@pytest.mark.parametrize(("factor", "share"), [(0.5, 0.5), (1.5, 1.0)])
+def test_a_slide_is_opened_within_its_stretched_range(
+    made: Callable[[str, int], ArticulatedAsset], factor: float, share: float
+) -> None:
+    drawer = made("drawer", 1)
+    target = LIMIT_SHARE * drawer.joint.upper
+    fitted = replace(place(drawer), thetas=np.array([0.0, target]))
+    factors = 1.0 + (factor - 1.0) * np.abs(drawer.joint.axis)
+    shape = stretch(fitted, factors)
+    assert shape.asset.joint.upper == pytest.approx(factor * drawer.joint.upper)
+    assert shape.travel == pytest.approx(share * target)
