@@ -17,8 +17,9 @@ from aomgen.results import Results
 from aomgen.simulation.episode_scene import episode_scene
 from aomgen.simulation.scene import Scene
 
-# Distances from the object that are kept, the preferred one first, [m]: its shape is an estimate.
-CLEARANCES_M: Final = (0.03, 0.015, 0.004)
+# Distances from the object that the arm keeps, and from its static link that the gripper keeps, the preferred ones first, [m]:
+# the shape of the object is an estimate.
+CLEARANCES_M: Final = ((0.03, 0.012), (0.015, 0.012), (0.03, 0.0), (0.015, 0.0), (0.004, 0.0))
 # Number of the most probable shapes that are tried.
 SHAPES: Final = 3
 
@@ -36,7 +37,9 @@ class KeypointPlanner:
         self._factory = EpisodeFactory(results, results.folders["episodes"])
         self._known, self._usual_grasp = known, usual_grasp
         plan = replace(self._factory.plan_params, search=True)
-        self._params = [replace(plan, clearance_m=clearance) for clearance in CLEARANCES_M]
+        self._params = [
+            replace(plan, clearance_m=arm, gripper_clearance_m=gripper) for arm, gripper in CLEARANCES_M
+        ]
 
     def plan(
         self, cameras: Sequence[Camera], pixels: Array, sds_px: Array, points_world: Array, joints: Array

@@ -55,6 +55,7 @@ class PlanParams:
             other configurations of the arm. Demonstrations without such motions resemble each other more.
         clearance_m: Distance kept between the object and the arm, [m], because a lid that resists lags behind;
             in searched free motions, the gripper keeps it as well.
+        gripper_clearance_m: Distance kept between the gripper and the object's static link, [m].
     """
 
     fps: float = 10.0
@@ -63,6 +64,7 @@ class PlanParams:
     max_slow_down: float = 5.0
     search: bool = True
     clearance_m: float = 0.003
+    gripper_clearance_m: float = 0.0
 
 
 def plan_episode(
@@ -112,7 +114,7 @@ class Planner:
         self.fitted, self.variation, self.solver = fitted, variation, solver
         self.shown, self.robot = DemonstratedMotion(demo), scene.robot
         self.T_world_object = variation.place_at(fitted)
-        self.scene = scene.place_at(self.T_world_object, params.clearance_m)
+        self.scene = scene.place_at(self.T_world_object, params.clearance_m, params.gripper_clearance_m)
         allowed = params.kinematic.max_self_penetration_mm
         allowed += self_overlap_mm(self.scene, demo.joints[0], float(demo.gripper[0]))
         kinematic = replace(params.kinematic, max_self_penetration_mm=allowed)

@@ -69,7 +69,7 @@ def check_kinematics(
     enough that no point of the robot or of the moving part travels farther than `SWEEP_M` between two of them.
 
     Args:
-        scene: Scene with the object at its pose; a distance of the arm to it below `scene.clearance` counts as overlap.
+        scene: Scene with the object at its pose; a distance below the scene's clearances counts as overlap.
         joints: Arm joints (T, J), [rad] or [m].
         gripper: Gripper (T,), 0 open .. 1 closed, at the opening at which it stalls on the handle.
         thetas: Object joint (T,), [rad] or [m].
@@ -243,11 +243,14 @@ def make_collision_test(
 def _depths_mm(scene: Scene, pairs: NDArray[np.int32], distances: Array, gripper: bool = False) -> Array:
     """Convert distances (N,), [m], of geom pairs (N, 2) to depths (N,), [mm].
 
-    Between object and arm, and optionally between object and gripper, the scene's clearance is added.
+    The scene's clearances are added between object and arm, optionally also between object and gripper, and between gripper and
+    static link.
     """
-    kept = scene.roles.robot & (gripper | ~scene.roles.gripper)
-    grown = scene.roles.object[pairs].any(1) & kept[pairs].any(1)
-    return -1000.0 * distances + 1000.0 * scene.clearance * grown
+    roles = scene.roles
+    kept = roles.robot & (gripper | ~roles.gripper)
+    grown = scene.clearance * (roles.object[pairs].any(1) & kept[pairs].any(1))
+    grip = scene.gripper_clearance * (roles.static[pairs].any(1) & roles.gripper[pairs].any(1))
+    return 1000.0 * (np.maximum(grown, grip) - distances)
 
 
 def _held(scene: Scene) -> NDArray[np.bool_]:

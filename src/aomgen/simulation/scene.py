@@ -85,7 +85,8 @@ class Scene:
         object_body: Id of the object's static link.
         ee_site: Id of the end-effector site.
         bolted: The object's base is fixed to the world.
-        clearance: Distance to the object below which contacts are reported, without a force, [m].
+        clearance: Distance that the arm keeps from the object in checks without dynamics, [m].
+        gripper_clearance: Distance that the gripper keeps from the object's static link in these checks, [m].
     """
 
     model: mujoco.MjModel
@@ -101,6 +102,7 @@ class Scene:
     ee_site: int
     bolted: bool
     clearance: float = 0.0
+    gripper_clearance: float = 0.0
 
     @property
     def joint_world(self) -> Joint:
@@ -109,8 +111,10 @@ class Scene:
         R = matrix_from_quat(self.model.body_quat[body])
         return self.asset.joint.move(transform(R, self.model.body_pos[body]))
 
-    def place_at(self, T_world_object: ArrayLike, clearance: float = 0.0) -> "Scene":
-        """Return the scene with the object at a pose (4, 4), and with another `clearance`, [m]."""
+    def place_at(
+        self, T_world_object: ArrayLike, clearance: float = 0.0, gripper_clearance: float = 0.0
+    ) -> "Scene":
+        """Return the scene with the object at a pose (4, 4), and with other clearances, [m]."""
         model = copy.copy(self.model)
         T = np.asarray(T_world_object, np.float64)
         body = self.object_body
@@ -119,10 +123,12 @@ class Scene:
         if self.names.free_joint:
             address = model.joint(self.names.free_joint).qposadr[0]
             model.qpos0[address : address + 7] = np.append(T[:3, 3], quat_from_matrix(T[:3, :3]))
-        model.geom_gap[self.roles.object] = clearance
+        # Contacts below this distance are reported, without a force.
+        reported = max(clearance, gripper_clearance)
+        model.geom_gap[self.roles.object] = reported
         # MuJoCo discards pairs of bodies whose bounding boxes are farther apart than this margin.
-        model.body_margin[model.geom_bodyid[self.roles.object]] = clearance
-        return replace(self, model=model, clearance=clearance)
+        model.body_margin[model.geom_bodyid[self.roles.object]] = reported
+        return replace(self, model=model, clearance=clearance, gripper_clearance=gripper_clearance)
 
     def qpos(self, joints: ArrayLike, gripper: ArrayLike, thetas: ArrayLike) -> Array:
         """Compute generalized positions (T, nq) from arm joints (T, J), gripper (T,) and object joint (T,)."""

@@ -146,6 +146,24 @@ def test_the_gripper_keeps_the_clearance_only_on_request(robot: RobotModel) -> N
     assert np.all(np.diff(clear.astype(int)) <= 0)
 
 
+def test_the_gripper_keeps_its_own_clearance_from_the_static_link(robot: RobotModel) -> None:
+    """The gripper that holds the handle is near the closed drawer's body, and far from it when the drawer is open."""
+    fitted, clearance = fitted_drawer(), 0.06
+    demo = opening(ik_solver(robot), fitted)
+    scene = build_scene(robot, fitted.asset, fitted.T_world_asset, SUPPORT)
+    first, last = demo.contact_frames[[0, -1]]
+
+    def is_free(gripper_clearance: float, frame: int, theta: float) -> bool:
+        near = scene.place_at(fitted.T_world_asset, 0.0, gripper_clearance)
+        gripper = float(demo.gripper[frame])
+        return make_collision_test(near, gripper, theta, LIMITS, holding=True)(demo.joints[frame])
+
+    assert is_free(0.0, first, 0.0)
+    assert not is_free(clearance, first, 0.0)
+    assert fitted.target_theta > clearance
+    assert is_free(clearance, last, fitted.target_theta)
+
+
 def test_an_object_in_an_obstacle_collides(robot: RobotModel) -> None:
     joints, still = np.array([NEAR, NEAR]), np.zeros(2)
     box = OrientedBox(T_world_box=FAR, half_extents=np.full(3, 0.05))
