@@ -8,8 +8,10 @@ from aomgen.core.values import Array
 from aomgen.evaluation.policies import choose_planned_action
 
 CONTACT = PHASES.index("contact")
-# Share of the measured deviation by which one correction shifts the actions.
+# Share of the excessive deviation by which one correction shifts the actions.
 GAIN = 0.5
+# Norm of the deviation of the joints that is tolerated, [rad]: the arm deviates by it under the resistance of usual objects.
+TOLERATED = 0.01
 
 
 class PlannedMotion:
@@ -29,7 +31,7 @@ class PlannedMotion:
 
         The path of the handle differs from the estimated one. The difference between measured and commanded joints is proportional
         to the torques. During the contact, the part of it that is orthogonal to the planned motion does no work, but presses
-        against the hinge or the slide.
+        against the hinge or the slide. It is corrected where it is large: without a tolerance, the gripper would slowly slip off.
         """
         plan = self.plan
         if self._frame >= len(plan) or plan.phases[self._frame] != CONTACT:
@@ -37,7 +39,9 @@ class PlannedMotion:
         deviation = joints - plan.joints[self._frame] - self._offset
         step = self._steps[self._frame]
         along = deviation @ step / max(step @ step, 1e-12)
-        self._offset = self._offset + GAIN * (deviation - along * step)
+        pressing = deviation - along * step
+        excess = max(1.0 - TOLERATED / max(float(np.linalg.norm(pressing)), 1e-12), 0.0)
+        self._offset = self._offset + GAIN * excess * pressing
 
     def next_action(self) -> Array:
         """Return the next action (J + 1,); after the end of the plan, the last one."""

@@ -19,7 +19,7 @@ from aomgen.simulation.scene import Scene
 
 # Distances from the object that the arm keeps, and from its static link that the gripper keeps, the preferred ones first, [m]:
 # the shape of the object is an estimate.
-CLEARANCES_M: Final = ((0.03, 0.012), (0.015, 0.012), (0.03, 0.0), (0.015, 0.0), (0.004, 0.0))
+CLEARANCES_M: Final = ((0.03, 0.012), (0.03, 0.0), (0.015, 0.0), (0.004, 0.0))
 # Number of the most probable shapes that are tried.
 SHAPES: Final = 3
 
