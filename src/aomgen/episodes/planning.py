@@ -305,7 +305,7 @@ class Planner:
         """Find joints (N, J) from the start to the approach, around obstacles."""
         opened = float(self.shown.gripper(self.shown.knots[0], held_at).min())
         is_free = make_collision_test(
-            self.scene, opened, self.fitted.start_theta, self.params.kinematic, grip_clearance=True
+            self.scene, opened, self.fitted.start_theta, self.params.kinematic, gripper_as_arm=True
         )
         limits = self.robot.joint_limits + self.margins[:, None] * [1.0, -1.0]
         path = find_free_path(start, goal, limits, is_free, self.seed)

@@ -212,7 +212,7 @@ def make_collision_test(
     limits: KinematicLimits,
     *,
     holding: bool = False,
-    grip_clearance: bool = False,
+    gripper_as_arm: bool = False,
 ) -> Callable[[Array], bool]:
     """Make a function that returns whether an arm configuration (J,) is free of collisions.
 
@@ -221,7 +221,7 @@ def make_collision_test(
         gripper, theta: Fixed values of the gripper, 0 open .. 1 closed, and of the object's joint, [rad] or [m].
         limits: Largest accepted overlaps; they are reduced by `SEARCH_RESERVE_MM`.
         holding: Ignore overlaps of gripper and handle.
-        grip_clearance: Keep the scene's clearance to the object with the gripper as well.
+        gripper_as_arm: Keep the clearance of the arm with the gripper as well.
     """
     data, kinds = mujoco.MjData(scene.model), _pair_kinds(scene)
     qpos = scene.qpos(np.zeros((1, len(scene.robot.joint_names))), gripper, theta)[0]
@@ -234,7 +234,7 @@ def make_collision_test(
         if not data.ncon:
             return True
         pairs = data.contact.geom
-        mm = _depths_mm(scene, pairs, data.contact.dist, grip_clearance)
+        mm = _depths_mm(scene, pairs, data.contact.dist, gripper_as_arm)
         return bool((mm <= deepest[kinds[pairs[:, 0], pairs[:, 1]]]).all())
 
     return is_free

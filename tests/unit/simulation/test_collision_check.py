@@ -136,7 +136,7 @@ def test_the_gripper_keeps_the_clearance_only_on_request(robot: RobotModel) -> N
     scene = build_scene(robot, fitted.asset, fitted.T_world_asset, SUPPORT)
     wide = scene.place_at(fitted.T_world_asset, clearance)
     usual, whole = (
-        make_collision_test(wide, 0.0, 0.0, LIMITS, grip_clearance=kept) for kept in (False, True)
+        make_collision_test(wide, 0.0, 0.0, LIMITS, gripper_as_arm=kept) for kept in (False, True)
     )
     approach = demo.joints[: demo.contact_frames[0]]
     free, clear = (np.array([test(joints) for joints in approach]) for test in (usual, whole))
