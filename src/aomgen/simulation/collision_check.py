@@ -240,17 +240,14 @@ def make_collision_test(
     return is_free
 
 
-def _depths_mm(scene: Scene, pairs: NDArray[np.int32], distances: Array, gripper: bool = False) -> Array:
-    """Convert distances (N,), [m], of geom pairs (N, 2) to depths (N,), [mm].
-
-    The scene's clearances are added between object and arm, optionally also between object and gripper, and between gripper and
-    static link.
-    """
+def _depths_mm(scene: Scene, pairs: NDArray[np.int32], distances: Array, as_arm: bool = False) -> Array:
+    """Convert distances (N,), [m], of pairs (N, 2) to depths below the clearances (N,), [mm], with `as_arm` also for the gripper."""
     roles = scene.roles
-    kept = roles.robot & (gripper | ~roles.gripper)
-    grown = scene.clearance * (roles.object[pairs].any(1) & kept[pairs].any(1))
-    grip = scene.gripper_clearance * (roles.static[pairs].any(1) & roles.gripper[pairs].any(1))
-    return 1000.0 * (np.maximum(grown, grip) - distances)
+    arm = roles.robot & (as_arm | ~roles.gripper)
+    of_arm = roles.object[pairs].any(1) & arm[pairs].any(1)
+    of_gripper = roles.static[pairs].any(1) & roles.gripper[pairs].any(1)
+    kept = np.maximum(scene.clearance * of_arm, scene.gripper_clearance * of_gripper)
+    return 1000.0 * (kept - distances)
 
 
 def _held(scene: Scene) -> NDArray[np.bool_]:
