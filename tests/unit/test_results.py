@@ -6,13 +6,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from aomgen.core.alignment import Alignment
 from aomgen.core.lens import Lens
 from aomgen.core.project import Project
 from aomgen.core.structure import PinholeScan, Structure
 from aomgen.errors import MissingFileError
 from aomgen.io.artifact import save_artifact
 from aomgen.results import Results
+from small_alignment import ALIGNMENT
 
 BENT = Lens(fx=600, fy=600, cx=320, cy=240, width=640, height=480, k1=-0.2)
 STRUCTURE = Structure(
@@ -69,17 +69,7 @@ def test_fixed_cameras_get_their_own_lens(results):
 def test_joint_zeros_are_added_to_log_and_scan(results):
     zeros = np.linspace(-0.01, 0.01, results.recorded.joint_log.joints.shape[1])
     save_artifact(results.folders["structure"], "structure", STRUCTURE)
-    alignment = Alignment(
-        S_world_recon=np.eye(4),
-        support=0.9,
-        chance=0.1,
-        runner_up_support=0.2,
-        residual_px=0.5,
-        residual_px_of_view={},
-        ee_sd_m=0.001,
-        joint_zeros_rad=zeros,
-        joint_zero_sds_rad=np.ones(len(zeros)),
-    )
+    alignment = replace(ALIGNMENT, joint_zeros_rad=zeros, joint_zero_sds_rad=np.ones(len(zeros)))
     save_artifact(results.folders["alignment"], "alignment", alignment)
     assert np.allclose(results.capture.joint_log.joints - results.recorded.joint_log.joints, zeros)
     assert np.allclose(results.configuration.joints - results.recorded.robot.scan_joints, zeros)

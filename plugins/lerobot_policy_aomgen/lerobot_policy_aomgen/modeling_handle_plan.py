@@ -46,8 +46,8 @@ class HandlePlanPolicy(PreTrainedPolicy):
         super().__init__(config)
         config.validate_features()
         self.config = config
-        known = create_finders(config) if config.geometry else open_finders(config, config.finders)[0]
-        self.finders = torch.nn.ModuleList(known)
+        finders = create_finders(config) if config.geometry else open_finders(config, config.finders)[0]
+        self.finders = torch.nn.ModuleList(finders)
         self._geometry: Geometry = json.loads(config.geometry)
         runs = [open_results(Path(library)) for library in config.libraries]
         self._instructions = [run.recorded.instruction for run in runs]

@@ -10,7 +10,7 @@ from aomgen.evaluation.policies import choose_planned_action
 CONTACT = PHASES.index("contact")
 # Share of the excessive deviation by which one correction shifts the actions.
 GAIN = 0.5
-# Norm of the deviation of the joints that is tolerated, [rad]: the arm deviates by it under the resistance of usual objects.
+# Largest norm of a deviation of the joints that is not corrected, [rad].
 TOLERATED = 0.01
 
 

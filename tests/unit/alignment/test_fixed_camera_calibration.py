@@ -22,19 +22,12 @@ from aomgen.errors import AlignmentError, SyncError
 from aomgen.io.video import Video
 from aomgen.robots.robot import RobotConfiguration, RobotModel
 from aomgen.robots.silhouette import SilhouetteRenderer
+from small_alignment import ALIGNMENT
 
 SCAN_JOINTS = np.array([3.5, -2.2, 2.4, 0.25, 1.35, 0.0])
 S_WORLD_RECON = similarity(0.37, matrix_from_rotvec([1.1, -0.7, 2.0]), [0.4, -0.2, 0.9])
 S_RECON_WORLD = np.array(np.linalg.inv(S_WORLD_RECON), np.float64)
-ALIGNED = Alignment(
-    S_world_recon=S_WORLD_RECON,
-    support=1.0,
-    chance=0.0,
-    runner_up_support=0.0,
-    residual_px=0.3,
-    residual_px_of_view={},
-    ee_sd_m=0.001,
-)
+ALIGNED = replace(ALIGNMENT, S_world_recon=S_WORLD_RECON)
 # Where structure from motion puts a fixed camera: some millimetres and hundredths of a degree away.
 MISPLACED = transform(matrix_from_rotvec([0.0012, -0.0009, 0.0007]), [0.003, -0.002, 0.003])
 PARAMS = BundleParams(frames=20, width=320, points=200)

@@ -1,5 +1,6 @@
 """The stage selects the images of the scan's robot pose and gives each camera its clock."""
 
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -14,17 +15,12 @@ from aomgen.core.camera import Camera
 from aomgen.core.progress import silent
 from aomgen.core.recording import JointLog
 from aomgen.io.video import Video
+from small_alignment import ALIGNMENT
 
 CAMERA = Camera(fx=1, fy=1, cx=1, cy=1, width=2, height=2, T_world_cam=np.eye(4))
 RESTING = [0.1, -0.4]
-ALIGNED = Alignment(
-    S_world_recon=np.eye(4),
-    support=1.0,
-    chance=0.0,
-    runner_up_support=0.0,
-    residual_px=0.3,
-    residual_px_of_view={},
-    ee_sd_m=0.001,
+ALIGNED = replace(
+    ALIGNMENT,
     joint_zeros_rad=np.array([0.02, np.radians(-0.5)]),
     joint_zero_sds_rad=np.zeros(2),
 )

@@ -2,14 +2,14 @@
 
 import shutil
 from collections.abc import Callable
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from aomgen.capture.read import read_capture
-from aomgen.core.alignment import Alignment, Clock, FixedCamera
+from aomgen.core.alignment import Clock, FixedCamera
 from aomgen.core.camera import look_at
 from aomgen.core.demonstration import EpisodeScene, SupportPlane
 from aomgen.core.episode import ContactLog, Episode
@@ -34,6 +34,7 @@ from aomgen.results import FITTED, GAUSSIANS_FILE
 from aomgen.robots.loading import save_robot
 from aomgen.twin.binding import with_object
 from aomgen.viewing.opened import ViewedFolder
+from small_alignment import ALIGNMENT
 
 FRAMES = 5
 FOLDERS = {stage.name: stage.folder for stage in STAGES}
@@ -68,14 +69,8 @@ def finished_toy_run(toy_scene, small_capture: Path, tmp_path_factory) -> Path:
     save_artifact(
         homes["alignment"],
         "alignment",
-        Alignment(
-            S_world_recon=np.eye(4),
-            support=1.0,
-            chance=0.1,
-            runner_up_support=0.0,
-            residual_px=0.5,
-            residual_px_of_view={},
-            ee_sd_m=0.001,
+        replace(
+            ALIGNMENT,
             joint_zeros_rad=np.zeros(6),
             joint_zero_sds_rad=np.zeros(6),
             cameras={"front": fixed},
