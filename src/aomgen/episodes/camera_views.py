@@ -120,18 +120,20 @@ class _FixedView:
         # Single pixels of an outline may show a surface behind it.
         depth = median_filter(layer.depth, 3)
         found = [find_surface(item.T_world_plane, layer.camera, depth, scene_share) for item in shadows]
-        self._pixels, self._shares = [item[0] for item in found], [item[1] for item in found]
+        self._pixels = np.unique(np.concatenate([np.zeros(0, np.int64), *(item[0] for item in found)]))
+        self._places = [np.searchsorted(self._pixels, item[0]) for item in found]
+        self._shares = [item[1] for item in found]
         self.points = [item[2] for item in found]
 
     def darken(self, blocked: Sequence[Array]) -> NDArray[np.float32]:
         """Compute factors (T, H, W) on the scene's sRGB colors from blocked shares (T, N) per shadow."""
-        light = np.ones((len(blocked[0]), self._level.size), np.float32)
-        for pixels, share, own in zip(self._pixels, self._shares, blocked, strict=True):
-            light[:, pixels] -= share * own
-        pixels = np.unique(np.concatenate(self._pixels))
-        level = self._level.ravel()[pixels]
-        light[:, pixels] = illuminate_srgb(level, light[:, pixels]) / level
-        return light.reshape(-1, *self._level.shape)
+        light = np.ones((len(blocked[0]), len(self._pixels)), np.float32)
+        for places, share, own in zip(self._places, self._shares, blocked, strict=True):
+            light[:, places] -= share * own
+        level = self._level.ravel()[self._pixels]
+        factors = np.ones((len(light), self._level.size), np.float32)
+        factors[:, self._pixels] = illuminate_srgb(level, light) / level
+        return factors.reshape(-1, *self._level.shape)
 
 
 class MovingView:
