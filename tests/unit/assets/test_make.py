@@ -110,6 +110,14 @@ def test_fronts_and_bars_of_a_dresser_are_alike(made: Made) -> None:
         assert len(textures) == 1
 
 
+def test_top_drawer_of_a_column_opens() -> None:
+    for seed in range(12):
+        asset = make_asset("drawer", seed, "column")
+        fixed = [box for box in asset.static.colliders if box.name in ("front_0_0", "front_0_1")]
+        assert len(fixed) == 2
+        assert all(box.corners[:, 2].max() < asset.handle_point[2] for box in fixed)
+
+
 def test_classic_microwave_and_dresser_of_a_seed_stay_what_they_are() -> None:
     """Captures show them, and their figures are published, so that these values may not change."""
     microwave, dresser = make_asset("microwave", 5, "classic"), make_asset("dresser", 5, "classic")

@@ -54,7 +54,9 @@ FELT = Material(color_srgb=(0.10, 0.09, 0.08))
 def make_drawer(rng: np.random.Generator, table: Mapping[str, Any]) -> ArticulatedAsset:
     """Make a drawer or dresser: equal fronts with equal handles, one of which slides out.
 
-    The body has an open shelf below the fronts if there is enough space.
+    Of drawers, the top one slides out, because neither images nor the instruction "open the drawer" tell equal fronts apart. Of
+    dressers, which test reconstructions from prompts, any front may slide out. The body has an open shelf below the fronts if
+    there is enough space.
 
     Args:
         rng: Generator of sizes, colors and prints.
@@ -68,7 +70,8 @@ def make_drawer(rng: np.random.Generator, table: Mapping[str, Any]) -> Articulat
     s.low = s.height - s.reveal - s.rows * s.pitch_z
     faces = {cell: _drawer_front(s, cell) for cell in product(range(s.columns), range(s.rows))}
     handles = {cell: _drawer_handle(s, face) for cell, face in faces.items()}
-    moving = pick(rng, [cell for cell, handle in handles.items() if handle.middle[2] > LEAST_BAR_Z])
+    rows = [s.rows - 1] if s.opens == "top" else range(s.rows)
+    moving = pick(rng, [cell for cell in faces if cell[1] in rows and handles[cell].middle[2] > LEAST_BAR_Z])
     wood, front, metal = _drawer_surfaces(rng)
     ply = Material(texture_srgb=textures.wood(rng, PLY, 256), roughness=0.6)
 
