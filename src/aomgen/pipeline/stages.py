@@ -149,7 +149,7 @@ STAGES: tuple[Stage, ...] = (
         title="removing the object, fitting assets",
         needs=("capture", "assets", "structure", "alignment", "motion", "twin"),
         settings=("assets", "adapt", "light", "light_yaw_deg", "inpainter", "seed", "image_size"),
-        version=21,
+        version=22,
         weight=11,
         function=_lazily("replacement.stage"),
     ),
