@@ -3,7 +3,6 @@
 import multiprocessing
 import os
 import re
-import shutil
 import signal
 import threading
 import time
@@ -181,7 +180,8 @@ def _on_ray_with_store(scratch: Path) -> None:
     def vanish(done: Done) -> None:
         heard.append(done)
         if len(heard) == RAY_FAULTS_AFTER[0]:
-            shutil.rmtree(store)
+            # Unlike a deletion, a renaming cannot meet a file that a worker is about to rename.
+            store.rename(scratch / "vanished")
 
     with _cluster() as cluster, patch.object(stage_module, "open_executor", open_hidden):
         cluster.add_node(**NODE)
