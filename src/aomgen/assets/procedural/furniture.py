@@ -54,9 +54,9 @@ FELT = Material(color_srgb=(0.10, 0.09, 0.08))
 def make_drawer(rng: np.random.Generator, table: Mapping[str, Any]) -> ArticulatedAsset:
     """Make a drawer or dresser: equal fronts with equal handles, one of which slides out.
 
-    Of drawers, the top one slides out, because neither images nor the instruction "open the drawer" tell equal fronts apart. Of
-    dressers, which test reconstructions from prompts, any front may slide out. The body has an open shelf below the fronts if
-    there is enough space.
+    In the category `drawer`, the top front slides out, because neither images nor the instruction "open the drawer" distinguish
+    equal fronts. Of a dresser, which tests reconstructions from prompts, any front may slide out. The body has an open shelf below
+    the fronts if there is enough space.
 
     Args:
         rng: Generator of sizes, colors and prints.
