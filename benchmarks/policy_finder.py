@@ -1,5 +1,6 @@
 """Errors of a finder in labelled images: of its training, of other scenes, and of other objects."""
 
+from collections.abc import Mapping
 from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
@@ -10,6 +11,7 @@ from aomgen.errors import BackendError
 from aomgen.evaluation.suite import open_results
 from aomgen.exports.image_dataset import DATASET_FILE, ImageSetRequest, export_images
 from benchmarks.policy_data import PolicyData
+from benchmarks.policy_tables import Variant
 
 # Seeds of generated objects in the training images, and of others; none of them is an object of the tables of policies.
 LEARNED, OTHERS = range(1001, 1301), range(2001, 2031)
@@ -18,29 +20,40 @@ PER_OBJECT: Final = 20
 TESTED: Final = LEARNED[::10]
 # Seeds of the objects, and random seed of the scenes, of each set of images.
 IMAGE_SETS: Final = {"learned": (LEARNED, 0), "scenes": (TESTED, 1), "objects": (OTHERS, 2)}
-# Steps of 32 images, and sides of the crops of the second and the third look, [px].
+# Steps of 32 images.
 STEPS: Final = 4000
-CROPS: Final = (96, 40)
-
-
+# Options of the training: the usual one with the sides of the crops of the second and the third look, [px], and the ablations.
+CROPS: Final = ("--crop", "96", "40")
+VARIANTS: Final[Mapping[Variant, tuple[str, ...]]] = {
+    "usual": CROPS,
+    "one_look": ("--crop",),
+    "from_scratch": (*CROPS, "--from-scratch"),
+}
 # Name of the trained finder.
 WEIGHTS: Final = "finder.safetensors"
 
 
-def train_finder(data: PolicyData, category: str) -> Path:
+def train_finder(data: PolicyData, category: str, seed: int = 0, variant: Variant = "usual") -> Path:
     """Train a finder on images of generated objects of a category and return its file; an existing one is kept.
+
+    Args:
+        data: Folder of runs, images and finders.
+        category: Category of the objects.
+        seed: Seed of the finder's weights and samples.
+        variant: Options of the training.
 
     Raises:
         BackendError: The plug-in is not installed here.
         AomgenError: Any error of the run, the images or the training.
     """
-    home = data.folder / "finders" / category
+    name = category if (seed, variant) == (0, "usual") else f"{category}-{seed}-{variant}"
+    home = data.folder / "finders" / name
     if not (home / WEIGHTS).is_file():
         main = import_plugin("train_finder").main
-        learned, others = (str(_export_set(data, category, name)) for name in ("learned", "objects"))
-        data.notify(f"training finder {category}")
+        learned, others = (str(_export_set(data, category, images)) for images in ("learned", "objects"))
+        data.notify(f"training finder {name}")
         words = [learned, str(home), "--validation", others, f"--threads={data.workers}"]
-        words += [f"--steps={STEPS}", "--crop", *map(str, CROPS)]
+        words += [f"--steps={STEPS}", f"--seed={seed}", *VARIANTS[variant]]
         if main(words):
             raise BackendError("train_finder", "failed", "see its message above")
     return home / WEIGHTS

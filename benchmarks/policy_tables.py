@@ -1,6 +1,6 @@
 """Tables of `python -m benchmarks policy`: training data of the policies, and where each is tested."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Final, Literal
 
@@ -30,6 +30,8 @@ QUICK: Final = "quick"
 
 # Kinds of policies: those of our plug-in, of which `handle_plan` is not trained, and LeRobot's own, which need a GPU.
 Kind = Literal["small_act", "handle_act", "handle_plan", "act", "diffusion"]
+# Trainings of a finder: with all parts, without the second and the third look, and without pretrained weights.
+Variant = Literal["usual", "one_look", "from_scratch"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -39,13 +41,14 @@ class Training:
     Attributes:
         world: World of the demonstrations.
         demonstrations: Number of demonstrations; none for an untrained policy.
-        seed: Seed of the training.
+        seed: Seed of the training; with `handle_plan`, of its finder's.
         sees: Observations of the demonstrations.
         kind: Network of the policy.
         fixed_camera: Whether it uses only the camera of the recorded video.
         wrist_camera: Whether a policy with a finder uses the cameras on the robot.
         others: Further worlds of `handle_plan`, whose demonstrations the instruction selects.
         known: Number of parametric objects that `handle_plan` knows besides those of the world.
+        variant: Training of the finder of `handle_plan`.
     """
 
     world: str
@@ -57,6 +60,7 @@ class Training:
     wrist_camera: bool = True
     others: tuple[str, ...] = ()
     known: int = KNOWN
+    variant: Variant = "usual"
 
     @property
     def worlds(self) -> tuple[str, ...]:
@@ -89,7 +93,10 @@ class Training:
         own = [self.sees] * (self.sees != "splat") + [self.kind] * (self.kind != "small_act")
         seen = ["front"] * self.fixed_camera + ["no_wrist"] * (not self.wrist_camera)
         known = [f"known{self.known}"] * (self.known != KNOWN)
-        return "-".join([*self.worlds, str(self.demonstrations), str(self.seed), *own, *seen, *known])
+        variant = [self.variant] * (self.variant != "usual")
+        return "-".join(
+            [*self.worlds, str(self.demonstrations), str(self.seed), *own, *seen, *known, *variant]
+        )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -143,16 +150,23 @@ def _planned(
     wrist_camera: bool = True,
     moved_m: float = 0.0,
     objects: str = "",
+    seeds: Sequence[int] = SEEDS[:1],
+    variant: Variant = "usual",
 ) -> Row:
     """Describe `handle_plan` with the recording of a category, tested with its unseen objects or with those of another world."""
     world = objects or UNSEEN[category]
-    policy = Training(
-        world=category,
-        demonstrations=0,
-        sees="keypoints",
-        kind="handle_plan",
-        wrist_camera=wrist_camera,
-        known=known,
+    policies = tuple(
+        Training(
+            world=category,
+            demonstrations=0,
+            seed=seed,
+            sees="keypoints",
+            kind="handle_plan",
+            wrist_camera=wrist_camera,
+            known=known,
+            variant=variant,
+        )
+        for seed in seeds
     )
     return Row(
         label={
@@ -161,8 +175,9 @@ def _planned(
             "known_objects": known,
             "wrist_camera": wrist_camera,
             "moved_m": moved_m,
+            "finder": variant,
         },
-        policies=(policy,),
+        policies=policies,
         test=Trials(world=world, moved_m=moved_m),
     )
 
@@ -253,6 +268,9 @@ TABLES: Final = {
     "planner_table.microwave": [
         *_planner_table("microwave"),
         _planned("microwave", objects="further_microwaves"),
+        _planned("microwave", seeds=SEEDS),
+        _planned("microwave", variant="one_look"),
+        _planned("microwave", variant="from_scratch"),
     ],
     "five_categories": _five_categories(),
     "renderer_table": [

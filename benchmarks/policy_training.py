@@ -111,7 +111,10 @@ class Trainer:
             create = import_plugin("create_handle_plan").create_policy
             suite = self._find_suite(training)
             libraries = [
-                (self.data.run(world, until="replacement"), train_finder(self.data, WORLDS[world].recording))
+                (
+                    self.data.run(world, until="replacement"),
+                    train_finder(self.data, WORLDS[world].recording, training.seed, training.variant),
+                )
                 for world in training.worlds
             ]
             create(suite, home, libraries, list_cameras(training, suite), training.known)

@@ -315,7 +315,11 @@ def test_a_policy_with_a_planner_is_created_once_from_the_run_of_its_objects(
     monkeypatch.setattr(
         policy_training, "import_plugin", lambda module: SimpleNamespace(create_policy=create)
     )
-    monkeypatch.setattr(policy_training, "train_finder", lambda data, category: tmp_path / category)
+    monkeypatch.setattr(
+        policy_training,
+        "train_finder",
+        lambda data, category, seed, variant: tmp_path / f"{category}{seed}{variant}",
+    )
     data: Any = SimpleNamespace(
         folder=tmp_path,
         finder_suite=lambda test, actions: tmp_path / f"{test.world}-{actions}",
@@ -328,11 +332,13 @@ def test_a_policy_with_a_planner_is_created_once_from_the_run_of_its_objects(
         sees="keypoints",
         kind="handle_plan",
         others=("laptop",),
+        seed=2,
+        variant="one_look",
     )
     homes = {trainer.train(policy) for _ in range(2)}
     suite = tmp_path / f"{UNSEEN[category]}-joint"
     runs = [tmp_path / world / "replacement" for world in policy.worlds]
-    finders = [tmp_path / category, tmp_path / "laptop"]
+    finders = [tmp_path / f"{name}2one_look" for name in (category, "laptop")]
     assert made == [(suite, homes.pop(), list(zip(runs, finders, strict=True)), [], policy.known)]
 
 
@@ -362,10 +368,13 @@ def test_a_finder_learns_from_images_of_its_category(tmp_path: Path, monkeypatch
     assert given[:4] == [
         str(images / "learned"), str(tmp_path / "finders" / "drawer"), "--validation", str(images / "objects"),
     ]  # fmt: skip
+    assert given[-4:] == ["--seed=0", "--crop", "96", "40"]
     assert {name: len(request.assets) for name, request in asked.items()} == {
         "drawer/learned": 300,
         "drawer/objects": 30,
     }
+    assert train_finder(data, "drawer", 1, "one_look").parent == tmp_path / "finders" / "drawer-1-one_look"
+    assert given[-2:] == ["--seed=1", "--crop"]
 
 
 def test_a_policy_without_wrist_camera_uses_the_fixed_cameras(monkeypatch: pytest.MonkeyPatch) -> None:
