@@ -9,7 +9,6 @@
 #include <algorithm>
 #include <cmath>
 #include <exception>
-#include <functional>
 #include <vector>
 
 // The thread sanitizer is not awake yet when the loader chooses a clone.
@@ -21,63 +20,81 @@
 
 namespace {
 
-using Plane = std::vector<float>;
-
-// Window sums of a (height, width) image, windows cut at the border.
+// Where the pixels of one row, seen through one plane, are in a source: the index of the upper left of four pixels and the
+// shares of the right and lower ones; `inside` is 0, and the index valid, where the pixel leaves the source.
 AOMGEN_CLONES
-void box_sum(const float* image, int width, int height, int radius, float* scratch, float* sums) {
-  for (int y = 0; y < height; ++y) {
-    const float* row = image + y * width;
-    float* out = scratch + y * width;
-    std::fill(out, out + width, 0.0f);
-    for (int offset = -radius; offset <= radius; ++offset) {
-      const int begin = std::max(0, -offset), end = std::min(width, width - offset);
-      for (int x = begin; x < end; ++x) out[x] += row[x + offset];
-    }
-  }
-  for (int y = 0; y < height; ++y) {
-    float* out = sums + y * width;
-    std::fill(out, out + width, 0.0f);
-    for (int row = std::max(0, y - radius); row <= std::min(height - 1, y + radius); ++row) {
-      const float* in = scratch + row * width;
-      for (int x = 0; x < width; ++x) out[x] += in[x];
-    }
-  }
-}
-
-// One source seen through one plane; `inside` is 0 where the pixel leaves the source.
-AOMGEN_CLONES
-void warp(const float* source, const float* rotation, const float* translation, float inverse_depth,
-          int width, int height, float* warped, float* inside) {
+void locate_row(const float* rotation, const float* translation, float inverse_depth, int y, int width, int height,
+                int32_t* index, float* right, float* lower, float* inside) {
   const float shift_x = translation[0] * inverse_depth, shift_y = translation[1] * inverse_depth,
               shift_z = translation[2] * inverse_depth;
   const float limit_x = static_cast<float>(width - 1), limit_y = static_cast<float>(height - 1);
-  for (int y = 0; y < height; ++y) {
-    const float v = y + 0.5f;
-    const float row_x = rotation[1] * v + rotation[2] + shift_x, row_y = rotation[4] * v + rotation[5] + shift_y,
-                row_z = rotation[7] * v + rotation[8] + shift_z;
-    for (int x = 0; x < width; ++x) {
-      const float u = x + 0.5f;
-      const float z = rotation[6] * u + row_z;
-      const float scale = 1.0f / (z > 1e-6f ? z : 1e-6f);
-      const float px = (rotation[0] * u + row_x) * scale - 0.5f, py = (rotation[3] * u + row_y) * scale - 0.5f;
-      const bool hit = z > 1e-6f && px >= 0.0f && py >= 0.0f && px < limit_x && py < limit_y;
-      const float qx = hit ? px : 0.0f, qy = hit ? py : 0.0f;
-      const int ix = static_cast<int>(qx), iy = static_cast<int>(qy);
-      const float fx = qx - ix, fy = qy - iy;
-      const float* at = source + iy * width + ix;
-      const float top = at[0] + fx * (at[1] - at[0]);
-      const float bottom = at[width] + fx * (at[width + 1] - at[width]);
-      warped[y * width + x] = hit ? top + fy * (bottom - top) : 0.0f;
-      inside[y * width + x] = hit ? 1.0f : 0.0f;
-    }
+  const float v = y + 0.5f;
+  const float row_x = rotation[1] * v + rotation[2] + shift_x, row_y = rotation[4] * v + rotation[5] + shift_y,
+              row_z = rotation[7] * v + rotation[8] + shift_z;
+  for (int x = 0; x < width; ++x) {
+    const float u = x + 0.5f;
+    const float z = rotation[6] * u + row_z;
+    const float scale = 1.0f / (z > 1e-6f ? z : 1e-6f);
+    const float px = (rotation[0] * u + row_x) * scale - 0.5f, py = (rotation[3] * u + row_y) * scale - 0.5f;
+    const bool hit = (z > 1e-6f) & (px >= 0.0f) & (py >= 0.0f) & (px < limit_x) & (py < limit_y);
+    const float qx = hit ? px : 0.0f, qy = hit ? py : 0.0f;
+    const int32_t ix = static_cast<int32_t>(qx), iy = static_cast<int32_t>(qy);
+    index[x] = iy * width + ix;
+    right[x] = qx - static_cast<float>(ix);
+    lower[x] = qy - static_cast<float>(iy);
+    inside[x] = hit ? 1.0f : 0.0f;
   }
+}
+
+// Reads a source bilinearly at the locations of a row; 0 where a pixel leaves it.
+AOMGEN_CLONES
+void read_row(const float* source, int width, const int32_t* __restrict index, const float* __restrict right,
+              const float* __restrict lower, const float* __restrict inside, float* __restrict warped) {
+  const float* below = source + width;
+  for (int x = 0; x < width; ++x) {
+    const int32_t at = index[x];
+    const float top = source[at] + right[x] * (source[at + 1] - source[at]);
+    const float bottom = below[at] + right[x] * (below[at + 1] - below[at]);
+    warped[x] = inside[x] > 0.0f ? top + lower[x] * (bottom - top) : 0.0f;
+  }
+}
+
+// The images whose window sums give the correlation: inside, r, r^2, w, w^2 and r w, where r is the reference inside the
+// source and w the warped source.
+constexpr int kSums = 6;
+
+// Completes one row of these images from `inside` and `w`.
+AOMGEN_CLONES
+void multiply_row(const float* reference, int width, float* const* rows) {
+  const float *__restrict inside = rows[0], *__restrict w = rows[3];
+  float *__restrict r = rows[1], *__restrict rr = rows[2], *__restrict ww = rows[4], *__restrict rw = rows[5];
+  for (int x = 0; x < width; ++x) {
+    const float seen = reference[x] * inside[x];
+    r[x] = seen;
+    rr[x] = seen * reference[x];
+    ww[x] = w[x] * w[x];
+    rw[x] = seen * w[x];
+  }
+}
+
+// Sums of 2 radius + 1 neighbors; `row` has `radius` zeros at both ends.
+AOMGEN_CLONES
+void sum_along_row(const float* row, int width, int radius, float* sums) {
+  std::fill(sums, sums + width, 0.0f);
+  for (int offset = 0; offset <= 2 * radius; ++offset)
+    for (int x = 0; x < width; ++x) sums[x] += row[x + offset];
+}
+
+AOMGEN_CLONES
+void add(const float* values, int size, float* sums) {
+  for (int i = 0; i < size; ++i) sums[i] += values[i];
 }
 
 // Correlation of reference and warped windows from their sums; -1 where too little is inside.
 AOMGEN_CLONES
-void correlate(const float* count, const float* r, const float* rr, const float* w, const float* ww,
-               const float* rw, int size, float full, float noise2, float* correlation) {
+void correlate(const float* sums, int size, float full, float noise2, float* correlation) {
+  const float *count = sums, *r = sums + size, *rr = sums + 2 * size, *w = sums + 3 * size, *ww = sums + 4 * size,
+              *rw = sums + 5 * size;
   for (int i = 0; i < size; ++i) {
     const float inverse = 1.0f / std::max(count[i], 1.0f);
     const float mean_r = r[i] * inverse, mean_w = w[i] * inverse;
@@ -85,6 +102,27 @@ void correlate(const float* count, const float* r, const float* rr, const float*
     const float var_w = std::max(ww[i] * inverse - mean_w * mean_w, 0.0f) + noise2;
     const float value = (rw[i] * inverse - mean_r * mean_w) / std::sqrt(var_r * var_w);
     correlation[i] = count[i] >= full ? value : -1.0f;
+  }
+}
+
+// Exchanges values so that `larger` has the larger one of each pair.
+AOMGEN_CLONES
+void sort_pairs(float* larger, float* smaller, int size) {
+  for (int i = 0; i < size; ++i) {
+    const float high = std::max(larger[i], smaller[i]), low = std::min(larger[i], smaller[i]);
+    larger[i] = high;
+    smaller[i] = low;
+  }
+}
+
+// Cost of the mean of `count` correlations, (count, size).
+AOMGEN_CLONES
+void mean_cost(const float* correlations, int count, int size, uint8_t* cost) {
+  const float share = 127.5f / count;
+  for (int i = 0; i < size; ++i) {
+    float sum = 0.0f;
+    for (int k = 0; k < count; ++k) sum += correlations[static_cast<size_t>(k) * size + i];
+    cost[i] = static_cast<uint8_t>(std::min(255.0f, std::max(0.0f, 127.5f - sum * share)));
   }
 }
 
@@ -150,6 +188,8 @@ void aggregate(const AomgenSweep& sweep, const std::vector<uint8_t>& cost, std::
 }
 
 constexpr int kMaxSide = 16384;
+// Planes whose costs are written together, a pixel's in one cache line.
+constexpr int kPlanesTogether = 64;
 
 bool valid(const AomgenSweep& s) {
   return s.width > 1 && s.width <= kMaxSide && s.height > 1 && s.height <= kMaxSide && s.source_count >= 1 &&
@@ -160,41 +200,81 @@ bool valid(const AomgenSweep& s) {
          s.small_jump_penalty <= 1000 && s.large_jump_penalty >= 0 && s.large_jump_penalty <= 1000;
 }
 
+// Correlations of one source seen through one plane, row by row: the sums along the last rows are in a ring.
+class Correlator {
+ public:
+  explicit Correlator(const AomgenSweep& sweep)
+      : sweep_(sweep),
+        stride_(sweep.width + 2 * sweep.window_radius),
+        images_(static_cast<size_t>(kSums) * stride_, 0.0f),
+        ring_(static_cast<size_t>(diameter()) * row_size()),
+        sums_(row_size()),
+        right_(sweep.width),
+        lower_(sweep.width),
+        index_(sweep.width) {}
+
+  // Calls `use(y, correlation)` with each row of correlations, which the callee may change.
+  template <typename Use>
+  void run(int source, float inverse_depth, float* correlation, Use use) {
+    const int radius = sweep_.window_radius, height = sweep_.height;
+    const float full = 0.75f * diameter() * diameter();
+    for (int y = 0; y < height + radius; ++y) {
+      if (y < height) sum_row(source, inverse_depth, y);
+      const int center = y - radius;
+      if (center < 0) continue;
+      std::fill(sums_.begin(), sums_.end(), 0.0f);
+      for (int row = std::max(0, center - radius); row <= std::min(height - 1, center + radius); ++row)
+        add(at(row), row_size(), sums_.data());
+      correlate(sums_.data(), sweep_.width, full, sweep_.noise * sweep_.noise, correlation);
+      use(center, correlation);
+    }
+  }
+
+ private:
+  int diameter() const { return 2 * sweep_.window_radius + 1; }
+  int row_size() const { return kSums * sweep_.width; }
+  float* at(int row) { return &ring_[static_cast<size_t>(row % diameter()) * row_size()]; }
+
+  void sum_row(int source, float inverse_depth, int y) {
+    const int width = sweep_.width, radius = sweep_.window_radius;
+    float* rows[kSums];
+    for (int n = 0; n < kSums; ++n) rows[n] = &images_[static_cast<size_t>(n) * stride_ + radius];
+    locate_row(sweep_.rotations + 9 * source, sweep_.translations + 3 * source, inverse_depth, y, width,
+               sweep_.height, index_.data(), right_.data(), lower_.data(), rows[0]);
+    read_row(sweep_.sources + static_cast<size_t>(source) * width * sweep_.height, width, index_.data(),
+             right_.data(), lower_.data(), rows[0], rows[3]);
+    multiply_row(sweep_.reference + static_cast<size_t>(y) * width, width, rows);
+    for (int n = 0; n < kSums; ++n) sum_along_row(rows[n] - radius, width, radius, at(y) + n * width);
+  }
+
+  const AomgenSweep& sweep_;
+  const int stride_;
+  std::vector<float> images_, ring_, sums_, right_, lower_;
+  std::vector<int32_t> index_;
+};
+
 // Matching costs (H, W, D): 0 = all good sources agree, 255 = they contradict.
 void matching_costs(const AomgenSweep& s, std::vector<uint8_t>& cost) {
-  const int width = s.width, height = s.height, size = width * height, planes = s.plane_count;
-  Plane warped(size), inside(size), masked(size), masked2(size), product(size), warped2(size), scratch(size);
-  Plane count(size), r(size), rr(size), w(size), ww(size), rw(size);
-  std::vector<Plane> correlation(s.source_count, Plane(size));
-  const float diameter = 2.0f * s.window_radius + 1.0f, full = 0.75f * diameter * diameter;
-  std::vector<float> ranked(s.source_count);
-  for (int plane = 0; plane < planes; ++plane) {
-    const float inverse_depth = s.first_inverse_depth + plane * s.inverse_depth_step;
-    for (int k = 0; k < s.source_count; ++k) {
-      warp(s.sources + static_cast<size_t>(k) * size, s.rotations + 9 * k, s.translations + 3 * k, inverse_depth,
-           width, height, warped.data(), inside.data());
-      for (int i = 0; i < size; ++i) {
-        masked[i] = s.reference[i] * inside[i];
-        masked2[i] = masked[i] * s.reference[i];
-        product[i] = masked[i] * warped[i];
-        warped2[i] = warped[i] * warped[i];
-      }
-      const float* images[6] = {inside.data(), masked.data(), masked2.data(), warped.data(), warped2.data(),
-                                product.data()};
-      float* sums[6] = {count.data(), r.data(), rr.data(), w.data(), ww.data(), rw.data()};
-      for (int n = 0; n < 6; ++n) box_sum(images[n], width, height, s.window_radius, scratch.data(), sums[n]);
-      correlate(count.data(), r.data(), rr.data(), w.data(), ww.data(), rw.data(), size, full,
-                s.noise * s.noise, correlation[k].data());
+  const int width = s.width, size = width * s.height, planes = s.plane_count;
+  Correlator correlator(s);
+  // The largest correlations of each pixel in descending order, (best_sources, H, W), and the costs of some planes, (B, H, W).
+  std::vector<float> best(static_cast<size_t>(s.best_sources) * size), correlation(width);
+  std::vector<uint8_t> costs(static_cast<size_t>(kPlanesTogether) * size);
+  for (int first = 0; first < planes; first += kPlanesTogether) {
+    const int together = std::min(kPlanesTogether, planes - first);
+    for (int n = 0; n < together; ++n) {
+      std::fill(best.begin(), best.end(), -1.0f);
+      for (int k = 0; k < s.source_count; ++k)
+        correlator.run(k, s.first_inverse_depth + (first + n) * s.inverse_depth_step, correlation.data(),
+                       [&](int y, float* found) {
+                         for (int rank = 0; rank < s.best_sources; ++rank)
+                           sort_pairs(&best[static_cast<size_t>(rank) * size + y * width], found, width);
+                       });
+      mean_cost(best.data(), s.best_sources, size, &costs[static_cast<size_t>(n) * size]);
     }
-    for (int i = 0; i < size; ++i) {
-      for (int k = 0; k < s.source_count; ++k) ranked[k] = correlation[k][i];
-      std::partial_sort(ranked.begin(), ranked.begin() + s.best_sources, ranked.end(), std::greater<float>());
-      float mean = 0.0f;
-      for (int k = 0; k < s.best_sources; ++k) mean += ranked[k];
-      mean /= s.best_sources;
-      cost[static_cast<size_t>(i) * planes + plane] =
-          static_cast<uint8_t>(std::min(255.0f, std::max(0.0f, (1.0f - mean) * 127.5f)));
-    }
+    for (int i = 0; i < size; ++i)
+      for (int n = 0; n < together; ++n)
+        cost[static_cast<size_t>(i) * planes + first + n] = costs[static_cast<size_t>(n) * size + i];
   }
 }
 

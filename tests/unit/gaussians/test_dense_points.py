@@ -18,12 +18,15 @@ from aomgen.gaussians.background import (
     far_shell,
 )
 from aomgen.gaussians.dense_points import nearest_depth, reduce_view
-from aomgen.gaussians.depth_fusion import DepthMap, Samples, count_confirmations, plane_sweep, thin
+from aomgen.gaussians.depth_fusion import NOISE, DepthMap, Samples, count_confirmations, plane_sweep, thin
 from aomgen.gaussians.train import initial_gaussians
 from aomgen.structure.mapping import choose_pairs
 
 TEXTURE = ndimage.gaussian_filter(np.random.default_rng(0).random((512, 512)), 1.5, mode="wrap")
 TEXTURE = ((TEXTURE - TEXTURE.min()) / np.ptp(TEXTURE)).astype(np.float32)
+
+
+View = tuple[Camera, np.ndarray]
 
 
 def _camera(x: float, y: float = 0.0) -> Camera:
@@ -50,6 +53,49 @@ def test_plane_sweep_recovers_a_plane(slope):
     assert np.median(inner) < 0.25 / 63
     assert np.quantile(inner, 0.95) < 1.0 / 63
     assert np.median(score) > 0.8
+
+
+def _correlations(reference: View, source: View, inverse_depth: float) -> np.ndarray:
+    """Normalized correlation (H, W) of 5 x 5 windows, -1 where less than 3/4 of a window is inside the source."""
+    (camera, image), (other, seen) = reference, source
+    T = other.T_cam_world @ camera.T_world_cam
+    height, width = image.shape
+    columns, rows = np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5)
+    rays = np.stack([columns, rows, np.ones_like(rows)], -1) @ np.linalg.inv(camera.K).T
+    x, y, z = np.moveaxis((rays @ T[:3, :3].T + T[:3, 3] * inverse_depth) @ other.K.T, -1, 0)
+    x, y = x / z - 0.5, y / z - 0.5
+    inside = ((x >= 0) & (y >= 0) & (x < width - 1) & (y < height - 1)).astype(float)
+    warped = ndimage.map_coordinates(seen.astype(float), [y, x], order=1) * inside
+
+    def mean(values: np.ndarray) -> np.ndarray:
+        sums = 25 * ndimage.uniform_filter(inside * values, 5, mode="constant")
+        return sums / np.maximum(count, 1)
+
+    count = 25 * ndimage.uniform_filter(inside, 5, mode="constant")
+    mean_a, mean_b = mean(image), mean(warped)
+    variance_a, variance_b = (
+        np.maximum(mean(v**2) - m**2, 0) + NOISE**2 for v, m in ((image, mean_a), (warped, mean_b))
+    )
+    value = (mean(image * warped) - mean_a * mean_b) / np.sqrt(variance_a * variance_b)
+    return np.where(count > 0.75 * 25 - 1e-6, value, -1.0)
+
+
+def test_the_score_is_the_mean_of_the_two_best_correlations():
+    cameras = [_camera(0), _camera(0.2, 0.03), _camera(-0.3, 0.05), _camera(0.01, 0.2)]
+    reference, *sources = [(camera, _seen(camera, 0.4)[0]) for camera in cameras]
+    # At infinity, the borders of these images would coincide up to rounding.
+    depths = np.linspace(0.02, 1, 64)
+    inverse_depth, score = plane_sweep(reference, sources, depths)
+    every = np.array([[_correlations(reference, source, depth) for depth in depths] for source in sources])
+    best = np.sort(every, axis=0)[-2:].mean(0)
+    # A depth between two planes belongs to one of them.
+    place = (inverse_depth - depths[0]) / (depths[1] - depths[0])
+    near = [
+        np.take_along_axis(best, np.clip(index(place), 0, 63).astype(int)[None], 0)[0]
+        for index in (np.floor, np.ceil)
+    ]
+    apart = np.min([np.abs(score - one) for one in near], axis=0)
+    assert np.quantile(apart, 0.998) < 1.5 / 127.5
 
 
 def test_plane_sweep_sees_infinity():
