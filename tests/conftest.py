@@ -1,5 +1,6 @@
 """Fixtures every test may use."""
 
+import gc
 import importlib.resources
 import os
 import shutil
@@ -16,6 +17,12 @@ os.environ.setdefault("MUJOCO_GL", "egl")
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 SAMPLE = Path(str(importlib.resources.files("aomgen.samples"))) / "microwave-a"
+
+
+def pytest_collection_finish() -> None:
+    """Exclude the objects of the imported modules from garbage collection."""
+    gc.collect()
+    gc.freeze()
 
 
 @pytest.fixture(scope="session", autouse=True)
