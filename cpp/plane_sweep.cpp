@@ -257,7 +257,7 @@ class Correlator {
 void matching_costs(const AomgenSweep& s, std::vector<uint8_t>& cost) {
   const int width = s.width, size = width * s.height, planes = s.plane_count;
   Correlator correlator(s);
-  // The largest correlations of each pixel in descending order, (best_sources, H, W), and the costs of some planes, (B, H, W).
+  // Largest correlations of each pixel in descending order, (best_sources, H, W), and costs of some planes, (B, H, W).
   std::vector<float> best(static_cast<size_t>(s.best_sources) * size), correlation(width);
   std::vector<uint8_t> costs(static_cast<size_t>(kPlanesTogether) * size);
   for (int first = 0; first < planes; first += kPlanesTogether) {
