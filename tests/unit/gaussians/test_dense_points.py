@@ -66,12 +66,12 @@ def _correlations(reference: View, source: View, inverse_depth: float) -> np.nda
     x, y = x / z - 0.5, y / z - 0.5
     inside = ((x >= 0) & (y >= 0) & (x < width - 1) & (y < height - 1)).astype(float)
     warped = ndimage.map_coordinates(seen.astype(float), [y, x], order=1) * inside
+    count = 25 * ndimage.uniform_filter(inside, 5, mode="constant")
 
     def mean(values: np.ndarray) -> np.ndarray:
         sums = 25 * ndimage.uniform_filter(inside * values, 5, mode="constant")
         return sums / np.maximum(count, 1)
 
-    count = 25 * ndimage.uniform_filter(inside, 5, mode="constant")
     mean_a, mean_b = mean(image), mean(warped)
     variance_a, variance_b = (
         np.maximum(mean(v**2) - m**2, 0) + NOISE**2 for v, m in ((image, mean_a), (warped, mean_b))
